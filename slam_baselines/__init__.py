@@ -1,1 +1,1 @@
-"""Simultaneous localization and mapping: one folder per method, the parts that they share beside them."""
+"""Simultaneous localization and mapping: one folder per method, and shared parts."""

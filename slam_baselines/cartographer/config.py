@@ -201,8 +201,9 @@ class LocalConfig:
         ground_filter: separates hits on ground from hits on walls.
         slip_speed: speed at which wheels may slip; on uneven ground, a match that neither slip nor the
             odometry's errors explain is rejected, m/s and rad/s.
-        slip_deviations: standard deviations of the odometry's errors that are allowed beside the slip.
-        localizability: when matches are believed where the attitude is known.
+        slip_deviations: standard deviations of the odometry's errors that are allowed in addition to the
+            slip.
+        localizability: conditions for using matches where the attitude is known.
         tracking: mean occupancy at the ends of the beams below which a scan enters no submap.
 
     Raises:

@@ -26,7 +26,7 @@ class Node(Keyframe[PoseEstimate]):
 
     Attributes:
         covariance: (3, 3) of x, y, yaw in the local frame, given the matching submap.
-        localizable: whether its match was believed: only such nodes are searched for loops.
+        localizable: whether matches localized the robot: only such nodes are searched for loops.
         submaps: indices of the submaps that it entered.
         leveled_distance: traveled with known attitude until then, as the ground filter counts it, meters.
         drift: largest that the robot's height may have drifted until then, meters.

@@ -232,7 +232,7 @@ class Submaps:
         return entered
 
     def reserve(self, pose: Pose2, box: FloatArray) -> None:
-        """Begin the first submap at `pose` with room for scans in a box (4,), meters."""
+        """Begin the first submap at `pose`, allocated for scans in a box (4,), meters."""
         self._begin(pose)
         self.all[0].reserve(box)
 

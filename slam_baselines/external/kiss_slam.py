@@ -68,7 +68,7 @@ class KissSlamMapper:
         self._watch = Stopwatch()
 
     def update(self, cloud: PointCloud, imu: Imu | None) -> Pose3:
-        """Register a sweep; return `T_map_base` at its stamp, as it is known by now."""
+        """Register a sweep; return the present estimate of `T_map_base` at its stamp."""
         started = self._watch.start()
         self._received += 1
         self._T_base_sensor = cloud.T_base_laser

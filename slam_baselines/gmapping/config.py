@@ -41,11 +41,11 @@ class GmappingConfig(ProposalConfig):
         interpolation: of hits along surfaces.
         tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
             enter the maps.
-        localizability: when processed scans on uneven ground are believed; its scores are hit ratios.
+        localizability: conditions for using scans on uneven ground; its scores are hit ratios.
         bootstrap: when the first meters on uneven ground are refined.
         ground_filter: separates hits on ground from hits on walls.
-        mahalanobis_gate: a scan that is matched farther from dead reckoning than so many standard deviations
-            does not correct it. On slopes wheels slide by up to four.
+        mahalanobis_gate: largest distance of a match from dead reckoning that it corrects, standard
+            deviations. On slopes wheels slide by up to four.
         gyro_bias: the gyro's errors by its data sheet, and parameters of the bias filter.
 
     Raises:

@@ -175,10 +175,12 @@ class GmappingMapper:
         wall_slope = self._ground_filter.match_wall_slope
         proposal = particles.propose(beams, motion, wall_slope, wide=self._sparse)
         hit, known = (float(ratio[particles.best]) for ratio in (proposal.hit_ratio, proposal.known_ratio))
-        tells = self._tells(beams, known)
+        informative = self._is_informative(beams, known)
         if scan.leveled:
-            self._observe_localizability(proposal, hit if tells else None)
-        if not scan.leveled or (self._localizability.localizable and (tells or self._localizability.steady)):
+            self._observe_localizability(proposal, hit if informative else None)
+        if not scan.leveled or (
+            self._localizability.localizable and (informative or self._localizability.steady)
+        ):
             particles.adopt(proposal)
         else:
             particles.follow(motion)
@@ -195,7 +197,7 @@ class GmappingMapper:
         yaw = float(proposal.means[self._filter.best, 2])
         self._localizability.observe(hit_ratio, wrap_angle(yaw - self._reckoned_yaw), motion.seconds)
 
-    def _tells(self, beams: ScanBeams, known_ratio: float) -> bool:
+    def _is_informative(self, beams: ScanBeams, known_ratio: float) -> bool:
         """Return whether enough beams at walls end where the map is known."""
         c = self.config
         return known_ratio >= c.tracking.known_ratio and beams.weights.sum() >= c.min_beams

@@ -25,7 +25,7 @@ ABSENT = -1
 MEAN_STEPS = 65536
 """Steps of a cell's edge in which the mean of the hits in it is kept."""
 MEAN_MEMORY = 32
-"""The mean follows the last so many hits."""
+"""Number of the latest hits in the mean."""
 
 
 class Patches(NamedTuple):

@@ -33,7 +33,7 @@ from slam_baselines.gmapping.scan_matching import (
     between,
     compose,
     find_peak,
-    forget,
+    invalidate,
     log_prior,
     match_one,
     near_beams,
@@ -56,7 +56,7 @@ class ProposalConfig:
         llsamplerange: half the wider search's window, meters.
         lasamplerange: half the wider search's window, radians.
         samples: points evaluated around the maximum.
-        spread: they lie within so many standard deviations of the maximum.
+        spread: largest distance of these points from the maximum, standard deviations.
         search_threshold: hit ratio below which the wider search begins.
         minimumScore: hit ratio below which the match has failed and the odometry alone counts.
         min_beams: fewest beams at walls for a match.
@@ -254,7 +254,7 @@ def propose(
         before = k
         view = PatchMapView(maps.tables[k], maps.corner, maps.patches, res, wall_slope)
         prior = OdometryPrior(odometry.poses[k], np.linalg.inv(odometry.covariances[k]))
-        forget(near)
+        invalidate(near)
         start = prior.pose if step == 0 else _better_start(view, near, prior.pose, correction, tuning)
         H = np.empty((3, 3))
         wider = ALWAYS if first.wide and step == 0 else IF_POOR

@@ -49,7 +49,7 @@ class Scratch(NamedTuple):
     Attributes:
         marks: (places, 256) uint8, NEW, PASSED, WALL or DONE.
         marked: (places,) uint8, whether a place has other marks than NEW.
-        line: (n,) int32, room for the cells that one beam meets, numbered as in `marks`.
+        line: (n,) int32, scratch for the cells that one beam meets, numbered as in `marks`.
     """
 
     marks: ByteArray

@@ -344,7 +344,7 @@ def near_beams(beams: Any, reach: int) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def forget(near: Any) -> None:
+def invalidate(near: Any) -> None:
     """Invalidate the looked-up walls, since another map follows."""
     near.fine.cells[:] = NOWHERE
     near.coarse.cells[:] = NOWHERE

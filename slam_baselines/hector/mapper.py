@@ -48,17 +48,17 @@ class HectorConfig(BuilderConfig):
         calibration: rates at which the odometry's systematic errors are learned.
         registration: of a scan in the map.
         localizability: conditions for using matches on uneven ground.
-        learning_steps: steps after which the calibration is believed where there are no walls.
+        learning_steps: steps after which the calibration is used where there are no walls.
         bootstrap: when the map is built again.
         laser_max_dist: hits farther away are not used, meters.
-        laser_clear_dist: a beam without return is believed to be free up to here, meters.
+        laser_clear_dist: range up to which a beam without return is free, meters.
         tracking: mean occupancy at the ends of the beams below which a scan does not enter the map.
 
     Raises:
         ConfigError: lost_score above search_threshold, or iterations not given for each level.
     """
 
-    # Slides are learnt: see Calibration. Wheels that stand do not err; the stamps of logs are no witness.
+    # The calibration learns slides. Standing wheels have no error; the stamps of logs are not reliable.
     motion: MotionConfig = field(
         default_factory=lambda: MotionConfig(
             slide_per_radian=1.0, translation_per_second=1e-5, rotation_per_second=1e-5

@@ -1,6 +1,6 @@
 """Occupancy map and its log-odds update by ray tracing, each cell once a scan.
 
-Log-odds are kept in steps of 0.1 as int8, and beside them, as one byte, the probability that scan
+Log-odds are kept in steps of 0.1 as int8, and in addition, as one byte, the probability that scan
 matching reads: small maps stay in the cache.
 """
 

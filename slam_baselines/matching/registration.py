@@ -43,8 +43,8 @@ class RegistrationConfig:
         decorrelation_distance: distance between scans below which they see the same cells with the same
             errors, so that each adds only its share of information, meters.
         min_information_share: smallest share of information that a scan adds.
-        translation_weight: weight of the distance from the expected pose, 1/m, beside the mean error of the
-            beams, as in ceres_scan_matcher; 0: the covariance of dead reckoning says how far it may err.
+        translation_weight: weight of the distance from the expected pose, 1/m, relative to the mean error of
+            the beams, as in ceres_scan_matcher; 0: the covariance of dead reckoning says how far it may err.
         rotation_weight: the same of the yaw, 1/rad.
 
     Raises:

@@ -37,7 +37,7 @@ def room_map(cell: float = 0.05) -> OccupancyGrid:
 
 
 def scan_in(grid: OccupancyGrid, pose: Pose2, stamp: float, rng: np.random.Generator) -> LaserScan:
-    """What a laser on the base sees among the occupied cells, by small steps along each beam."""
+    """Cast the beams of a laser on the base among the occupied cells in small steps."""
     angles = np.linspace(-0.75 * math.pi, 0.75 * math.pi, BEAMS)
     r = np.arange(0.1, SEEN, grid.resolution / 4)
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)

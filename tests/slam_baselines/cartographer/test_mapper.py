@@ -111,7 +111,7 @@ def test_asking_for_the_map_changes_nothing():
 
 
 def test_the_map_grows_as_if_drawn_at_once():
-    """What was drawn is kept while nodes stay; the result is the same as drawing all anew."""
+    """A kept map equals a new one of all nodes."""
     truth = ring(0.3)
     rng = np.random.default_rng(0)
     mapper = make_mapper("cartographer")

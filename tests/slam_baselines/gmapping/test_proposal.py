@@ -18,7 +18,7 @@ ALONE = First(0, False)
 def ends(
     pose: Pose2, west: float, east: float, south: float, north: float, beams: int = 360, most: float = 12
 ) -> np.ndarray:
-    """Where beams from `pose` meet the walls of a rectangle, in the base frame; too far ones are left out."""
+    """Return the ends of beams from `pose` at the walls of a rectangle, in the base frame, up to `most`."""
     angle = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     c, s = np.cos(angle + pose.yaw), np.sin(angle + pose.yaw)
     with np.errstate(divide="ignore"):

@@ -1,4 +1,4 @@
-"""What goes wrong on the way: sharp turns, slopes that slide, blind scans, odometry that lies or lacks."""
+"""Difficult drives: sharp turns, slides on slopes, blind scans, wrong or missing odometry."""
 
 from __future__ import annotations
 

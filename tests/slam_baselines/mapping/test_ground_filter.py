@@ -1,4 +1,4 @@
-"""Ground told from walls: only what is proven counts, and what stands upright gets proven."""
+"""Separation of ground and walls: only proven walls count, and vertical faces are proven."""
 
 from __future__ import annotations
 
@@ -246,7 +246,7 @@ def test_kernels_follow_the_formula(seed: int, yaw: float) -> None:
 @given(st.integers(0, 2**32 - 1), st.integers(1, 120), st.floats(0.5, 2.5))
 @settings(max_examples=30, deadline=None)
 def test_weights_are_those_of_the_slopes_told_in_full(seed: int, wall: int, full_slope: float) -> None:
-    """What the kernel does not tell apart has the same weight."""
+    """Slopes that the kernel does not distinguish have the same weight."""
     rng = np.random.default_rng(seed)
     bound, hits, pose = hilly_bound(rng), leveled_hits(rng), Pose2(GROUND[0], GROUND[1], 0.4)
     placed = LeveledScan(ORIGIN, hits, FREE, (0.0, 0.0), 0.1, 0.0).transformed(pose, 0.2)

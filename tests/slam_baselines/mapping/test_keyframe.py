@@ -1,4 +1,4 @@
-"""Scans hang on keyframes: what moves a keyframe moves them, and nothing else does."""
+"""Scans move with their keyframes, and only with them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an odometry always gets wrong is found; what cannot be known is left alone."""
+"""Calibration finds systematic odometry errors, and leaves unobservable gains unchanged."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_the_covariance_stays_within_bounds_whatever_is_driven(
 
 
 def test_circles_do_not_unlearn_the_straight() -> None:
-    """What circles do not show is kept, and the gain stays that of the odometry, for an hour."""
+    """An hour of circles keeps the unobserved gains, and the observed ones stay those of the odometry."""
     rng, calibration = np.random.default_rng(5), Calibration(CalibrationConfig())
 
     def drive(d: float, a: float) -> None:
