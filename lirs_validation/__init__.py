@@ -1,4 +1,4 @@
-"""Validation runs (world x robot x mapper x seed), their records, the report and the command line."""
+"""Validation runs (world x robot x mapper x seed), their records, reports and command line."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""Options of a validation run, of a log's map and of a sweep, each defined once.
+"""Options of validation runs, mapped logs and sweeps, each defined once.
 
 Command line, sweep axes, page controls, digests, groups of runs and reference docs come from these fields.
 """
@@ -430,7 +430,7 @@ def _digest(entry: dict[str, Any]) -> str:
 
 
 def _sha256(content: bytes | Path) -> str:
-    """Return the digest of bytes, or of a file, which may be larger than the memory."""
+    """Return the digest of bytes or of a file, which is read in parts."""
     if isinstance(content, bytes):
         return hashlib.sha256(content).hexdigest()
     with content.open("rb") as file:

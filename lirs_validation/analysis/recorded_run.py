@@ -83,7 +83,7 @@ def _fits(value: object, default: object) -> bool:
 
 
 def recorded_world_config(entry: Mapping[str, Any]) -> RunConfig:
-    """Return the config of a record with the path of the source that the run used.
+    """Return the config of a record with the path of the run's source.
 
     Raises:
         SourceError: it has options that this version does not know, or its source has changed.
@@ -92,7 +92,7 @@ def recorded_world_config(entry: Mapping[str, Any]) -> RunConfig:
 
 
 def recorded_truth(folder: Path) -> Trajectory:
-    """Return the true poses of base_link in the world frame; the map frame is the first.
+    """Return true base_link poses in the world frame; the first is the map frame.
 
     Raises:
         SourceError: missing, damaged or empty.

@@ -52,7 +52,7 @@ def repeats(values: Sequence[float]) -> Repeats | None:
 
 
 def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float | None]:
-    """Return the test for paired differences (n,), its p value, and the mean's 95 % interval."""
+    """Test paired differences (n,); return test, p value and 95 % interval of the mean."""
     found = repeats(d.tolist())
     if found is None or found.half_width is None:
         return "none", None, None, None

@@ -1,4 +1,4 @@
-"""One episode: a policy on a task, from the first scan to the end, and its score."""
+"""One episode: a policy on a task, and its score."""
 
 from __future__ import annotations
 

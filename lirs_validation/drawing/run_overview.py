@@ -188,7 +188,7 @@ def _reference(axes: Axes, canvas: Canvas, true_pose: OccupancyGrid) -> None:
 def _draw_built_map(
     axes: Axes, canvas: Canvas, built: OccupancyGrid, true_pose: OccupancyGrid, f1: float | None
 ) -> None:
-    """Show a built map over the true-pose map; mark walls over 0.10 m off or missing."""
+    """Show a built map; mark walls missing or over 0.10 m off the true-pose map."""
     picture = canvas.grid_picture(built)
     for asked, other, color in ((true_pose, built, BLUE), (built, true_pose, VERMILLION)):
         wrong = contradicted(asked, other)

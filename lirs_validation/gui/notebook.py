@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EmbeddedPage:
-    """A live page that Jupyter shows below the cell; it lives until `close` or the kernel's end.
+    """A live page below a Jupyter cell, open until `close` or the kernel's end.
 
     Attributes:
         address: URL of the page, for browsers on this machine.

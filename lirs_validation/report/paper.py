@@ -49,7 +49,7 @@ COLLAPSE = 10.0
 
 
 def paper_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
-    """Return Tables II to IV and the means by robot, with the paper's values and ours."""
+    """Return Tables II to IV and the means by robot, the paper's and ours."""
     good = [entry for entry in entries if succeeded(entry)]
     return (*(_world_table(world, good) for world in WORLDS), _robot_table(good))
 

@@ -1,4 +1,4 @@
-"""Small picture of a run in a report: paths over the hillshade, true-pose map, built map.
+"""Picture of a run in a report: paths over the hillshade, true-pose map, built map.
 
 For a mapper of point clouds, the error of its elevation map replaces the built map.
 """

@@ -142,7 +142,7 @@ class Worker:
         return max(0.0, self._since + self._limits.seconds - time.monotonic())
 
     def where(self) -> str:
-        """Return the traceback of the crash or of the present state; empty if there is none."""
+        """Return the traceback of the crash or of the present state, if any."""
         if hasattr(signal, "SIGUSR1") and self._process.is_alive():
             os.kill(self.pid, signal.SIGUSR1)
             time.sleep(0.3)

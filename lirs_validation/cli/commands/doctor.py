@@ -59,7 +59,7 @@ class InstallationCheck:
 
     Attributes:
         name: of the thing.
-        found: what there is.
+        found: finding.
         mend: how to get it; empty = it is there.
         needed: whether nothing works without it.
     """

@@ -75,8 +75,8 @@ class Control:
         try:
             return kind(text)
         except ValueError:
-            what = "a whole number" if kind is int else "a number"
-            raise ConfigError(f"{self.title} must be {what}, got {text!r}") from None
+            legal = "a whole number" if kind is int else "a number"
+            raise ConfigError(f"{self.title} must be {legal}, got {text!r}") from None
 
     @property
     def _types(self) -> tuple[Any, ...]:

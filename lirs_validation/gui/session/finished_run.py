@@ -88,7 +88,7 @@ class FinishedRun:
         return max(0, int(np.searchsorted(self._truth.stamps, time, side="right")) - 1)
 
     def moment(self, scan: int) -> Moment:
-        """Return the drive at a scan, 0 = before the first motion, with the final map."""
+        """Return the drive at a scan, with the final map; 0 = before the first motion."""
         stamp = float(self._truth.stamps[scan])
         T_world_base = Pose3.from_arrays(self._truth.positions[scan], self._truth.quaternions[scan])
         truth = self._truth.positions[: scan + 1]
@@ -120,7 +120,7 @@ class FinishedRun:
 
 
 def unpacked_run(content: bytes, folder: Path, limits: PageLimits) -> Path:
-    """Extract the needed files of a zipped run; names in the archive do not become paths.
+    """Extract the needed files of a zipped run, under fixed names.
 
     Raises:
         SourceError: it is no such archive, holds no run, or unpacks to more than the limit.
@@ -152,7 +152,7 @@ def _name_picture(folder: Path) -> None:
 
 
 def runs_in(folder: Path) -> dict[str, Path]:
-    """Return the runs in a folder by name, newest first; a run's folder is itself a run."""
+    """Return the runs in a folder, or the folder's own run, newest first."""
     if (folder / "record.json").is_file():
         return {folder.name: folder}
     records = sorted(folder.glob("*/record.json"), key=lambda path: path.stat().st_mtime, reverse=True)

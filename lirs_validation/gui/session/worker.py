@@ -1,4 +1,4 @@
-"""Worker thread of a page: queued jobs, at most one of a kind, and an idle loop."""
+"""Worker thread of a page: queued jobs, one of a kind, and an idle loop."""
 
 from __future__ import annotations
 

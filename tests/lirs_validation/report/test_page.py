@@ -203,7 +203,7 @@ def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> N
     assert here.values == repeats([40.0, 42.0])
     assert isinstance(there, MetricSpread)
     assert there.text == "0.0200†"
-    assert "1 run with something running beside has no RTF here." in table.caption
+    assert "1 concurrent run has no RTF here." in table.caption
     assert "† extrapolated" in table.caption
     assert table.rows[0][column + 1].values.count == 3  # type: ignore[union-attr]
 
@@ -213,7 +213,7 @@ def test_a_page_without_any_rtf_is_a_page(tmp_path: Path) -> None:
         saved(tmp_path, seed=seed, concurrent=True)
     _, html = reported(tmp_path)
     Reader(html)
-    assert "2 runs with something running beside have no RTF here." in html
+    assert "2 concurrent runs have no RTF here." in html
 
 
 def test_a_page_of_failures_alone_is_a_page(tmp_path: Path) -> None:
