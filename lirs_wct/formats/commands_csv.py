@@ -1,6 +1,6 @@
-"""Commands of a drive as CSV: start pose, then time, speed and turn rate per line.
+"""Commands of a drive as CSV.
 
-Numbers are not rounded.
+The start pose comes first, then time, speed and turn rate per line. Numbers are not rounded.
 """
 
 from __future__ import annotations

@@ -135,9 +135,9 @@ _KEYS = (
 
 
 def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo]:
-    """Read (rows, cols) heights of an ESRI ASCII grid, row 0 = north, and their metadata.
+    """Read (rows, cols) heights of an ESRI ASCII grid and their metadata.
 
-    The format has a header of six lines, then heights in rows from the north.
+    Row 0 is north. The format has a header of six lines, then heights in rows from the north.
 
     Raises:
         SourceError: the file is missing or damaged, or of another size than is legal.
@@ -153,7 +153,7 @@ def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo
     except UnicodeDecodeError as error:
         raise SourceError(f"{path}: is no text, an ASCII grid is needed") from error
     except ValueError as error:
-        raise SourceError(f"{path}: holds what is no number: {error}") from error
+        raise SourceError(f"{path}: holds a value that is no number: {error}") from error
     if values.size != rows * cols:
         raise SourceError(f"{path}: holds {values.size} heights, {cols} x {rows} are announced")
     affine = _affine(path, header, rows)
@@ -212,9 +212,9 @@ _NAME = re.compile(r"([NS])(\d{2})([EW])(\d{3})", re.IGNORECASE)
 
 
 def read_hgt(path: Path, max_pixels: int) -> tuple[NDArray[np.int16], RasterInfo]:
-    """Read (rows, cols) heights of an SRTM file in meters, row 0 = north, and their metadata.
+    """Read (rows, cols) heights of an SRTM file in meters and their metadata.
 
-    A file holds 16-bit heights of a square degree; its name is that of the south-west corner.
+    Row 0 is north. A file holds 16-bit heights of a square degree; its name is that of the south-west corner.
 
     Raises:
         SourceError: the file is missing, of another length, or its name states no place.

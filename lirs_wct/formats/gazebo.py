@@ -341,7 +341,7 @@ class Layer:
 
 
 def flat_normals() -> ByteArray:
-    """Return (16, 16, 3) BGR: the normal map of a flat texture (x 0, y 0, z 1)."""
+    """Return the (16, 16, 3) BGR normal map of a flat texture (normals along z)."""
     return np.full((16, 16, 3), (255, 128, 128), np.uint8)
 
 

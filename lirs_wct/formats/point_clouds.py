@@ -147,7 +147,9 @@ _LZF = 90
 
 
 def check_las(path: Path) -> bool:
-    """Check a LAS file and return whether its points are compressed (ASPRS LAS 1.4, section 2).
+    """Check a LAS file and return whether its points are compressed.
+
+    The format is ASPRS LAS 1.4, section 2.
 
     Raises:
         SourceError: not a LAS file, or shorter than its header says.
@@ -232,7 +234,7 @@ def check_pcd(path: Path) -> None:
 
 
 def _pcd_entries(head: bytes) -> tuple[dict[bytes, list[bytes]], bytes, int]:
-    """Return the header lines by first word, the kind of data, and the start of the data."""
+    """Return header lines by first word, and the data's kind and start."""
     entries: dict[bytes, list[bytes]] = {}
     at = 0
     for line in head.splitlines(keepends=True):

@@ -1,4 +1,7 @@
-"""References of a file to other files: inside its folder or package, never on a network."""
+"""References of a file to other files in its folder or package.
+
+References outside it, or to a network, are refused.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Trajectories in the TUM format: `stamp x y z qx qy qz qw` per line, as evo reads."""
+"""Trajectories in the TUM format, as evo reads: `stamp x y z qx qy qz qw`."""
 
 from __future__ import annotations
 

@@ -197,7 +197,7 @@ def texture_path(name: str, role: str, given: Path | None) -> Path:
 
 
 def _kept_textures(world: WorldFile, folder: Path) -> dict[str, str | None]:
-    """Copy the user's textures into the folder under the world's name; return their paths in it."""
+    """Copy the user's textures into the folder; return their paths in it."""
     kept: dict[str, str | None] = {"texture": None}
     for role in TEXTURE_OPTIONS:
         given: Path | None = world.export_options.get(role)

@@ -91,7 +91,7 @@ class CoordinateSystem:
         raise ConfigError("no coordinate reference system is known")
 
     def ground_meters(self, x: float, y: float) -> FloatArray:
-        """Return (2, 2) ground meters east and north per unit of x and of y at a place.
+        """Return (2, 2) ground meters (rows east, north) per unit of x and y.
 
         Raises:
             ConfigError: as `to_geographic`, or the place is a pole or beyond.
@@ -187,7 +187,7 @@ _VERTICAL = re.compile(r"VERT_?CR?S\[")
 
 
 def units_of_text(text: str) -> tuple[float, float]:
-    """Return meters per unit of x and y, and of z, from a projected system's WKT.
+    """Return meters per horizontal and vertical unit of a projected system's WKT.
 
     Without a vertical unit, z has the unit of x and y.
     """

@@ -54,14 +54,14 @@ class OccupancyGrid(ShownAsPicture):
 
     @staticmethod
     def from_probability(p: ArrayLike, resolution: float, origin: Pose2 | None = None) -> OccupancyGrid:
-        """Build from probabilities (rows, cols), row 0 = south, NaN = unknown; 0 and 1 are clipped."""
+        """Build from probabilities (rows, cols), clipped; row 0 = south, NaN = unknown."""
         q = np.clip(np.asarray(p, dtype=np.float64), 1e-6, 1 - 1e-6)
         np.divide(q, 1 - q, out=q)
         return OccupancyGrid(np.log(q, out=q).astype(np.float32), resolution, origin or Pose2())
 
     @staticmethod
     def from_mask(occupied: BoolArray, resolution: float, origin: Pose2 | None = None) -> OccupancyGrid:
-        """Build from (rows, cols) whether a cell is occupied, row 0 = south: all others are free."""
+        """Build from a mask (rows, cols) of occupied cells; the others are free."""
         free, wall = OccupancyGrid.from_probability(((0.0, 1.0),), resolution).log_odds[0]
         return OccupancyGrid(np.where(occupied, wall, free), resolution, origin or Pose2())
 
@@ -102,12 +102,12 @@ class OccupancyGrid(ShownAsPicture):
         return bool(inside and self.log_odds[row, col] < _FREE_LOG_ODDS)
 
     def cells(self, points: ArrayLike) -> IntArray:
-        """Return (..., 2) row and column of points (..., 2) in the grid's frame; may lie outside."""
+        """Return (..., 2) row and column of points (..., 2), also outside the grid."""
         local = self.origin.inverse().apply(points)
         return np.floor(local[..., ::-1] / self.resolution).astype(np.int64)
 
     def centers(self, cells: ArrayLike) -> FloatArray:
-        """Return (..., 2) the centers of cells (..., 2) given as row, column, in the grid's frame."""
+        """Return (..., 2) centers of cells (..., 2) given as row, column."""
         rc = np.asarray(cells, dtype=np.float64)
         return self.origin.apply((rc[..., ::-1] + 0.5) * self.resolution)
 

@@ -26,7 +26,7 @@ def resample(values: Float32Array, width: int, height: int) -> Float32Array:
 
 
 def _sample_columns(values: Float32Array, n: int) -> Float32Array:
-    """Return (rows, n) values at n columns from the first to the last, linearly between pixels."""
+    """Return (rows, n) values, interpolated linearly at n equidistant columns."""
     at = np.linspace(0, values.shape[1] - 1, n)
     left = np.minimum(at.astype(np.int64), values.shape[1] - 2)
     share = (at - left).astype(np.float32)

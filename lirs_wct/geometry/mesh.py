@@ -78,7 +78,7 @@ class TriangleMesh:
         return weld(TriangleMesh(written, self.faces)).is_watertight
 
     def rotated_x(self, degrees: float) -> TriangleMesh:
-        """Return the mesh turned about the x axis, from y towards z; normals turn with it."""
+        """Rotate the mesh and its normals about the x axis, from y towards z."""
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
         normals = None if self.normals is None else self.normals @ turn

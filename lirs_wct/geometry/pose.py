@@ -23,7 +23,7 @@ def wrap_angle(angle: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Pose2:
-    """A rigid pose in the plane: `T_ab` with b's origin at (x, y) in a, turned by yaw."""
+    """A rigid pose `T_ab` in the plane: origin of b in a, and yaw."""
 
     x: float = 0.0
     y: float = 0.0
@@ -73,7 +73,7 @@ class Pose3:
 
     @staticmethod
     def from_rpy(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> Pose3:
-        """Build from translation and fixed-axis roll, pitch, yaw (R = Rz Ry Rx, as in URDF)."""
+        """Build from translation and fixed-axis roll, pitch, yaw (R = Rz Ry Rx)."""
         cr, sr = math.cos(roll / 2), math.sin(roll / 2)
         cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
         cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)

@@ -9,7 +9,7 @@ from lirs_wct.kernels import njit
 
 
 def merged_rectangles(mask: BoolArray) -> IntArray:
-    """Return (n, 4) disjoint rectangles (row0, col0, row1, col1) that cover a mask; ends are exclusive.
+    """Return (n, 4) disjoint rectangles that cover a mask: row0, col0, row1, col1 (ends exclusive).
 
     Greedy: at the first uncovered cell, two rectangles grow, one along the row first and one along the column
     first; the larger one is taken. The result is the smaller cover of the mask and its transpose.
@@ -48,7 +48,7 @@ def _rectangles(left: BoolArray) -> IntArray:
 
 @njit(cache=True)
 def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
-    """Return the far corner of the rectangle that grows from (r, c) along one axis first."""
+    """Return the far corner of a rectangle grown from (r, c)."""
     r1, c1 = r + 1, c + 1
     for axis in range(2):
         if (axis == 0) == along_row:
@@ -62,7 +62,7 @@ def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
 
 @njit(cache=True)
 def _all(left: BoolArray, r0: int, c0: int, r1: int, c1: int) -> bool:
-    """Whether all cells of a rectangle are uncovered; unlike `all` of a slice, stops at the first other."""
+    """Whether all cells of a rectangle are uncovered; faster than `all` of a slice."""
     for r in range(r0, r1):
         for c in range(c0, c1):
             if not left[r, c]:

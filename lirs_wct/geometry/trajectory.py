@@ -79,7 +79,7 @@ class Trajectory(ShownAsPicture):
         return Pose2(x, y, _yaw(self.quaternions[i][None]).item())
 
     def planar_at(self, stamps: FloatArray) -> FloatArray:
-        """Return (m, 3) x, y, yaw at stamps (m,), interpolated linearly and clamped at the ends.
+        """Interpolate (m, 3) x, y, yaw at stamps (m,), clamped at the ends.
 
         Meters and radians; the yaw turns the short way round and may leave (-pi, pi].
         """

@@ -38,7 +38,7 @@ class Viewpoint:
 
 
 def camera_axes(yaw: float, pitch: float) -> FloatArray:
-    """Return (3, 3) rows: forward, right, up of a camera that does not roll; pitch is downward."""
+    """Return (3, 3) rows forward, right, up of a camera; pitch is downward."""
     cy, sy, cp, sp = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
     return np.array(((cp * cy, cp * sy, -sp), (sy, -cy, 0.0), (sp * cy, sp * sy, cp)))
 

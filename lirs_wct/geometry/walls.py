@@ -14,7 +14,7 @@ from lirs_wct.geometry.pose import Pose2
 
 @dataclass(frozen=True, slots=True)
 class WallGrid:
-    """Cells of a laser map: wall of one height above z = 0, floor, or hole.
+    """Cells of a laser map: wall above z = 0, floor, or hole.
 
     Attributes:
         solid: (rows, cols) bool, row 0 = south (ROS order).

@@ -213,7 +213,7 @@ LABEL = "# laser on base_link, x y z roll pitch yaw:"
 
 
 def mount_comment(T_base_laser: Pose3) -> str:
-    """Return the comment line with the pose of the laser; messages hold only the planar part."""
+    """Return the comment line with the pose of the laser. Messages hold only the planar part."""
     x, y, z = T_base_laser.position.tolist()
     angles = f"{T_base_laser.roll:.6f} {T_base_laser.pitch:.6f} {T_base_laser.yaw:.6f}"
     return f"{LABEL} {x:.6f} {y:.6f} {z:.6f} {angles}\n"

@@ -1,4 +1,4 @@
-"""Repairs of a CARMEN log: stamps that rise in the order of the file, and odometry without jumps.
+"""Repairs of a CARMEN log: rising stamps, and odometry without jumps.
 
 A line is stamped when its message passes the log's network. Messages wait there and come in bursts, so the
 stamps of real logs go back and repeat while the robot moves on. The order of the lines is right.
@@ -71,7 +71,10 @@ def in_file_order(
 
 
 def _lines(scans: Sequence[Message], odoms: Sequence[Message]) -> list[Message]:
-    """Return the messages in file order; by stamp if the file holds one kind after the other."""
+    """Return the messages in file order.
+
+    If the file holds one kind of message after the other, return them by stamp.
+    """
     lines = sorted([*scans, *odoms], key=lambda m: m.line)
     if _steps(lines).min(initial=0) < -LEAP and min(_steps(k).min(initial=0) for k in (scans, odoms)) >= 0:
         return sorted(lines, key=lambda m: m.stamp)
@@ -162,7 +165,7 @@ def _one_clock(stamps: FloatArray) -> FloatArray:
 
 
 def _stamp_leaps(stamps: FloatArray) -> tuple[list[int], list[int]]:
-    """Return the lines with damaged stamps, and the lines at which a clock was set back."""
+    """Return the lines with damaged stamps, and the lines of clock resets."""
     damaged: list[int] = []
     set_anew: list[int] = []
     last = 0
@@ -240,7 +243,7 @@ def without_jumps(track: Trajectory, repaired: Counter[str]) -> Trajectory:
 
 
 def _position_leaps(track: Trajectory) -> tuple[list[int], set[int]]:
-    """Return the poses far from their neighbors, and the poses after a reset of the odometry."""
+    """Return the poses far from their neighbors, and the poses after odometry resets."""
     xy, stamps = track.xy, track.stamps
     wrong: list[int] = []
     anew: set[int] = set()
@@ -264,7 +267,7 @@ def _position_leaps(track: Trajectory) -> tuple[list[int], set[int]]:
 
 
 def _track(messages: Sequence[Message]) -> Trajectory:
-    """Return the poses by stamp; of two with the same stamp, that of the later line."""
+    """Return the poses by stamp; of equal stamps, the later line's."""
     poses = {m.stamp: m.base for m in messages if m.base is not None}
     stamps = sorted(poses)
     return Trajectory.from_poses(stamps, [poses[t] for t in stamps])

@@ -89,5 +89,5 @@ def _millimeters(ranges: Float32Array, most: int) -> IntArray:
 
 @cache
 def _formatted_ranges(millimeters: int) -> list[str]:
-    """Return the text of each number of millimeters in meters, and last the code for "invalid"."""
+    """Return the texts of ranges by millimeter, and last that of "invalid"."""
     return [*(f"{mm / 1000:.3f}" for mm in range(millimeters)), f"{INVALID:.2f}"]

@@ -75,7 +75,7 @@ def rasterio_there() -> bool:
 
 
 def read_gdal(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
-    """Read a raster in a process restricted to its drivers and to files in its folder.
+    """Read a raster in a process restricted to its drivers and its folder.
 
     Args:
         path: file.
@@ -185,7 +185,7 @@ def followed_files(path: Path) -> set[Path]:
 
 
 def _references(path: Path) -> Iterator[str]:
-    """Yield the file names in a VRT or in a sidecar's XML; nothing for other files.
+    """Yield the file names in a VRT or a sidecar's XML.
 
     The content counts, not the suffix: GDAL treats any source that begins like a VRT as a VRT.
     """

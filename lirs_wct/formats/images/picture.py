@@ -128,7 +128,7 @@ def _map_file(path: Path) -> mmap.mmap:
 
 
 def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
-    """Raise SourceError if a picture of w x h pixels is too small or too large."""
+    """Check the size of a picture; raise SourceError outside the limits."""
     if w < 2 or h < 2:
         raise SourceError(f"{path}: image is {w}x{h} px, a terrain needs at least 2x2")
     if w * h > max_pixels:

@@ -186,7 +186,7 @@ def _write_faces(
 
 
 def _join_quads(faces: Int32Array) -> tuple[Int32Array, Int32Array]:
-    """Join consecutive triangles a b c, b d c to quads (n, 4); return also the others."""
+    """Join consecutive triangles (abc, bdc) to quads (n, 4); return quads and other triangles."""
     pairs = faces[: len(faces) // 2 * 2].reshape(-1, 2, 3)
     first, second = pairs[:, 0], pairs[:, 1]
     cell = (first[:, 1] == second[:, 0]) & (first[:, 2] == second[:, 2])

@@ -47,7 +47,7 @@ def read_upright(path: Path) -> TriangleMesh:
 
 
 def upright(path: Path, mesh: TriangleMesh) -> TriangleMesh:
-    """Rotate the mesh of a file so that z is up, in meters; normals rotate with it.
+    """Convert the mesh of a file to z up and meters, with its normals.
 
     Raises:
         SourceError: the file's unit is not a number of meters.
@@ -176,7 +176,7 @@ def ply_elements(path: Path) -> dict[str, tuple[int, tuple[str, ...]]] | None:
 
 
 def require_positions(path: Path) -> None:
-    """Check that a PLY file's vertices have x, y, z, and its elements fit into the file.
+    """Check the vertex properties and the length of a PLY file.
 
     Raises:
         SourceError: it has no vertices, or these have other properties, or it is too short for its counts.

@@ -100,7 +100,7 @@ class Frames:
         return Trajectory.from_poses(stamps.tolist(), poses)
 
     def _edge(self, name: str) -> tuple[np.ndarray[Any, np.dtype[np.float64]], list[Pose3]]:
-        """Return rising stamps and poses of a frame in its parent; one pose if it is fixed."""
+        """Return rising stamps and poses of a frame in its parent; one if fixed."""
         if name in self._fixed and name not in self._moving:
             return np.zeros(1), [self._fixed[name][1]]
         found = {stamp: T for _, stamp, T in self._moving[name]}

@@ -94,7 +94,7 @@ def _of_topics(reader: Reader, topics: Collection[str]) -> Iterator[tuple[Connec
 
 @cache
 def _decoder(definition: MessageDefinition, kind: str, ros1: bool) -> Callable[[bytes | memoryview], Any]:
-    """Return the decoder of a type by the bag's definition, else by that of ROS 2 Jazzy.
+    """Return the decoder of a type by the bag's definition, else by Jazzy's.
 
     The definition states the layout of the bytes, also where the recorded hash of the type differs. The
     decoder of a definition that cannot be parsed refuses every message.
@@ -151,7 +151,7 @@ def _reader(file: Path) -> Reader:
 
 
 def _files(path: Path) -> list[Path]:
-    """Return the files of a bag; for a folder with two kinds of files, the first kind."""
+    """Return the files of a bag; of two kinds in a folder, the first."""
     if not path.is_dir():
         return [path]
     # A compressed file and its decompressed copy count once.

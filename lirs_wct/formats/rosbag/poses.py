@@ -83,7 +83,7 @@ def _is(frame: str, wanted: str) -> bool:
 
 
 def _read_topic(bag: Bag, topic: str) -> Trajectory:
-    """Return the poses of a topic by stamp; of two with the same stamp, the later one."""
+    """Return the poses of a topic by stamp; of equal stamps, the later one."""
     found: dict[float, Pose3] = {}
     for _, _, message in bag.messages((topic,)):
         if bag.kinds[topic] == PATH:

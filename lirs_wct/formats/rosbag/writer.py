@@ -144,7 +144,7 @@ class BagWriter:
             raise self._output_error(error) from error
 
     def close(self, grid: OccupancyGrid | None = None) -> None:
-        """Write the buffered scans, the map (in the map frame) if given, and the end of the bag.
+        """Write the buffered scans, the map in the map frame, and the bag's end.
 
         Raises:
             OutputError: it cannot be written.
@@ -231,7 +231,7 @@ def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
 
 
 def _frames(tick: BagTick) -> bytearray:
-    """Return the transforms at a scan: odom -> base_link, and with an estimate map -> odom."""
+    """Return the transforms at a scan: odom -> base_link, map -> odom with an estimate."""
     T_odom_base = Pose3.from_pose2(tick.odometry)
     if tick.estimate is None:
         return messages.transforms(tick.scan.stamp, DRIVEN, (T_odom_base,))

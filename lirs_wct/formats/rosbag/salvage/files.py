@@ -19,7 +19,10 @@ CUT = "its end is missing"
 
 
 def fault_of(path: Path) -> str | None:
-    """Return the fault of a bag's file; "" = no index, None = no fault or no bag."""
+    """Return the fault of a bag's file.
+
+    The fault is "" for a missing index, and None for a sound file or no bag.
+    """
     with path.open("rb") as file:
         begin, size = file.read(HEADER), file.seek(0, 2)
         file.seek(max(0, size - FOOTER))

@@ -18,7 +18,7 @@ Fields = dict[str, bytes]
 
 
 def index_of(path: Path) -> int | None:
-    """Return the position of a bag's index, 0 = not yet written; None without an entry."""
+    """Return the position of a bag's index (0 = unwritten); None without entry."""
     with path.open("rb") as file:
         file.seek(len(MAGIC))
         fields, _ = next(_records(file), ({}, b""))

@@ -127,7 +127,10 @@ def _integer(record: bytes, at: int, kind: int) -> tuple[int, int]:
 
 
 def _varint(data: mmap.mmap | bytes, at: int) -> tuple[int, int]:
-    """Return a number of 1 to 9 bytes (7 bits each, 8 in the ninth), and its end."""
+    """Return a number of 1 to 9 bytes, and its end.
+
+    Each byte holds 7 bits, the ninth 8.
+    """
     value = 0
     for k in range(at, at + 8):
         value = value << 7 | data[k] & 127

@@ -94,8 +94,8 @@ def test_grids_as_rasterio_reads_them(tmp_path: Path) -> None:
         (HEADER + HEIGHTS + "7", "holds 13 heights, 4 x 3 are announced"),
         (HEADER.replace("cellsize 10", "cellsize 0") + HEIGHTS, "cells must be above 0, got 0 x 0"),
         (HEADER.replace("cellsize 10", "cellsize 1 2") + HEIGHTS, "line 'cellsize 1 2' has no single value"),
-        (HEADER.replace("10", "ten") + HEIGHTS, "holds what is no number"),
-        (HEADER + HEIGHTS.replace("9", "nine"), "holds what is no number"),
+        (HEADER.replace("10", "ten") + HEIGHTS, "holds a value that is no number"),
+        (HEADER + HEIGHTS.replace("9", "nine"), "holds a value that is no number"),
         (HEADER.replace("ncols 4", "ncols 99999999"), "image is 99999999x3 px"),
     ],
 )
