@@ -1,4 +1,4 @@
-"""Start poses: where a robot can be set down, and how it then stands."""
+"""Start poses: checks of a start, and the standing pose of a robot."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from lirs_wct.world import World
 SLACK = math.radians(2)
 """Margin of a start's slope above the robot's `max_slope`: plans measure slopes over a shorter distance."""
 CLEARANCE = 0.01
-"""Meters between the robot and the highest ground under it when it is let go."""
+"""Height of a released robot above the highest ground under it, meters."""
 MAX_SETTLING_DISTANCE = 0.1
-"""A robot that moves farther than this while it settles cannot stand there, meters."""
+"""Largest motion of a robot while it settles at a valid start, meters."""
 
 
 def resolve_start(world: World, start: Pose2 | None) -> Pose2:

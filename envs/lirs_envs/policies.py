@@ -98,17 +98,17 @@ class RandomActions:
 MARGIN = 0.15
 """Lateral clearance of the robot, meters."""
 HORIZON = 4.0
-"""Farther obstacles count for nothing, meters."""
+"""Distance beyond which obstacles are ignored, meters."""
 HEADINGS = np.radians(np.arange(-132, 133, 4))
-"""Headings that are looked at, from the robot's own."""
+"""Candidate headings relative to the robot's heading."""
 DETOUR, CHANGE = 1.6, 0.35
 """Reward of a free horizon, in radians off the goal; cost per radian off the last heading."""
 CAUTION = 1.0
-"""Seconds of way that the robot keeps free ahead of it."""
+"""Time headway to obstacles ahead, seconds."""
 PATIENCE, BACK_OFF = 6.0, 1.5
 """Seconds without progress after which the robot backs off, and for how long."""
 PROGRESS = 0.3
-"""Meters nearer to the goal that count as progress."""
+"""Least approach to the goal that counts as progress, meters."""
 
 
 class GoToGoal:

@@ -1,4 +1,4 @@
-"""Props: boxes, cylinders, spheres and static robots that stand in a world."""
+"""Props: boxes, cylinders, spheres and static robots in a world."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def add_props(spec: mujoco.MjSpec, world: World, props: Sequence[Prop | StaticRo
         body = spec.worldbody.add_body(name=f"prop{k}", pos=T.position, quat=T.quaternion)
         if prop.mass:
             body.add_freejoint(name=f"prop{k}")
-            # A pickle of MuJoCo's data loses count of who sleeps, and could not be stepped.
+            # A pickle of MuJoCo's data loses the sleep state of bodies and could not be stepped.
             body.sleep = mujoco.mjtSleepPolicy.mjSLEEP_NEVER
         size = (*prop.size, 0.0, 0.0)[:3]
         body.add_geom(

@@ -24,17 +24,17 @@ from lirs_wct.geometry.pose import Pose3
 from lirs_wct.world import World
 
 FULL_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-"""All that the next step depends on, warm start included."""
+"""State on which the next step depends, including the warm start."""
 CONTROL_PERIOD = 0.008
 """Time between two control updates, seconds, as nearly as whole steps allow."""
 REFERENCE_TIMESTEP = 0.004
 """Longest step of the reference physics, seconds, whatever a robot's own step is."""
 SETTLING_TIME = 0.6
-"""Time that a robot is given to come to rest after it was set down, seconds."""
+"""Time for a robot to come to rest after its placement, seconds."""
 CONTACT_SENSOR, CENTER_SENSOR = "touch_", "center_"
-"""Prefixes of the names of contact sensors, one for each geom that touches, and of wheels' positions."""
+"""Name prefixes of the contact sensors, one per contact geom, and of the wheels' position sensors."""
 WHEEL_CONTACTS = 16
-"""Contacts of a wheel that its sensor holds; on ground and at a wall there are up to 6."""
+"""Capacity of a wheel's contact sensor; on ground and at a wall there are up to 6 contacts."""
 FACE_MARGIN = math.radians(10)
 """Margin of a single face above the robot's `max_slope`, which is a mean over 0.3 m.
 

@@ -165,7 +165,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         for i, view in enumerate(self.views):
             snapshot, path = snapshot_of(self.episodes, i), self._paths[i]
             path.append(snapshot.T_world_base.to_pose2())
-            # One scene for all that are in one world.
+            # Environments in the same world share one scene.
             views = self._pictures[0 if alike else i]
             shown.append(views.render(self.render_mode, snapshot, path=path, scan=view.reading().scan))
         return tuple(shown)

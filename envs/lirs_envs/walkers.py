@@ -22,7 +22,7 @@ from lirs_wct.navigation.spawn_poses import largest_area
 from lirs_wct.world import World
 
 CLEARANCE = 0.45
-"""Meters that a walker's middle keeps from walls, steep ground and the border."""
+"""Distance of a walker's center from walls, steep ground and the border, meters."""
 MAX_SLOPE = math.radians(25)
 """Steepest ground that walkers walk on."""
 RESOLUTION = 0.2
@@ -30,7 +30,7 @@ RESOLUTION = 0.2
 WAY_POINTS = 6
 """Way points of a path."""
 LEG = (3.0, 10.0)
-"""Shortest and longest leg, meters; where none is free in any of the directions tried, a path ends."""
+"""Shortest and longest leg, meters; a path ends where no tried direction is free."""
 TRIES = 24
 """Legs tried from a way point."""
 
@@ -127,9 +127,9 @@ GAP = 0.3
 PATIENCE = 1.0
 """Seconds after which a waiting walker turns back."""
 START_GAP = 1.0
-"""Distance that paths keep from the robot's start, meters."""
+"""Distance of paths from the robot's start, meters."""
 TOUCHABLE = 8
-"""Walkers that have a body in MuJoCo, the nearest: each of 50 would cost every step 0.4 % of its time."""
+"""Number of nearest walkers with a body in MuJoCo: a body for each of 50 would cost 0.4 % of every step."""
 WALKER_STREAM = 14
 """Random stream of the paths."""
 WALKER_GROUP = 0
@@ -139,7 +139,7 @@ WALKER_BIT = 2
 
 
 WalkerState = tuple[FloatArray, IntArray, FloatArray, FloatArray]
-"""Distance along the path, direction, seconds waited, each (n,), and middles (n, 3)."""
+"""Distance along the path, direction, seconds waited, each (n,), and centers (n, 3)."""
 
 
 class Walkers:

@@ -178,7 +178,7 @@ def _add_touching(
             touched[i] |= sensordata[i, k] > 0.0
         for j in range(len(wheels)):
             contacts, center = wheels[j]
-            # Each contact: how many there are, x, y, z.
+            # Each contact: number of contacts, x, y, z.
             for k in range(contacts, contacts + min(int(sensordata[i, contacts]), WHEEL_CONTACTS) * 4, 4):
                 touched[i] |= sensordata[i, center + 2] - sensordata[i, k + 3] < drops[j]
 

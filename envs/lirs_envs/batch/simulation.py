@@ -285,7 +285,7 @@ class BatchSimulation:
         group.bodies.read_poses(ids, self.T_world_base[group.rows.start : group.rows.stop])
 
     def _scan_is_due(self, rows: IntArray) -> BoolArray:
-        """Return whether each lidar, at its own rate, has begun a new scan in the last period."""
+        """Return whether each lidar has begun a new scan in the last period."""
         scans, ticks = self.period * self.config.preset.rate, self._ticks[rows]
         due: BoolArray = np.floor(ticks * scans + 1e-9) > np.floor((ticks - 1) * scans + 1e-9)
         return due

@@ -1,4 +1,4 @@
-"""Threads that share work."""
+"""Thread pool for pieces of work that depend on each other."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ TASKS: dict[str, type[Task]] = {
 }
 """Tasks by name."""
 CLIMB_RATE = 1.0
-"""Climb of a robot that flies at full action, m/s."""
+"""Climb rate of a flying robot at full action, m/s."""
 GROUND_REACH, FLYING_REACH = 1.0, 3.0
 """Greatest height of a beam above the ground that it sees, meters."""
 

@@ -23,7 +23,7 @@ HEIGHT_CELLS, HEIGHT_CELL = 32, 0.2
 SECTORS = 36
 """Sectors of equal width around the robot, the first from straight behind it to the right."""
 GOAL_SCALE = 30.0
-"""Distance of a goal that is scaled to 1, meters; farther ones too."""
+"""Goal distance that is scaled to 1, meters; larger distances are clipped to 1."""
 
 
 @dataclass(frozen=True)

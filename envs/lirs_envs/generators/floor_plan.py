@@ -21,7 +21,7 @@ WALL = 0.15
 DOOR = 1.4
 """Width of a door, meters."""
 SECOND_DOORS = 0.3
-"""Share of the walls between two rooms that have a door although the rooms are joined without it."""
+"""Share of walls with an extra door between rooms that are already connected."""
 FURNITURE = 3
 """Most pieces of furniture in a room."""
 FURNITURE_SIZE = (0.4, 1.6)
@@ -31,7 +31,7 @@ BESIDE_DOOR = 1.0
 Room = tuple[float, float, float, float]
 """West, south, east, north, meters from the building's corner."""
 Door = tuple[int, int, float, float]
-"""Two rooms, and x and y of the middle of the door between them."""
+"""Two rooms, and x and y of the center of the door between them."""
 
 
 def floor_plan(rng: np.random.Generator) -> LaserMap:

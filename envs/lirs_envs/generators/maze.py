@@ -1,4 +1,4 @@
-"""Mazes: walls between square rooms, with a way from the west to the east side."""
+"""Mazes: walls between square rooms, with a route from the west to the east side."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WALL_HEIGHT = 1.0
 WALL_NODES = 3
 """Nodes across a wall."""
 POINTS = 10
-"""Points of the way from one room to the next."""
+"""Points of the route from one room to the next."""
 STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 """Row and column from a room to its neighbors."""
 Room = tuple[int, int]

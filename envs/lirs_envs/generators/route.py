@@ -13,11 +13,11 @@ CELL = 0.1
 HALF = CELL * (NODES - 1) / 2
 """Half the side of a course, meters."""
 ENDS = 10.8
-"""Start and goal lie this far west and east of the middle, meters."""
+"""Distance of start and goal west and east of the center, meters."""
 LEG = 4.32
-"""Distance along x between two bends of a way, meters."""
+"""Distance along x between two bends of a route, meters."""
 STEEPEST = 1.4
-"""Most that a way moves north or south for each meter east, between two bends."""
+"""Largest slope of a route between two bends, meters north or south per meter east."""
 
 
 def winding_route(rng: np.random.Generator, sway: float) -> FloatArray:

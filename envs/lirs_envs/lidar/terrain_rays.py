@@ -125,7 +125,7 @@ def _bound_squares(fine: Float32Array, coarse: Float32Array) -> None:
 
 
 FAR = 1e300
-"""Stands for infinity where a product with 0 must stay a number."""
+"""Finite substitute for infinity, so that products with 0 stay numbers."""
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -184,9 +184,9 @@ def safe_distance(
     speed = max(-least_u, most_u, -least_v, most_v)
     if speed <= 0.0:
         return 0.0
-    # From there on the fastest beam is beyond the border.
+    # Beyond this distance the fastest beam has left the field.
     reach, per_cell = min(max_range, (nx + ny) / speed), 1.0 / speed
-    # Not `LEAF` alone: of a literal Numba would compile `_highest` once more.
+    # Not `LEAF` itself: for a literal, numba would compile `_highest` a second time.
     top, level, t = len(terrain.width) - 1, int(np.int64(LEAF)), 0.0
     while t < reach:
         t_out = min(t + (1 << level) * per_cell, reach)
@@ -229,11 +229,11 @@ algorithm for ray tracing", 1987)."""
 START_LEVEL = 6
 """Squares of 64 cells: the fastest start, measured from 257^2 to 4097^2."""
 NEAR_LEVEL = 4
-"""The same, of 16 cells, where a bundle has come near the ground."""
+"""Start level with squares of 16 cells, after a bundle has come near the ground."""
 BORDER = 1e-9
-"""Cells by which the border reaches out, so that rounding puts no ray on it outside."""
+"""Margin of the border in cells, so that rounding puts no ray on the border outside."""
 FUSED = {"contract"}
-"""Products and sums in one instruction, and nothing else that changes a result."""
+"""Fast-math flags: fused multiply-add only, no other change of results."""
 
 
 @njit(cache=True, error_model="numpy", fastmath=FUSED)
@@ -252,7 +252,7 @@ def terrain_ranges(
         if k < len(origins):
             u, v, w = (origins[k, 0] - frame[0]) * per_x, (origins[k, 1] - frame[1]) * per_y, origins[k, 2]
             i0, j0 = min(max(int(u), 0), nx - 1), min(max(int(v), 0), ny - 1)
-            # Where a ray starts in the field's box, which is the same for all of one origin.
+            # Start in the field's box, common to all rays of one origin.
             above = w - _surface(terrain, i0, j0, u - i0, v - j0)
             over = 0.0 <= u <= nx and 0.0 <= v <= ny and above > 0.0
             bundled = over and len(origins) == 1 and min(nx, ny) >= SMALLEST_FIELD
@@ -432,6 +432,6 @@ def _cell_range(corners: tuple[float, float, float, float], ray: Ray, t: float, 
         height = w - (sw + a * gx + b * gy)
         slope = dw - (du * gx + dv * gy)
         if height + end * slope <= 0.0:
-            # Not falling, it was at 0 or less from the beginning, by rounding.
+            # A ray that does not fall was at 0 or less from the start, by rounding.
             return min(max(-height / slope, begin), end) if slope < 0.0 else begin
     return np.inf

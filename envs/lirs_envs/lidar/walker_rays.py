@@ -11,9 +11,9 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.kernels import njit
 
 BLOCK = 16
-"""Rays that are looked at together: neighbors, which mostly miss a walker together."""
+"""Number of neighboring rays tested together: they mostly miss a walker together."""
 SAME = 1e-5
-"""Ranges that differ by less are of the same walker, meters: MuJoCo's rays and the builtin ones round."""
+"""Tolerance of equal ranges to a walker, meters: MuJoCo's and the builtin rays round differently."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -63,7 +63,7 @@ def _cast_fan(
         distance = math.sqrt(x * x + y * y)
         if distance - RADIUS > max_range:
             continue
-        # Half the angle that the walker takes, seen from above.
+        # Half the horizontal angle of the walker.
         sine = RADIUS / distance if distance > RADIUS else 1.0
         cosine = math.sqrt(1.0 - sine * sine)
         for j in range(blocks):

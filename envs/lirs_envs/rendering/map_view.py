@@ -25,7 +25,7 @@ PATH, SCAN, GOAL, WALKER = (20, 80, 200), (200, 40, 40), (215, 25, 60), (60, 90,
 LEAST_RADIUS = 5
 """A robot is drawn at least this large, pixels."""
 FRACTION = 4
-"""Binary digits of a pixel that OpenCV draws with."""
+"""Number of fractional bits of OpenCV's pixel coordinates."""
 
 
 class MapView:

@@ -71,7 +71,7 @@ MAX_ERROR = 0.02
 SKY = (0.62, 0.74, 0.86), (0.93, 0.95, 0.97)
 """Color above and at the horizon."""
 NEAR = 0.05
-"""Nearest that a camera sees, meters."""
+"""Near clipping distance of the cameras, meters."""
 CREASE = math.radians(35)
 """Angle between two triangles from which on their edge looks sharp."""
 PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
@@ -151,7 +151,7 @@ def _add_ground(spec: mujoco.MjSpec, world: World) -> None:
 
 def _add_material(spec: mujoco.MjSpec, name: str, pixels: ByteArray) -> None:
     _, encoded = cv2.imencode(".png", pixels, PNG_FAST)
-    # MuJoCo keeps files by their name: another content needs another one.
+    # MuJoCo caches files by name: other content needs another name.
     file = f"{name}-{crc32(encoded.data):08x}.png"
     spec.assets = dict(spec.assets) | {file: encoded.tobytes()}
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)

@@ -21,7 +21,7 @@ from lirs_wct.geometry.scan import LaserScan
 
 INSTEAD = "without one take rgb_array or map"
 CLOSING_TIME = 10.0
-"""Longest time that the window is given to close, seconds."""
+"""Longest wait for the window to close, seconds."""
 
 
 class Viewer:

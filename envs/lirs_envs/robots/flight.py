@@ -22,7 +22,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose3, wrap_angle
 
 LEAST_THRUST = 0.3
-"""Least vertical thrust that is commanded, as a share of the weight: a body in free fall cannot turn."""
+"""Least vertical thrust as a share of the weight: a body in free fall cannot turn."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from lirs_wct.kernels import njit
 Method = Literal["gyro", "ekf"]
 METHODS: tuple[Method, ...] = get_args(Method)
 BLOCK = 256
-"""Random numbers that are drawn at once: one by one, each costs as much as the rest of the update."""
+"""Random numbers per draw: a single draw would cost as much as the rest of the update."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Mapping: see the ground that can be reached."""
+"""Mapping: see the reachable ground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Navigation: reach a goal on ground that can be driven."""
+"""Navigation: reach a goal on drivable ground."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SUCCESS = 10.0
 COLLISION = -5.0
 """Reward at a collision."""
 NEAR, FAR = 3.0, 30.0
-"""Longest way to a goal at difficulty 0 and 1, meters."""
+"""Longest path to a goal at difficulty 0 and 1, meters."""
 CANDIDATES = 8
 """Goals among which the difficulty picks one by the roughness of the straight line to it."""
 
@@ -84,7 +84,7 @@ class NavigationTask(Task):
             T = stage.pose(i)
             way = _way(stage.site, self._costs[i], T.x, T.y)
             if math.isfinite(way):
-                # Off the ground that can be driven nothing is gained until the robot is back on it.
+                # Off the drivable ground the robot gains nothing until it returns.
                 rewards[k] = self._ways[i, 1] - way
                 self._ways[i, 1] = way
             # Within the radius, but not through an obstacle.
@@ -141,7 +141,7 @@ def _draw_goal(
     if not site.area(start.x, start.y):
         return None
     longest = NEAR + difficulty * (FAR - NEAR)
-    # Two cells beyond: the longest way is shortened only where the area ends before it.
+    # Two cells of margin: only the end of the area shortens the longest path.
     ways = site.distances(start.x, start.y, longest + 2 * site.grid.resolution)
     longest = min(longest, float(ways[np.isfinite(ways)].max()))
     cells = np.argwhere((ways >= max(0.6 * longest, 1.5)) & (ways <= longest))

@@ -1,4 +1,4 @@
-"""The ground that lidars have seen, a grid for each of N robots."""
+"""Ground seen by lidars: one grid for each of N robots."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntA
 from lirs_wct.kernels import njit
 
 DONE = np.float32(-np.inf)
-"""Height below which no beam passes: there is nothing to be seen, or it was seen."""
+"""Ceiling of a cell that no beam passes below: it has no ground or was already seen."""
 LEVEL = 1
 BLOCK = 2**LEVEL
 """Cells along the side of a block: the fastest of 2, 4 and 8."""

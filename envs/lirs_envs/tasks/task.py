@@ -17,7 +17,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 
 DRAWS = 100
-"""Starts or goals that are drawn before a world counts as one that has none."""
+"""Number of draws of start and goal before a reset fails."""
 CONTACT_COST = 5.0
 """Reward lost in a second in which the robot collides."""
 EFFORT_COST = 0.1

@@ -65,7 +65,7 @@ class TraverseTask(Task):
         try:
             self.stage.simulation.replace_terrain(i, course.world())
         except SimulationError:
-            # No ground to walk on for walkers, on the steepest courses.
+            # The steepest courses have no ground for walkers.
             if not self.stage.randomize_terrain:
                 raise
             return None
