@@ -1,7 +1,7 @@
-"""The three bundled worlds, in the spirit of the paper's Fig. 12: pictures made by seeded code.
+"""The three bundled worlds, similar to the paper's Fig. 12: pictures made by seeded code.
 
-They are 16-bit pictures of 1025 x 1025 px for a square of 50 m, so that they pass through the same
-pipeline as anybody's picture: smooth hills with solid obstacles (boxes, walls, pillars) on them.
+They are 16-bit pictures of 1025 x 1025 px for a square of 50 m: smooth hills with solid obstacles (boxes,
+walls, pillars). They pass through the same pipeline as a user's picture.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from lirs_wct.errors import unknown_name
 PIXELS = 1025
 SIZE = 50.0
 MARGIN = 1.0
-"""Obstacles keep this far from the border and twice that from the center, where robots start, meters."""
+"""Distance of obstacles from the border, meters; twice that from the center, where robots start."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """What makes a bundled world.
+    """Parameters of a bundled world.
 
     Attributes:
-        seed: of its random generator.
-        relief: of the hills without obstacles, meters.
+        seed: seed of its random generator.
+        relief: relief of the hills without obstacles, meters.
         slope: 95th percentile of the hills' slope over 1 m, degrees.
-        obstacles: number on the 2,500 m2.
+        obstacles: number of obstacles on the 2,500 m2.
         gap: free space between obstacles, meters.
     """
 
@@ -118,7 +118,7 @@ def _unit(z: FloatArray) -> FloatArray:
 
 
 def _with_obstacles(hills: FloatArray, recipe: Recipe, rng: np.random.Generator) -> FloatArray:
-    """Set flat-topped solids on the hills, each at least 1 m above the highest ground that it covers."""
+    """Set flat-topped solids on the hills, each at least 1 m above the ground that it covers."""
     z = hills.copy()
     keep_out = np.zeros((PIXELS, PIXELS), np.uint8)
     cell = SIZE / (PIXELS - 1)
@@ -132,18 +132,18 @@ def _with_obstacles(hills: FloatArray, recipe: Recipe, rng: np.random.Generator)
             continue
         mask = np.zeros_like(keep_out)
         cv2.fillPoly(mask, [np.round(outline).astype(np.int32)], 1)
-        # No tip of a single pixel: a contact grid of twice the spacing can have every corner.
+        # No tips of a single pixel, so that a contact grid of twice the spacing can have every corner.
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)).astype(np.uint8)
         if (keep_out & mask).any():
             continue
         z[mask > 0] = hills[mask > 0].max() + rng.uniform(1.2, 2.4)
-        keep_out |= _dilated(mask, gap)
+        keep_out |= _dilate(mask, gap)
         placed += 1
     return z
 
 
-def _dilated(mask: ByteArray, kernel: ByteArray) -> ByteArray:
-    """Dilate within the mask's neighborhood only: the picture is large, an obstacle small."""
+def _dilate(mask: ByteArray, kernel: ByteArray) -> ByteArray:
+    """Dilate within the mask's neighborhood only, because obstacles are small."""
     rows, cols = np.nonzero(mask)
     r = kernel.shape[0]
     box = (
@@ -156,7 +156,7 @@ def _dilated(mask: ByteArray, kernel: ByteArray) -> ByteArray:
 
 
 def _outline(rng: np.random.Generator) -> FloatArray:
-    """Return (n, 2) meters: a box, a wall or a pillar about its own center, turned at random."""
+    """Return the (n, 2) outline of a random box, wall or pillar about its center, meters."""
     kind = rng.choice(("box", "wall", "pillar"), p=(0.45, 0.35, 0.2))
     if kind == "pillar":
         angle = np.linspace(0, math.tau, 24, endpoint=False)

@@ -1,4 +1,4 @@
-"""A laser map becomes walls on a level floor."""
+"""Reader of laser maps: walls on a level floor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lirs_wct.sources.window import cut_map
 
 
 def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str]:
-    """Return a ROS map, or a map's picture, as ground, and a text that says where its meters come from.
+    """Return a ROS map, or a map's picture, as ground, and the origin of its meters as text.
 
     Raises:
         SourceError: a file cannot be used.
@@ -41,11 +41,11 @@ def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> 
 
     Args:
         grid: the map.
-        height: of the walls, meters.
-        unknown: what the cells of which the map knows nothing are: `floor`, `wall`, or `hole` (no floor).
+        height: height of the walls, meters.
+        unknown: kind of unknown cells: `floor`, `wall`, or `hole` (no floor).
 
     Raises:
-        ConfigError: height is not above 0, `unknown` is none of these, or the whole map is a hole.
+        ConfigError: height is not above 0, `unknown` is illegal, or the whole map is a hole.
     """
     if unknown not in UNKNOWN:
         raise unknown_name("kind of unknown cell", unknown, UNKNOWN)
@@ -55,9 +55,9 @@ def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> 
 
 
 def without_small_walls(grid: OccupancyGrid, min_cells: int) -> OccupancyGrid:
-    """Return a map in which fewer than `min_cells` connected occupied cells are free.
+    """Return a map without groups of fewer than `min_cells` connected occupied cells.
 
-    Cells that touch at a corner are connected.
+    The cells of these groups become free. Cells that touch at a corner are connected.
     """
     occupied = grid.occupied
     _, label, stats, _ = cv2.connectedComponentsWithStats(occupied.astype(np.uint8), connectivity=8)

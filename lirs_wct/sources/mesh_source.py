@@ -1,4 +1,4 @@
-"""A mesh file as a source: its heights from above, and the true mesh where it is closed."""
+"""Reader of mesh files as sources: heights from above, and the mesh itself if closed."""
 
 from __future__ import annotations
 
@@ -18,28 +18,29 @@ from lirs_wct.sources.rasterize import layers, rasterize_heights
 from lirs_wct.sources.window import Window
 
 NODES = 1025
-"""Nodes along the longer side unless a resolution is given."""
+"""Default number of nodes along the longer side."""
 FINEST = 0.02
-"""Meters between the nodes of a small mesh: what a wheel feels."""
+"""Smallest default node spacing, meters; finer detail does not affect a wheel."""
 
 
 def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | ClosedMesh, str]:
-    """Return a mesh as ground, and a text that says where its meters come from.
+    """Return a mesh as ground, and the origin of its meters as text.
 
-    It keeps its own frame, meters and z up. What is open, or cut by a window, is its heights from above.
+    The mesh keeps its own frame, meters and z up. An open mesh, or one cut by a window, becomes its heights
+    from above.
 
     Raises:
-        SourceError: the file cannot be used, has no extent in the plane, or is open and has overhangs.
+        SourceError: the file is unusable, has no extent in the plane, or is open and has overhangs.
         ConfigError: an option does not fit a mesh.
     """
-    mesh = _scaled(path, _outward(read_upright(path)), options)
+    mesh = _scale(path, _outward(read_upright(path)), options)
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
         raise SourceError(f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m")
     surface, overhangs, no_ground = _surface(path, mesh, options)
     closed = mesh.is_watertight
     if not closed:
-        # Neither which side is ground nor what a consumer would touch can be told.
+        # The ground side and the contact surface of an open mesh with overhangs are ambiguous.
         if overhangs:
             raise SourceError(f"{path}: has overhangs and is not closed, a solid is needed; mend its holes")
         warnings.warn(
@@ -81,11 +82,11 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
         top -= top.min()
     z = np.ascontiguousarray(top[::-1].astype(np.float32))
     overhangs = bool((layers(mesh, grid, (rows, cols)) > (2 if mesh.is_watertight else 1)).any())
-    return HeightField(z, grid[2:], grid[:2]), overhangs and not _stacked(mesh), no_ground[::-1]
+    return HeightField(z, grid[2:], grid[:2]), overhangs and not _is_stacked(mesh), no_ground[::-1]
 
 
-def _stacked(mesh: TriangleMesh) -> bool:
-    """Whether an open mesh is nothing but tops and bottoms: bodies side by side that share faces."""
+def _is_stacked(mesh: TriangleMesh) -> bool:
+    """Whether an open mesh has only tops and bottoms: adjacent bodies that share faces."""
     f = mesh.faces
     edges = np.sort(np.concatenate((f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]])), axis=1)
     _, count = np.unique(edges[:, 0].astype(np.int64) * len(mesh.vertices) + edges[:, 1], return_counts=True)
@@ -111,8 +112,8 @@ def _extent(mesh: TriangleMesh, window: Window | None) -> tuple[tuple[float, flo
     return (float(low[0]), float(low[1])), (float(high[0]), float(high[1]))
 
 
-def _scaled(path: Path, mesh: TriangleMesh, options: BuildOptions) -> TriangleMesh:
-    """Give the mesh the meters that the options ask for; its own origin stays where it is."""
+def _scale(path: Path, mesh: TriangleMesh, options: BuildOptions) -> TriangleMesh:
+    """Scale the mesh to the options' meters about its own origin."""
     if options.pixel_size is not None:
         raise ConfigError(f"{path}: a mesh has no pixels; give --size or --scale instead of --pixel-size")
     extent = np.ptp(mesh.bounds, axis=0)
@@ -129,7 +130,7 @@ def _scaled(path: Path, mesh: TriangleMesh, options: BuildOptions) -> TriangleMe
 
 
 def _outward(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh with its faces outward: some programs write solids inside out."""
+    """Return the mesh with outward faces; some programs write solids inside out."""
     if mesh.volume >= 0:
         return mesh
     return TriangleMesh(mesh.vertices, np.ascontiguousarray(mesh.faces[:, ::-1]))

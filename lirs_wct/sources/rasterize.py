@@ -1,4 +1,4 @@
-"""A mesh seen from straight above: the height of its uppermost triangle at the nodes of a grid."""
+"""Rasterization of a mesh from above: height of its highest triangle at grid nodes."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from lirs_wct.kernels import njit
 Grid = tuple[float, float, float, float]
 """x and y of the south-west node, spacing eastward and northward, meters."""
 _SLACK = 1e-9
-"""Share of a triangle by which it reaches over its edges, so that no node falls between two."""
+"""Tolerance at a triangle's edges, share of the triangle, so that no node falls between two triangles."""
 
 
 def rasterize_heights(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> FloatArray:
-    """Return (rows, cols) heights of the highest point above or below each node, row 0 = south.
+    """Return (rows, cols) heights of the mesh's highest point at each node, row 0 = south.
 
-    Exact: each triangle is evaluated at the nodes that it covers; NaN where there is none.
+    Exact: each triangle is evaluated at the nodes that it covers. NaN without a triangle.
     """
     top, count = np.full(shape, -np.inf), np.zeros(shape, np.int32)
     _rasterize(np.ascontiguousarray(mesh.vertices), mesh.faces, grid, _SLACK, top, count)
@@ -26,9 +26,9 @@ def rasterize_heights(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) ->
 
 
 def layers(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> Int32Array:
-    """Return (rows, cols) how many triangles a vertical line meets in each cell of a grid of nodes.
+    """Return (rows, cols) numbers of triangles on a vertical line through each cell.
 
-    The lines stand a little beside the cells' middles, at fractions that no edge is likely to lie on.
+    The lines are slightly off the cells' centers, at fractions that edges rarely have.
     """
     count = np.zeros((shape[0] - 1, shape[1] - 1), np.int32)
     beside = (grid[0] + 0.4871203 * grid[2], grid[1] + 0.5132079 * grid[3], grid[2], grid[3])
@@ -42,12 +42,12 @@ def layers(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> Int32Array
 def _rasterize(
     vertices: FloatArray, faces: Int32Array, grid: Grid, slack: float, top: FloatArray, count: Int32Array
 ) -> None:
-    """Raise `top` to each triangle's height at the nodes inside it, and count the triangles there."""
+    """Raise `top` to each triangle's height at the nodes inside it; count the triangles."""
     rows, cols = top.shape
     x0, y0, cell_x, cell_y = grid
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        # In nodes, relative to the first corner: small numbers keep their digits.
+        # Unit: nodes, relative to the first corner; small numbers keep their digits.
         ax, ay = (vertices[a, 0] - x0) / cell_x, (vertices[a, 1] - y0) / cell_y
         bx, by = (vertices[b, 0] - x0) / cell_x - ax, (vertices[b, 1] - y0) / cell_y - ay
         cx, cy = (vertices[c, 0] - x0) / cell_x - ax, (vertices[c, 1] - y0) / cell_y - ay

@@ -1,4 +1,4 @@
-"""What a user may call a source: a bundled name, a built folder, or a file of heights, a map, a mesh, ..."""
+"""Identification of sources: kind, path, world name, and warnings on options without effect."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions, SourceKind, without_effect
 
 LONGEST_NAME = 200
-"""Characters: file systems take 255, and files of a world have endings of up to 40."""
+"""Limit of a name, characters: file systems allow 255, and a world's files have endings of up to 40."""
 WHOLE = 0.98
-"""Share of a window's side from which on it counts as inside: it is cut by whole nodes."""
+"""Share of a window's side above which it counts as inside the world: windows are cut at nodes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A source that was found: its kind, its path (or bundled name) and the world's name."""
+    """An existing source: kind, path (or bundled name), and name of the world."""
 
     kind: SourceKind
     path: Path
@@ -31,15 +31,15 @@ class Source:
 
     @property
     def identity(self) -> str:
-        """What tells it from other sources: its absolute path, or its bundled name."""
+        """Identity of the source: its absolute path, or its bundled name."""
         return self.path.name if self.kind is SourceKind.BUNDLED else str(self.path.resolve())
 
 
 def find_source(given: str | Path, options: BuildOptions) -> Source:
-    """Return what a source is.
+    """Return kind, path and name of a source.
 
     Raises:
-        SourceError: there is no such bundled world, file or built folder.
+        SourceError: no bundled world, file or built folder has this name.
     """
     path = Path(given)
     if str(given) in RECIPES:
@@ -61,7 +61,7 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
 
 
 def _yaml_beside(path: Path) -> Path | None:
-    """Return the YAML beside a picture, of the same name, that says it is a ROS map of this picture."""
+    """Return the ROS map's YAML of the same name next to a picture, if it names the picture."""
     for suffix in MAPS:
         found = path.with_suffix(suffix)
         if found.is_file():
@@ -69,18 +69,18 @@ def _yaml_beside(path: Path) -> Path | None:
                 if read_metadata(found).image.resolve() == path.resolve():
                     return found
             except SourceError:
-                # No map's YAML: it says nothing of this picture.
+                # This YAML is not that of a map.
                 continue
     return None
 
 
 def is_log(path: Path) -> bool:
-    """Return whether a path is that of a CARMEN log or a ROS bag."""
-    return _unzipped(path).suffix.lower() in LOGS or is_bag(path)
+    """Return whether a path is a CARMEN log or a ROS bag."""
+    return _strip_compression(path).suffix.lower() in LOGS or is_bag(path)
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is that of a ROS bag: a file, or a folder with files of one."""
+    """Return whether a path is a ROS bag: a file, or a folder with a bag's files."""
     if path.is_dir():
         return not (path / "world.json").exists() and any(
             is_bag_file(p) and p.suffix != ".bag" for p in path.iterdir()
@@ -89,7 +89,7 @@ def is_bag(path: Path) -> bool:
 
 
 def warn_of_useless(source: Source, options: BuildOptions) -> None:
-    """Warn of options that were given but say nothing about a source of this kind."""
+    """Warn of given options that have no effect on a source of this kind."""
     useless = [f"--{name.replace('_', '-')}" for name in without_effect(options, source.kind)]
     if useless:
         verb = "has" if len(useless) == 1 else "have"
@@ -99,13 +99,13 @@ def warn_of_useless(source: Source, options: BuildOptions) -> None:
 
 
 def warn_of_shape(source: Source, options: BuildOptions, size: tuple[float, float], exact: bool) -> None:
-    """Warn of a window that reaches beyond the world, and of a budget where the mesh is never simplified.
+    """Warn of a window beyond the world, and of a budget for a mesh that is never simplified.
 
     Args:
-        source: of the world.
-        options: that were given.
-        size: of the world, meters.
-        exact: whether it is a laser map, or a mesh with overhangs.
+        source: source of the world.
+        options: given options.
+        size: extent of the world, meters.
+        exact: whether the world is a laser map, or a mesh with overhangs.
     """
     if options.max_error and exact:
         warnings.warn(
@@ -139,18 +139,18 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
     return SourceKind.MAP_PICTURE if options.kind == "map" else SourceKind.PICTURE
 
 
-def _unzipped(path: Path) -> Path:
+def _strip_compression(path: Path) -> Path:
     return path.with_suffix("") if path.suffix.lower() in (".gz", ZSTD) else path
 
 
 def _stem(path: Path) -> str:
-    return _unzipped(path).stem if path.is_file() else path.name
+    return _strip_compression(path).stem if path.is_file() else path.name
 
 
 def _name(stem: str, options: BuildOptions) -> str:
-    """Return a name that every consumer accepts: Gazebo's URIs take no spaces.
+    """Return a name that every consumer accepts; Gazebo's URIs allow no spaces.
 
-    Accents are dropped from letters; of other scripts nothing remains.
+    Accents are removed from letters; letters of other scripts are removed.
     """
     given = options.name or stem
     plain = "".join(c for c in unicodedata.normalize("NFKD", given) if not unicodedata.combining(c))

@@ -1,4 +1,4 @@
-"""Cutting a square out of a surface or a map, in the world's frame."""
+"""Window: a square cut out of a surface or a map, in the world's frame."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Window = tuple[float, float, float]
 
 
 FEW_CELLS = 16
-"""A window of fewer cells along its side is sampled anew ..."""
+"""Cells along a window's side below which it is resampled."""
 SAMPLES = 65
-"""... with so many nodes along each side."""
+"""Nodes along each side of a resampled window."""
 
 
 def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> HeightField:
     """Keep the nodes of a square (rounded outward), coordinates unchanged.
 
-    A square of few nodes is sampled anew: rounded outward it could be kilometers larger.
+    A square of few nodes is resampled, because outward rounding could enlarge it by kilometers.
 
     Args:
-        surface: whole.
-        window: square.
+        surface: whole surface.
+        window: square to keep.
         level: whether the lowest point becomes z = 0.
 
     Raises:
@@ -43,22 +43,22 @@ def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> 
             f"window {x:g},{y:g},{side:g} lies outside the terrain: "
             f"x {west:g} to {east:g}, y {south:g} to {north:g} m"
         )
-    part = _kept(surface, window)
+    part = _cut(surface, window)
     return leveled(part)[0] if level else part
 
 
 def leveled(surface: HeightField) -> tuple[HeightField, float]:
-    """Return a surface with its lowest point at z = 0, and by how many meters it was lowered."""
+    """Return a surface with its lowest point at z = 0, and the subtracted height, meters."""
     lowest = surface.z.min()
     return replace(surface, z=surface.z - lowest), float(lowest)
 
 
-def _kept(surface: HeightField, window: Window) -> HeightField:
+def _cut(surface: HeightField, window: Window) -> HeightField:
     rows, cols = surface.shape
     west, south, east, north = surface.bounds
     (x, y, side), half = window, window[2] / 2
     if side < FEW_CELLS * max(surface.cell):
-        return _sampled(
+        return _resample(
             surface, (max(x - half, west), max(y - half, south), min(x + half, east), min(y + half, north))
         )
     c0, c1 = _span(x - half - west, x + half - west, surface.cell[0], cols)
@@ -72,7 +72,7 @@ def _kept(surface: HeightField, window: Window) -> HeightField:
 
 
 def cut_nodes(mask: BoolArray | None, whole: HeightField, part: HeightField) -> BoolArray | None:
-    """Keep of a mask over the nodes of a surface those of the part that was cut out of it."""
+    """Cut the part of a node mask that belongs to a cut surface."""
     if mask is None:
         return None
     rows, cols = part.shape
@@ -100,7 +100,7 @@ def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
     return replace(grid, log_odds=part, origin=grid.origin @ shift)
 
 
-def _sampled(surface: HeightField, bounds: tuple[float, float, float, float]) -> HeightField:
+def _resample(surface: HeightField, bounds: tuple[float, float, float, float]) -> HeightField:
     """Return the surface within exact bounds on 65 x 65 nodes."""
     west, south, east, north = bounds
     x, y = np.linspace(west, east, SAMPLES), np.linspace(north, south, SAMPLES)
@@ -110,7 +110,7 @@ def _sampled(surface: HeightField, bounds: tuple[float, float, float, float]) ->
 
 
 def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:
-    """Return first and last node that cover [low, high], at least two of them."""
+    """Return the first and last node that cover [low, high], at least two nodes."""
     first = min(max(math.floor(low / cell + 1e-9), 0), count - 2)
     last = min(max(math.ceil(high / cell - 1e-9), first + 1), count - 1)
     return first, last

@@ -21,7 +21,7 @@ from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import SourceKind
-from lirs_wct.sources.pictures.picture import TerrainPicture, decimated, height_field, open_picture
+from lirs_wct.sources.pictures.picture import TerrainPicture, decimate, height_field, open_picture
 from lirs_wct.sources.source import Source, find_source
 from lirs_wct.sources.window import cut_surface
 from lirs_wct.world import World
@@ -164,7 +164,7 @@ class Construction:
     def _coarse_terrain(self, found: Source, options: SourceOptions) -> Terrain:
         picture = self._picture(found, options)
         own = picture.with_own_meters(options)
-        small, fitting = decimated(found.path, picture.raster, own, self._nodes)
+        small, fitting = decimate(found.path, picture.raster, own, self._nodes)
         surface = height_field(found.path, small, fitting)
         return Terrain(surface if options.window is None else cut_surface(surface, options.window))
 

@@ -1,4 +1,4 @@
-"""Points on a grid of nodes: extremes and means a node, and gaps filled from their rims."""
+"""Grid of a point cloud: lowest or mean height per node, and filled gaps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy import ndimage
 from lirs_wct.arrays import BoolArray, FloatArray
 
 SMOOTH = 2.0
-"""Nodes of a Gaussian's standard deviation by which slopes are smoothed."""
+"""Standard deviation of the Gaussian that smooths slopes, nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class NodeGrid:
     Attributes:
         west: x of the first column, meters.
         south: y of the first row, meters.
-        spacing: of the nodes, meters.
+        spacing: distance of adjacent nodes, meters.
         shape: rows and columns.
     """
 
@@ -32,7 +32,7 @@ class NodeGrid:
 
     @staticmethod
     def over(xy: FloatArray, spacing: float) -> NodeGrid:
-        """Return the grid that begins at the least coordinates of points (n, 2) and covers them all."""
+        """Return the grid that starts at the smallest coordinates of points (n, 2) and covers all."""
         (west, south), (east, north) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
         rows, cols = (
             max(2, int(np.ceil(side / spacing - 1e-9)) + 1) for side in (north - south, east - west)
@@ -47,15 +47,15 @@ class NodeGrid:
         return np.clip(row, 0, rows - 1) * cols + np.clip(col, 0, cols - 1)
 
     def lowest(self, xyz: FloatArray) -> FloatArray:
-        """Return (rows, cols) the lowest point at each node; NaN where there is none."""
+        """Return (rows, cols) heights of the lowest point at each node; NaN without a point."""
         z = np.full(self.shape, np.inf)
         np.minimum.at(z.ravel(), self.node_of(xyz), xyz[:, 2])
         return np.where(np.isfinite(z), z, np.nan)
 
     def mean(self, xyz: FloatArray) -> FloatArray:
-        """Return (rows, cols) the mean height of the points at each node; NaN where there is none.
+        """Return (rows, cols) mean heights of the points at each node; NaN without a point.
 
-        The points' middle lies beside the node: the slope around takes their mean to the node itself.
+        The points' centroid differs from the node: the local slope moves their mean height to the node.
         """
         node, size = self.node_of(xyz), self.shape[0] * self.shape[1]
         row, col = np.divmod(node, self.shape[1])
@@ -77,15 +77,15 @@ class NodeGrid:
             level = z - slope_x.ravel() * east - slope_y.ravel() * north
         return np.asarray(level.reshape(self.shape), np.float64)
 
-    def sampled(self, values: FloatArray, xy: FloatArray) -> FloatArray:
-        """Return (n,) values of the grid at points, linearly between nodes."""
+    def sample(self, values: FloatArray, xy: FloatArray) -> FloatArray:
+        """Return (n,) values of the grid at points, linearly interpolated."""
         at = ((xy[:, 1] - self.south) / self.spacing, (xy[:, 0] - self.west) / self.spacing)
         found: FloatArray = ndimage.map_coordinates(values, at, order=1, mode="nearest")
         return found
 
 
 def _nearest(values: FloatArray) -> FloatArray:
-    """Return the grid with its NaN replaced by their nearest values, an array of its own."""
+    """Return a copy of the grid with each NaN replaced by its nearest value."""
     missing = np.isnan(values)
     if not missing.any():
         return values.copy()
@@ -94,12 +94,12 @@ def _nearest(values: FloatArray) -> FloatArray:
     return found
 
 
-def filled(values: FloatArray) -> FloatArray:
-    """Return the grid with its NaN interpolated: linearly over triangles between the rims of the gaps.
+def fill_gaps(values: FloatArray) -> FloatArray:
+    """Return the grid with its gaps (NaN) interpolated linearly over triangles between their rims.
 
     A plane stays a plane. Outside the rims' hull a node takes its nearest value.
     """
-    from scipy.interpolate import LinearNDInterpolator  # here: worlds of other kinds do not wait for it
+    from scipy.interpolate import LinearNDInterpolator  # slow import, needed here only
 
     missing = np.isnan(values)
     if not missing.any():
@@ -115,6 +115,6 @@ def filled(values: FloatArray) -> FloatArray:
 
 
 def gap_distance(missing: BoolArray, spacing: float) -> FloatArray:
-    """Return (rows, cols) meters from each node to the nearest one that is not missing."""
+    """Return (rows, cols) distances from each node to the nearest known one, meters."""
     distance: FloatArray = ndimage.distance_transform_edt(missing) * spacing
     return distance

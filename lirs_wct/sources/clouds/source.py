@@ -1,4 +1,4 @@
-"""A point cloud becomes a terrain: its ground, or its top, as heights on a grid."""
+"""Reader of point clouds as terrain: ground or top as heights on a grid."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from lirs_wct.formats.point_clouds import PointFile, read_points
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
-from lirs_wct.sources.clouds.grid import NodeGrid, filled, gap_distance
+from lirs_wct.sources.clouds.grid import NodeGrid, fill_gaps, gap_distance
 from lirs_wct.sources.clouds.smrf import Smrf, ground_points
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import leveled
 
 FAR = 10_000.0
-"""Meters from the origin beyond which coordinates are a country's: the cloud's middle becomes the origin."""
+"""Distance from the origin, meters, beyond which coordinates are national; the center becomes the origin."""
 NODES = 1025
-"""Nodes along the longer side, at most, unless a resolution is given."""
+"""Limit of nodes along the longer side for the default resolution."""
 PER_NODE = 4.0
-"""Points a node of which the resolution is chosen."""
+"""Points per node for the default resolution."""
 FINEST = 0.05
 BRIDGED = 5
-"""Nodes from the nearest point at which a gap is still taken for ground."""
-TOLD = 0.01
-"""Share of the area from which on mountains are told of."""
+"""Distance from the nearest point up to which a gap counts as ground, nodes."""
+WARNED_SHARE = 0.01
+"""Share of mountain area above which a warning appears."""
 EMPTY = 0.9
-"""Share of nodes without a point at which a cloud is refused."""
+"""Share of nodes without a point above which a cloud is refused."""
 
 
 def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, Place | None]:
-    """Return a point cloud as ground, where its meters come from, and where it lies.
+    """Return a point cloud as ground, the origin of its meters as text, and its georeference.
 
-    A cloud near its own origin keeps its frame. Of one farther off, in coordinates of a country, the middle
-    is the origin and the lowest ground z = 0, or the height that the options say.
+    A cloud near its own origin keeps its frame. For a farther one, in coordinates of a country, the center
+    becomes the origin, and the lowest ground, or the options' `zero`, becomes z = 0.
 
     Raises:
         SourceError: the file cannot be used.
@@ -54,9 +54,9 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     chosen, method = _chosen(path, xyz, known, options)
     grid = _grid(path, xyz, options)
     heights = _top(grid, xyz) if options.cloud_surface == "top" else grid.mean(xyz[chosen])
-    far_from_points = _tell_gaps(path, np.isnan(heights), grid.spacing)
+    far_from_points = _warn_gaps(path, np.isnan(heights), grid.spacing)
     base = options.zero or 0.0
-    z = np.ascontiguousarray((filled(heights) - base)[::-1].astype(np.float32))
+    z = np.ascontiguousarray((fill_gaps(heights) - base)[::-1].astype(np.float32))
     surface = HeightField(z, (grid.spacing,) * 2, (grid.west, grid.south))
     if options.zero is None and middle != (0.0, 0.0):
         surface, base = leveled(surface)
@@ -69,7 +69,10 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
 
 
 def _in_meters(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, float], tuple[float, float]]:
-    """Return points in meters of the world's frame, its origin in coordinates, and meters a unit of them."""
+    """Return points in the world's frame (meters), its origin, and its units.
+
+    The origin is in the file's coordinates; the units are meters per coordinate.
+    """
     system, xyz = found.system, found.xyz
     if system.form == "geographic":
         raise SourceError(
@@ -87,7 +90,7 @@ def _in_meters(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, f
 
 
 def _within(path: Path, xyz: FloatArray, options: BuildOptions) -> BoolArray:
-    """Return (n,) which points are in the window."""
+    """Return (n,) whether a point is in the window."""
     if options.window is None:
         return np.ones(len(xyz), np.bool_)
     x, y, side = options.window
@@ -104,7 +107,7 @@ def _within(path: Path, xyz: FloatArray, options: BuildOptions) -> BoolArray:
 def _chosen(
     path: Path, xyz: FloatArray, known: BoolArray | None, options: BuildOptions
 ) -> tuple[BoolArray, str]:
-    """Return (n,) which points make the surface, and how they were found."""
+    """Return (n,) whether a point belongs to the surface, and the method as text."""
     if options.cloud_surface == "top":
         return np.ones(len(xyz), np.bool_), "the highest points"
     if known is not None and known.sum() >= 3:
@@ -113,7 +116,7 @@ def _chosen(
     if options.ground_slope is not None:
         filtering = Smrf(slope=options.ground_slope, mountain=math.inf)
     found, mountains = ground_points(xyz, filtering)
-    if mountains > TOLD:
+    if mountains > WARNED_SHARE:
         warnings.warn(
             f"{path}: {mountains:.0%} of the area is steeper than {filtering.mountain:g}; its own slope "
             "tells ground from objects there; --ground-slope sets one for all, --cloud-surface top takes all",
@@ -142,11 +145,11 @@ def _top(grid: NodeGrid, xyz: FloatArray) -> FloatArray:
     return -grid.lowest(xyz * (1.0, 1.0, -1.0))
 
 
-def _tell_gaps(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
-    """Warn of nodes without a point; return those that are too far from any to be ground.
+def _warn_gaps(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
+    """Warn of nodes without a point; return the nodes too far from points to be ground.
 
     Raises:
-        SourceError: hardly a node has a point.
+        SourceError: too many nodes have no point.
     """
     share = float(missing.mean())
     if share > EMPTY:

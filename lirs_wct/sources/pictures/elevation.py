@@ -18,20 +18,20 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.sources.options import BuildOptions
 
 STEEPER = 0.01
-"""Share by which slopes may change before an extent without heights is worth a word."""
+"""Relative change of slopes above which a given extent without given heights causes a warning."""
 UNTAGGED_NODATA = (-9999.0, -32768.0)
-"""What elevation rasters hold where nothing was measured, even without a tag; beyond 1e30 likewise."""
+"""Usual values of unmeasured pixels, even without a tag; values beyond 1e30 likewise."""
 BORDER, CLIFF, STEPS = 0.02, 50.0, 10.0
-"""Lowest value on the border as undeclared "no data": share of the border, meters of the cliff beside it, and
-that over the usual step between neighbors."""
+"""Limits for the lowest value on the border as undeclared "no data": share of the border, height of the cliff
+next to it (meters), and ratio of the cliff to the usual step between neighbors."""
 
 
-def decoded(path: Path, raster: Raster, options: BuildOptions) -> Raster:
-    """Return the raster with heights instead of colors that encode them.
+def decode_heights(path: Path, raster: Raster, options: BuildOptions) -> Raster:
+    """Return the raster with colors decoded to heights.
 
     Raises:
-        SourceError: it holds no such colors.
-        ConfigError: nothing says how large it is.
+        SourceError: the raster has no colors.
+        ConfigError: the extent of the raster is unknown.
     """
     if options.encoding == "gray":
         return raster
@@ -46,8 +46,8 @@ def decoded(path: Path, raster: Raster, options: BuildOptions) -> Raster:
     return Raster(decode(raster.pixels, options.encoding), RasterInfo(georeference, unit=1.0))
 
 
-def way_out(pixels: NDArray[Any]) -> str:
-    """Return what to say of a picture in color."""
+def suggest_encoding(pixels: NDArray[Any]) -> str:
+    """Return the advice for a picture in color."""
     encoding = guess(pixels)
     if encoding is None:
         return "--grayscale makes it gray"
@@ -59,14 +59,14 @@ def way_out(pixels: NDArray[Any]) -> str:
 
 
 def pixel_of(info: RasterInfo) -> tuple[float, float] | None:
-    """Return the ground meters of a pixel eastward and northward; None where the raster says none."""
+    """Return the size of a pixel on the ground, eastward and northward, meters; None if unknown."""
     return None if info.georeference is None else info.georeference.pixel
 
 
 def place_of(
     raster: Raster, surface: HeightField, height: float | None, options: BuildOptions
 ) -> Place | None:
-    """Return where the terrain lies, if the raster says so."""
+    """Return the georeference of the terrain, if the raster has one."""
     found = raster.info.georeference
     if found is None or not found.located:
         return None
@@ -79,8 +79,8 @@ def place_of(
     return Place(found.system, (a * across, -b * down, x0, d * across, -e * down, y0), height)
 
 
-def tell_slopes(path: Path, raster: Raster, surface: HeightField, options: BuildOptions) -> None:
-    """Warn where the extent was given and the heights were not: slopes become others."""
+def warn_slope_change(path: Path, raster: Raster, surface: HeightField, options: BuildOptions) -> None:
+    """Warn if the extent is given and the heights are not, because slopes change."""
     pixel = pixel_of(raster.info)
     if pixel is None or options.height or options.z_scale or options.scale:
         return
@@ -97,10 +97,10 @@ def tell_slopes(path: Path, raster: Raster, surface: HeightField, options: Build
 def fill_nodata(
     path: Path, values: NDArray[np.floating[Any]], nodata: float | None
 ) -> NDArray[np.floating[Any]]:
-    """Give every pixel without a height that of the nearest pixel with one; warns how many.
+    """Fill every pixel without a height from its nearest neighbor; warn with their number.
 
     Raises:
-        SourceError: more than half of the pixels have none.
+        SourceError: more than half of the pixels have no height.
     """
     missing = ~np.isfinite(values) | (np.abs(values) > 1e30)
     if nodata is not None:
@@ -119,13 +119,13 @@ def fill_nodata(
     return filled
 
 
-def tell_border(path: Path, values: NDArray[np.floating[Any]], unit: float) -> None:
-    """Warn of a border of the lowest value that stands beside a cliff: likely "no data" that nobody declared.
+def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: float) -> None:
+    """Warn of a border of the lowest value next to a cliff, likely undeclared "no data".
 
     Args:
-        path: of the raster.
-        values: (rows, cols), holes filled.
-        unit: meters in a unit of height.
+        path: path of the raster.
+        values: (rows, cols) heights with filled holes.
+        unit: meters per unit of height.
     """
     lowest = values.min()
     border = np.concatenate((values[0], values[-1], values[1:-1, 0], values[1:-1, -1]))

@@ -1,4 +1,4 @@
-"""A raster of heights, or a picture that becomes one, becomes a height field in meters."""
+"""Height field in meters of an elevation raster or a gray picture."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, SourceKind
 from lirs_wct.sources.pictures.elevation import (
-    decoded,
+    decode_heights,
     fill_nodata,
     pixel_of,
     place_of,
-    tell_border,
-    tell_slopes,
-    way_out,
+    suggest_encoding,
+    warn_nodata_border,
+    warn_slope_change,
 )
 from lirs_wct.sources.pictures.filters import apply_filters, dequantize
 from lirs_wct.sources.source import Source
@@ -39,14 +39,14 @@ LUMA = (0.114, 0.587, 0.299)
 
 
 def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, Place | None]:
-    """Return a picture or a bundled world as ground, where its meters come from, and where it lies.
+    """Return a picture or a bundled world as ground, the origin of its meters, its georeference.
 
     Raises:
         SourceError: the picture cannot be used.
         ConfigError: the window lies outside the terrain, or an option does not fit the picture.
     """
     found = open_picture(source, options.max_pixels)
-    surface, scale, place = _scaled(source.path, found, options)
+    surface, scale, place = _to_terrain(source.path, found, options)
     if options.window is not None:
         surface = cut_surface(surface, options.window, level=False)
         if options.zero is None:
@@ -57,12 +57,12 @@ def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, P
 
 @dataclass(frozen=True)
 class TerrainPicture:
-    """A picture of a terrain, and the meters that it brings.
+    """A picture of a terrain and its own scale.
 
     Attributes:
-        raster: decoded.
-        size: longer side in meters; None = as the picture's tags say, else the default.
-        height: meters between its darkest and its brightest pixel; None = the same.
+        raster: decoded pixels.
+        size: longer side, meters; None = by the picture's tags, else the default.
+        height: height between darkest and brightest pixel, meters; None = by the tags, else the default.
     """
 
     raster: Raster
@@ -70,7 +70,7 @@ class TerrainPicture:
     height: float | None = None
 
     def with_own_meters(self, options: BuildOptions) -> BuildOptions:
-        """Return the options with the picture's own meters where they give none."""
+        """Return the options with the picture's own meters where the options have none."""
         size = options.size if options.size or options.pixel_size else self.size
         return replace(options, size=size, height=options.height or self.height)
 
@@ -95,49 +95,48 @@ def read_height_field(path: Path, options: BuildOptions) -> HeightField:
 
 
 def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
-    """Read a picture as a terrain, and a text that says where its meters come from.
+    """Read a picture as a terrain, and the origin of its meters as text.
 
-    Bright is high, the lowest point is z = 0 unless `zero` is given, the center is the origin.
+    Bright is high, the lowest point is z = 0 unless `zero` is given, and the center is the origin.
 
-    A GeoTIFF keeps its own pixel size and heights unless the options say otherwise; any other picture
-    is scaled to the options or their defaults. The pixels are the nodes. Options act in this order: crop,
-    nodata, invert, dequantize, denoise, smoothing, sharpness, resize, meters, scale.
+    A GeoTIFF keeps its own pixel size and heights unless the options change them; any other picture is scaled
+    to the options or their defaults. The pixels are the nodes. Options act in this order: crop, nodata,
+    invert, dequantize, denoise, smoothing, sharpness, resize, meters, scale.
 
     Raises:
-        SourceError: the file cannot be used, is in color without `grayscale`, or is more than half
-            nodata.
+        SourceError: the file is unusable, is in color without `grayscale`, or is more than half nodata.
     """
-    return _scaled(path, TerrainPicture(read_raster(path, options.max_pixels)), options)[:2]
+    return _to_terrain(path, TerrainPicture(read_raster(path, options.max_pixels)), options)[:2]
 
 
-def _scaled(
+def _to_terrain(
     path: Path, found: TerrainPicture, options: BuildOptions
 ) -> tuple[HeightField, str, Place | None]:
-    raster = decoded(path, found.raster, options)
+    raster = decode_heights(path, found.raster, options)
     surface, height = _heights(path, raster, found.with_own_meters(options))
     if found.size is not None:
         resized = options.size or options.pixel_size or options.height
         return surface, "as given" if resized else "as bundled", None
-    tell_slopes(path, raster, surface, options)
+    warn_slope_change(path, raster, surface, options)
     return surface, _scale_text(raster.info, options), place_of(raster, surface, height, options)
 
 
-def decimated(path: Path, raster: Raster, options: BuildOptions, nodes: int) -> tuple[Raster, BuildOptions]:
-    """Return a smaller picture, and the options that make nearly the same terrain of it, for a preview.
+def decimate(path: Path, raster: Raster, options: BuildOptions, nodes: int) -> tuple[Raster, BuildOptions]:
+    """Return a smaller picture for a preview, and options that make nearly the same terrain of it.
 
-    Pixels are left out and none is averaged, so gray levels and "no data" stay what they are.
+    Pixels are omitted and never averaged, so gray levels and "no data" stay unchanged.
 
     Args:
-        path: of the picture, for errors.
-        raster: the whole one.
-        options: for the whole one.
-        nodes: along the longer side, at most.
+        path: path of the picture, for errors.
+        raster: whole raster.
+        options: options for the whole raster.
+        nodes: limit of nodes along the longer side.
 
     Raises:
         SourceError: the crop lies outside the picture, or its scale cannot be used.
     """
-    raster = decoded(path, raster, options)
-    pixels = _cropped(path, raster.pixels, options.crop)
+    raster = decode_heights(path, raster, options)
+    pixels = _crop(path, raster.pixels, options.crop)
     size = _extent(pixels.shape, pixel_of(raster.info), options)
     rows, cols = pixels.shape[:2]
     share = min(1.0, nodes / max(rows, cols))
@@ -153,22 +152,22 @@ def height_field(path: Path, raster: Raster, options: BuildOptions) -> HeightFie
     """Return a decoded raster as a terrain (see `read_scaled`).
 
     Raises:
-        SourceError: as `read_scaled` says.
+        SourceError: see `read_scaled`.
     """
-    return _heights(path, decoded(path, raster, options), options)[0]
+    return _heights(path, decode_heights(path, raster, options), options)[0]
 
 
 def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightField, float | None]:
-    """Return the terrain, and the file's height of z = 0 where the heights are the file's own.
+    """Return the terrain, and the file's height of z = 0; None if its heights are rescaled.
 
     Raises:
-        ConfigError: `zero` is given, and they are not.
+        ConfigError: `zero` is given, and the heights are rescaled.
     """
     info, factor = raster.info, (options.scale or (1.0, 1.0, 1.0))[2] * (options.z_scale or 1.0)
     own = info.unit is not None and options.height is None and factor == 1.0 and not options.invert
     if options.zero is not None and not own:
         raise ConfigError(f"{path}: --zero is a height of the file's own, which these heights are not")
-    pixels = _cropped(path, raster.pixels, options.crop)
+    pixels = _crop(path, raster.pixels, options.crop)
     unit = info.unit or 1.0
     above, base = _above(path, pixels, info, options, None if options.zero is None else options.zero / unit)
     if options.deterrace:
@@ -191,7 +190,7 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
 
 
 def _scale_text(info: RasterInfo, options: BuildOptions) -> str:
-    """Say where the meters come from."""
+    """Return the origin of the meters as text."""
     size = height = "the file's own"
     if info.georeference is None:
         size = f"{DEFAULT_SIZE:g} m on the longer side by default"
@@ -204,7 +203,7 @@ def _scale_text(info: RasterInfo, options: BuildOptions) -> str:
     return size if size == height else f"size {size}, height {height}"
 
 
-def _cropped(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | None) -> NDArray[Any]:
+def _crop(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | None) -> NDArray[Any]:
     if crop is None:
         return pixels
     (col, row, width, height), (rows, cols) = crop, pixels.shape[:2]
@@ -216,7 +215,7 @@ def _cropped(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] |
 
 
 def _level_step(path: Path, pixels: NDArray[Any]) -> float:
-    """Return the distance of neighboring gray levels: 257 for 8 bits stored as 16."""
+    """Return the distance of neighboring gray levels; 257 for 8 bits stored as 16."""
     if pixels.dtype.kind not in "iu":
         raise SourceError(f"{path}: holds floating-point heights, --deterrace needs gray levels")
     steps = np.diff(np.unique(pixels))
@@ -226,17 +225,17 @@ def _level_step(path: Path, pixels: NDArray[Any]) -> float:
 def _above(
     path: Path, pixels: NDArray[Any], info: RasterInfo, options: BuildOptions, base: float | None
 ) -> tuple[Float32Array, float]:
-    """Return (rows, cols) heights above a base, an array of its own with every hole filled, and the base.
+    """Return (rows, cols) heights above a base with filled holes, a new array, and the base.
 
-    Both in the raster's unit of height; without a base it is the lowest height.
+    Both are in the raster's unit of height. The default base is the lowest height.
     """
     values = _gray(path, pixels, options.grayscale)
     nodata = info.nodata if options.nodata is None else options.nodata
-    # Unsigned levels hold no heights that mean "none", unless the file says so.
+    # Unsigned levels have no value for "no data" unless the file declares one.
     if nodata is not None or pixels.dtype.kind != "u":
         values = fill_nodata(path, values, nodata)
     if nodata is None and info.unit is not None:
-        tell_border(path, values, info.unit)
+        warn_nodata_border(path, values, info.unit)
     if info.scale != 1.0 or info.offset != 0.0:
         values = values.astype(np.float64) * info.scale + info.offset
     if options.invert:
@@ -261,7 +260,7 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
                 f"{path}: has {pixels.shape[2]} different bands of {pixels.dtype}, a terrain needs one band "
                 "of heights: cut that out (gdal_translate -b 1 IN OUT), or mix them with --grayscale"
             )
-        raise SourceError(f"{path}: is in color, a terrain needs a gray picture; {way_out(pixels)}")
+        raise SourceError(f"{path}: is in color, a terrain needs a gray picture; {suggest_encoding(pixels)}")
     if not span.any():
         gray = pixels[..., 0].astype(kind)
         return gray
@@ -275,7 +274,7 @@ def _meters(above: Float32Array, unit: float | None, height: float | None, facto
     """Turn values above the lowest point into meters, in place; a flat picture stays flat."""
     relief = above.max()
     if relief > 0 and (unit is None or height is not None):
-        # The division first: the top comes out as exactly `height`.
+        # Division first: the highest point is exactly `height`.
         above /= relief
         above *= np.float32(height or DEFAULT_HEIGHT)
     elif unit is not None:
@@ -287,7 +286,7 @@ def _meters(above: Float32Array, unit: float | None, height: float | None, facto
 def _extent(
     shape: tuple[int, ...], pixel: tuple[float, float] | None, options: BuildOptions
 ) -> tuple[float, float]:
-    """Return width and depth of the ground, meters: the pixels are nodes, so one less than pixels."""
+    """Return width and depth of the ground, meters; n pixels are nodes of n - 1 cells."""
     rows, cols = shape[:2]
     sx, sy = pixel or (1.0, 1.0)
     if isinstance(options.size, tuple):

@@ -15,7 +15,7 @@ import trimesh
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.clouds.grid import NodeGrid, filled
+from lirs_wct.sources.clouds.grid import NodeGrid, fill_gaps
 from lirs_wct.sources.clouds.smrf import Smrf, ground_points
 from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.source import find_source
@@ -339,7 +339,7 @@ def test_gaps_of_a_plane_are_the_plane() -> None:
     holed = plane.copy()
     holed[10:25, 12:30] = np.nan
     holed[5, 40] = np.nan
-    np.testing.assert_allclose(filled(holed), plane, atol=1e-9)
+    np.testing.assert_allclose(fill_gaps(holed), plane, atol=1e-9)
 
 
 def test_lowest_and_level_a_node() -> None:
@@ -356,7 +356,7 @@ def test_lowest_and_level_a_node() -> None:
     np.testing.assert_allclose(level[np.isfinite(level)], 7.5)
     plane = 2 * np.arange(grid.shape[0])[:, None] + np.arange(grid.shape[1])[None, :] * 1.0
     expected = ((xyz[:, 1] - grid.south) * 2 + (xyz[:, 0] - grid.west)) / 1.3
-    np.testing.assert_allclose(grid.sampled(plane, xyz[:, :2]), expected, atol=1e-9)
+    np.testing.assert_allclose(grid.sample(plane, xyz[:, :2]), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -13,7 +13,7 @@ from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.filters import denoised, sharpened, smoothed
+from lirs_wct.sources.pictures.filters import denoise, sharpen, smooth
 from lirs_wct.sources.pictures.picture import read_height_field
 
 RAMP = np.tile(np.arange(40, dtype=np.float32), (30, 1))
@@ -36,23 +36,23 @@ def noise(rows: int = 60, cols: int = 80) -> np.ndarray:
 def test_median_takes_single_wrong_pixels_away() -> None:
     holed = RAMP.copy()
     holed[10, 10] = 500
-    np.testing.assert_allclose(denoised(holed, "median")[3:-3, 3:-3], RAMP[3:-3, 3:-3], atol=1)
+    np.testing.assert_allclose(denoise(holed, "median")[3:-3, 3:-3], RAMP[3:-3, 3:-3], atol=1)
 
 
 def test_bilateral_keeps_edges_and_smooths_noise() -> None:
     step = np.zeros((40, 40), np.float32)
     step[:, 20:] = 100
     noisy = step + np.random.default_rng(1).normal(0, 1, step.shape).astype(np.float32)
-    clean = denoised(noisy, "bilateral")
+    clean = denoise(noisy, "bilateral")
     assert (clean - step).std() < 0.5
     assert (clean[:, 20] - clean[:, 19]).min() > 95
 
 
 def test_smoothing_and_sharpness_pull_against_each_other() -> None:
     rough = noise().astype(np.float32)
-    assert smoothed(rough, 2.0).std() < rough.std() / 4
-    assert sharpened(rough, 1.0, 1.0).std() > 1.5 * rough.std()
-    np.testing.assert_allclose(sharpened(RAMP, 2.0, 1.0)[:, 9:-9], RAMP[:, 9:-9], atol=1e-4)
+    assert smooth(rough, 2.0).std() < rough.std() / 4
+    assert sharpen(rough, 1.0, 1.0).std() > 1.5 * rough.std()
+    np.testing.assert_allclose(sharpen(RAMP, 2.0, 1.0)[:, 9:-9], RAMP[:, 9:-9], atol=1e-4)
 
 
 PLANE = RAMP + np.arange(30, dtype=np.float32)[:, None]

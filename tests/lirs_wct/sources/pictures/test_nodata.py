@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.elevation import tell_border
+from lirs_wct.sources.pictures.elevation import warn_nodata_border
 from lirs_wct.sources.pictures.picture import read_height_field
 
 HILLS = 3000 + 40 * np.sin(np.arange(40) / 6)[:, None] + 30 * np.cos(np.arange(50) / 5)[None, :]
@@ -61,7 +61,7 @@ def test_zeros_inside_or_declared_are_no_question() -> None:
     hole[10:20, 10:20] = 0.0
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        tell_border(Path("a.asc"), hole, 1.0)
-        tell_border(Path("a.asc"), np.zeros((5, 5)), 1.0)
+        warn_nodata_border(Path("a.asc"), hole, 1.0)
+        warn_nodata_border(Path("a.asc"), np.zeros((5, 5)), 1.0)
     with pytest.warns(UserWarning, match="pixels of 0 along the border"):
-        tell_border(Path("a.asc"), framed(1), 1.0)
+        warn_nodata_border(Path("a.asc"), framed(1), 1.0)
