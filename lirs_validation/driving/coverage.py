@@ -42,9 +42,9 @@ class TourConfig:
     Attributes:
         radius: a cell is covered once the tour passes within this distance, on free ground, meters;
             at most a fifth of the free ground's side.
-        room: distance to blocked cells that a path likes to keep, meters.
-        narrow: how many times longer a meter feels where there is no room at all.
-        turn: meters that a turn by 180 deg is worth when the next goal is chosen.
+        room: preferred distance to blocked cells, meters.
+        narrow: cost factor of a meter without any clearance.
+        turn: cost of a turn by 180 deg in the choice of the next goal, meters.
         loop: meters of tour between two returns to an old place.
         arc: radius in which it turns round where there is room, meters.
         straight: meters that the first tour leads straight ahead, where they are free.

@@ -18,7 +18,7 @@ from lirs_wct.kernels import njit
 RESOLUTION = 0.1
 """Meters a cell, at least: finer maps are thinned out."""
 UNSURE = 20.0
-"""How many times longer a meter feels where part of the robot would be over unknown ground."""
+"""Cost factor of a meter where part of the robot would be over unknown ground."""
 MOST_CELLS = 1_000_000
 """Cells, at most: the time for a plan is bounded, however large the map grows."""
 

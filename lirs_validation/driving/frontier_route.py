@@ -33,7 +33,7 @@ from farther away count by the square of the distance, beyond the second one not
 PLACE = 0.2
 """Side of the squares whose looks are counted, meters."""
 TURN = 6.0
-"""Meters that a turn by 180 deg is worth when the next frontier is chosen."""
+"""Cost of a turn by 180 deg in the choice of the next frontier, meters."""
 LOYAL = 1.0
 """A frontier so near to the one chosen before is the same one, meters: it is kept until it is seen."""
 ARC = 1.2
@@ -121,7 +121,7 @@ class FrontierRoute:
     def _to_frontier(self, chart: ExplorationMap, pose: Pose2, first: IntArray) -> IntArray | None:
         """Return the cells (n, 2) to the best frontier; None where none can be reached."""
         goals = chart.goals(self._unseen(chart, pose), self._footprint + REACH)
-        # A path shorter than a step ends as it begins: the robot would stand, and plan anew at every scan.
+        # A path shorter than a step ends as it begins: the robot would stand and replan at every scan.
         goals &= chart.distance_to(first) > 2 * self._config.step
         if not goals.any():
             return None

@@ -28,7 +28,7 @@ class DriverConfig:
         back_off: seconds that it drives backwards.
         back_speed: m/s while doing so.
         tries: how often in a row it backs off before it gives up.
-        off_path: distance from the path at which it plans anew, meters.
+        off_path: distance from the path at which it replans, meters.
         facing: heading error that is left after a turn to a wanted yaw, radians.
 
     Raises:
@@ -70,7 +70,7 @@ class Route(Protocol):
     frame: Frame
     """Of the poses and the paths."""
     refresh: float
-    """Seconds after which a path is planned anew although nothing is wrong with it; inf = never."""
+    """Seconds after which a valid path is planned again; inf = never."""
     ends: str
     """Why the drive is over once no path is left; empty = there may be one later."""
 
@@ -214,7 +214,7 @@ class PathDriver:
         self._mark, self._moved_at = 0.0, time
 
     def _refresh(self, pose: Pose2, time: float) -> None:
-        """Plan anew while driving: progress counts on, so that a robot that stands is noticed."""
+        """Replan while driving; keep counting progress, so that a standing robot is noticed."""
         if self.state == "waiting":
             self._follow(pose, time, None)
             return

@@ -14,9 +14,9 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.kernels import njit
 
 COMFORTABLE = 0.6
-"""Distance to blocked cells that a path likes to keep, meters."""
+"""Preferred distance of a path to blocked cells, meters."""
 NARROW = 6.0
-"""How many times longer a meter feels where there is no room at all."""
+"""Cost factor of a meter without any clearance."""
 
 
 def room_in(free: BoolArray, resolution: float) -> FloatArray:

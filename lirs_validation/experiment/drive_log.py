@@ -63,9 +63,9 @@ class DriveLog:
         estimates: `T_map_base`, the mapper's online answers, in the plane or in space.
         final: the mapper's trajectory in the map frame after the drive; None while it lasts.
         walls: wall-clock seconds of each tick.
-        mapper_seconds: of the mapper's update, in these or, with a thread of its own, beside them.
+        mapper_seconds: seconds of the mapper's updates, within the ticks or parallel to them.
         waiting: seconds of each tick in which the drive waited for the mapper.
-        status: how it ended; `reason` says why.
+        status: at the drive's end; `reason` explains it.
         concurrent: whether something else of ours ran at the same time.
         start: where the driver had the robot set down, world frame.
         commands: of the driver, one per tick: the commands after the first observation, the second, ...
@@ -140,7 +140,7 @@ class DriveLog:
     def scans_dropped(self, received: int) -> int:
         """Return the number of scans that the mapper dropped.
 
-        A mapper with a queue may drop scans; one that counts none (`received` 0) says nothing.
+        A mapper with a queue may drop scans; `received` 0 means that it does not count them.
         """
         return max(0, len(self.observations) - received) if received else 0
 

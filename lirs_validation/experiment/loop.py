@@ -34,12 +34,12 @@ MOST_AHEAD = 64
 class Drive:
     """Drive in single ticks, until time is over, a failure, or the driver ends.
 
-    Where the mapper works beside it, the simulation is driven ahead of the log. It is not where a tick may be
+    If the mapper works in parallel, the simulation is driven ahead of the log. It is not where a tick may be
     the last, or where the driver waits for the mapper's pose: so the log, and the counts of the simulation,
     are the same as where the mapper is fed at once.
 
     Attributes:
-        log: of what has happened so far; it says how the drive ended.
+        log: of what has happened so far, with the status at the drive's end.
         over: whether it has ended.
 
     Args:
@@ -164,7 +164,7 @@ class Drive:
                 self._error = error
 
     def _goes_on(self) -> bool:
-        """Whether the drive goes on after the last tick for certain, whatever the mapper says."""
+        """Return whether the drive certainly goes on after the last tick, whatever the answers."""
         first, last = self._given[0].observation.scan.stamp, self._given[-1]
         return (
             self._driver.frame == "world"
@@ -237,7 +237,7 @@ def drive(
 ) -> DriveLog:
     """Drive for a time, or until a failure or the wall limit.
 
-    The log says which.
+    The log holds status and reason.
 
     Args:
         simulation: that is driven.

@@ -187,7 +187,7 @@ class MapperProcess:
         return value
 
     def _raise_end(self) -> NoReturn:
-        """Tell that the process has ended, and how."""
+        """Raise the error of a process that has ended."""
         self._end()
         code = self._process.returncode
         how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"

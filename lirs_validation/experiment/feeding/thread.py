@@ -1,4 +1,4 @@
-"""A mapper in a thread of its own, where it cannot go to another process."""
+"""Mapper in its own thread, for mappers that cannot run in another process."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def short_turns() -> Iterator[None]:
 
 
 class ThreadFeeding:
-    """Feeds a mapper in a thread of its own, which ends with this object.
+    """Feeding of a mapper in its own thread, which ends with this object.
 
     The mapper's kernels, MuJoCo's step and the lidar's rays release Python's lock, so that they run beside
     each other; Python code of the threads runs in turns.
