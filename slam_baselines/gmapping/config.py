@@ -44,8 +44,8 @@ class GmappingConfig(ProposalConfig):
         localizability: conditions for using scans on uneven ground; its scores are hit ratios.
         bootstrap: when the first meters on uneven ground are refined.
         ground_filter: separates hits on ground from hits on walls.
-        mahalanobis_gate: largest distance of a match from dead reckoning that it corrects, standard
-            deviations. On slopes wheels slide by up to four.
+        mahalanobis_gate: largest Mahalanobis distance from dead reckoning at which a match corrects it. On
+            slopes wheels slide by up to four standard deviations.
         gyro_bias: the gyro's errors by its data sheet, and parameters of the bias filter.
 
     Raises:
