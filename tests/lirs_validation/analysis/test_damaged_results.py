@@ -104,7 +104,7 @@ def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> Non
     folder = saved_whole(tmp_path, record())
     whole = json.loads((folder / "record.json").read_text())
     experiment = SlamExperiment(recorded_config(whole))
-    assert experiment.finished(tmp_path) is not None
+    assert experiment.find_outcome(tmp_path) is not None
     for place in places(whole):
         for value in NONSENSE:
             odd = copy.deepcopy(whole)
@@ -113,7 +113,7 @@ def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> Non
                 at = at[part]
             at[place[-1]] = value
             (folder / "record.json").write_text(json.dumps(odd))
-            outcome = experiment.finished(tmp_path)  # no traceback
+            outcome = experiment.find_outcome(tmp_path)  # no traceback
             assert outcome is None or isinstance(outcome.reason, str), (place, value)
             with suppress(SourceError):
                 results = read_results(tmp_path)
@@ -145,11 +145,11 @@ def test_a_collision_check_that_is_nonsense_is_run_again(text: str, tmp_path: Pa
     folder = tmp_path / check.name
     folder.mkdir()
     (folder / "cell.json").write_text(text)
-    assert check.finished(tmp_path) is None
+    assert check.find_outcome(tmp_path) is None
     whole = {"status": "ok", "reason": "", "versions": versions()}
     (folder / "cell.json").write_text(json.dumps(whole))
     (folder / "collisions.json").write_text(text)
-    assert check.finished(tmp_path) is None
+    assert check.find_outcome(tmp_path) is None
 
 
 @pytest.mark.parametrize("name", ["record.json", "map.pgm", "map.yaml"])

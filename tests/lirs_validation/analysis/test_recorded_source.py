@@ -69,9 +69,9 @@ def test_a_sweep_runs_again_what_another_source_of_that_name_gave(run: RunFolder
     experiment = SlamExperiment(RunConfig(source="hills.png", seconds=4.0))
     assert experiment.name == run.folder.name
     os.utime(run.folder / "record.json", (2e9, 2e9))  # the other picture is older than the record
-    assert experiment.finished(tmp_path / "out") is None
+    assert experiment.find_outcome(tmp_path / "out") is None
     os.chdir(tmp_path / "here")
-    assert experiment.finished(tmp_path / "out") is not None
+    assert experiment.find_outcome(tmp_path / "out") is not None
 
 
 def test_every_kind_of_source_has_its_files(tmp_path: Path) -> None:

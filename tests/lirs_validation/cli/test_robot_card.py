@@ -68,7 +68,7 @@ def test_without_opengl_there_is_an_outline(tmp_path: Path, monkeypatch: pytest.
     def none(*_: object) -> None:
         raise RuntimeError("no OpenGL")
 
-    monkeypatch.setattr(robot_card, "_rendered", none)
+    monkeypatch.setattr(robot_card, "_render", none)
     for name, robot in ROBOTS.items():
         target = tmp_path / f"{name}.png"
         robot_card.draw(robot, target)

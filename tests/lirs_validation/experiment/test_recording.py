@@ -168,13 +168,13 @@ def test_a_finished_run_counts_where_its_bag_is_what_is_asked_for(made: Run) -> 
     out = folder_of(made).parent
     config = RunConfig(source="simple", seconds=SECONDS, bag="mcap")
     for same in (config, replace(config, bag=None)):
-        assert SlamExperiment(same).finished(out) is not None
+        assert SlamExperiment(same).find_outcome(out) is not None
     for other in (replace(config, bag="sqlite3"), replace(config, sensors_only=True)):
-        assert SlamExperiment(other).finished(out) is None
+        assert SlamExperiment(other).find_outcome(out) is None
     file = folder_of(made) / "bag.mcap"
     whole = file.read_bytes()
     file.write_bytes(whole[:-9])
-    assert SlamExperiment(config).finished(out) is None
+    assert SlamExperiment(config).find_outcome(out) is None
     file.write_bytes(whole)
     record = folder_of(made) / "record.json"
     assert json.loads(record.read_text())["config"]["bag"] == "mcap"

@@ -53,7 +53,7 @@ def test_a_drag_keeps_its_time_while_another_moment_is_shown(gui: Any) -> None:
     player.begin(_Drive(), 5.0)
     slider: Any = player._slider
     slider.value = 1.0
-    player._dragged(_Event(client_id=1))
+    player._go_to_slider(_Event(client_id=1))
     player.show(50)
     jobs.pop()()
     assert player.scan == 10
