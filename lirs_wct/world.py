@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +30,7 @@ from lirs_wct.navigation.traversability import (
     nearest_place,
     overlaid,
     traversable,
+    traversable_by,
 )
 
 
@@ -148,6 +150,14 @@ class World(ShownAsPicture):
             clearance=clearance,
             max_slope=max_slope,
             resolution=resolution,
+        )
+
+    def traversable_by(
+        self, limits: Iterable[tuple[float, float]], resolution: float
+    ) -> Iterator[OccupancyGrid]:
+        """Yield the grid of each pair of clearance, meters, and slope, radians (see `traversable`)."""
+        return traversable_by(
+            limits, self.surface, self.walls, self.truth, self.no_ground, resolution=resolution
         )
 
     def refusal(

@@ -8,6 +8,9 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 
+STRIP = 512
+"""Rows of nodes that are compared together: less memory than the whole."""
+
 
 def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
     """Return the largest vertical mesh error at the surface's nodes, meters.
@@ -18,6 +21,12 @@ def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
     """
     surface = world.surface
     chosen = world.mesh if mesh is None else mesh
-    top = rasterize_heights(chosen, (*surface.origin, *surface.cell), surface.shape)
-    top -= surface.south_up
-    return float(np.nanmax(np.abs(top, out=top)))
+    (x, y), (dx, dy), (rows, cols) = surface.origin, surface.cell, surface.shape
+    largest = 0.0
+    for start in range(0, rows, STRIP):
+        z = surface.z[::-1][start : start + STRIP]
+        top = rasterize_heights(chosen, (x, y + start * dy, dx, dy), (len(z), cols))
+        top -= z
+        if np.isfinite(top).any():
+            largest = max(largest, float(np.nanmax(np.abs(top, out=top))))
+    return largest

@@ -83,22 +83,24 @@ def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: 
     preset = make_lidar_preset(lidar or robot.lidar)
     poses = _poses(world, robot, np.random.default_rng((seed, STREAM)))
     caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
-    counts = []
+    hits: list[FloatArray] = []
     for pose in poses:
         laser = standing_on(world, robot, pose) @ robot.T_base_laser
         directions = np.ascontiguousarray(preset.directions @ laser.rotation.T)
         ranges = caster.ranges(laser.position, directions, preset.range_max)
         hit = (ranges >= preset.range_min) & (ranges < preset.range_max)
         points = laser.position + ranges[hit, None] * directions[hit]
-        walls = int(near_obstacle(points[:, :2], world.surface, world.walls, NEAR).sum())
-        counts.append((walls, len(points) - walls))
-    if not counts:
+        hits.append(points[:, :2])
+    if not hits:
         return ScanSupport(robot=robot.name, beams=preset.beams, poses=0)
-    wall, ground = np.array(counts, dtype=np.float64).T
+    # All scans together: each call copies the surface.
+    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, NEAR)
+    scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
+    wall, ground = (np.bincount(scan[each], minlength=len(hits)).astype(np.float64) for each in (near, ~near))
     return ScanSupport(
         robot=robot.name,
         beams=preset.beams,
-        poses=len(counts),
+        poses=len(hits),
         wall_median=float(np.median(wall)),
         wall_p10=float(np.percentile(wall, 10)),
         ground_median=float(np.median(ground)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import cv2
 import numpy as np
@@ -54,6 +54,23 @@ def traversable(
     Raises:
         SourceError: the surface is too large for a grid of this resolution.
     """
+    limits = [(clearance, max_slope)]
+    return next(traversable_by(limits, surface, walls, truth, no_ground, resolution=resolution))
+
+
+def traversable_by(
+    limits: Iterable[tuple[float, float]],
+    surface: HeightField,
+    walls: WallGrid | None = None,
+    truth: OccupancyGrid | None = None,
+    no_ground: BoolArray | None = None,
+    *,
+    resolution: float = 0.1,
+) -> Iterator[OccupancyGrid]:
+    """Yield the grid of each pair of clearance and slope; they share the filters of the ground.
+
+    Arguments and errors: see `traversable`.
+    """
     west, south, east, north = surface.bounds
     shape = (max(1, math.ceil((north - south) / resolution)), max(1, math.ceil((east - west) / resolution)))
     if math.prod(shape) > MOST_CELLS:
@@ -63,9 +80,13 @@ def traversable(
             "scale it (--size)"
         )
     grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
-    found = blocked_ground(surface, walls, truth, no_ground, max_slope=max_slope, grid=grid)
-    distance = distance_to(np.logical_or.reduce(list(found.values())), resolution)
-    return OccupancyGrid.from_mask(distance <= clearance, resolution, grid.origin)
+    gradient = _gradient(surface, grid)
+    found = np.logical_or.reduce(
+        [np.zeros(shape, np.bool_), *_obstacles(surface, walls, truth, no_ground, grid).values()]
+    )
+    for clearance, max_slope in limits:
+        distance = distance_to(found | (gradient > math.tan(max_slope)), resolution)
+        yield OccupancyGrid.from_mask(distance <= clearance, resolution, grid.origin)
 
 
 def blocked_ground(
@@ -78,7 +99,19 @@ def blocked_ground(
     grid: OccupancyGrid,
 ) -> dict[str, BoolArray]:
     """Return the blocked cells of a grid by cause (arguments: see `traversable`)."""
-    found = {STEEP: _steep_cells(surface, max_slope, grid)}
+    steep: BoolArray = _gradient(surface, grid) > math.tan(max_slope)
+    return {STEEP: steep} | _obstacles(surface, walls, truth, no_ground, grid)
+
+
+def _obstacles(
+    surface: HeightField,
+    walls: WallGrid | None,
+    truth: OccupancyGrid | None,
+    no_ground: BoolArray | None,
+    grid: OccupancyGrid,
+) -> dict[str, BoolArray]:
+    """Return the blocked cells of a grid by cause, steep ground left out."""
+    found: dict[str, BoolArray] = {}
     if no_ground is not None:
         found["a place without ground"] = _nodes_cells(surface, no_ground, grid) | _without_ground(
             surface, no_ground, grid
@@ -95,8 +128,6 @@ def blocked_ground(
 def steepness(surface: HeightField, place: FloatArray, resolution: float) -> float:
     """Return the slope of the cell around a position, radians, measured as in `traversable`.
 
-    Bisection finds the largest limit that the cell exceeds.
-
     Args:
         surface: the ground.
         place: (2,) center of the cell, world frame, meters.
@@ -107,12 +138,7 @@ def steepness(surface: HeightField, place: FloatArray, resolution: float) -> flo
     around, reach = _nodes_around(surface, x, y, half), math.ceil(half / resolution) + 1
     corner = Pose2(*(place - (reach + 0.5) * resolution).tolist())
     grid = OccupancyGrid(np.zeros((2 * reach + 1, 2 * reach + 1), np.float32), resolution, corner)
-    low, high = 0.0, math.pi / 2
-    for _ in range(12):
-        middle = (low + high) / 2
-        steep = _steep_cells(around, middle, grid)[reach, reach]
-        low, high = (middle, high) if steep else (low, middle)
-    return low
+    return math.atan(float(_gradient(around, grid)[reach, reach]))
 
 
 def _nodes_around(surface: HeightField, x: float, y: float, half: float) -> HeightField:
@@ -126,25 +152,29 @@ def _nodes_around(surface: HeightField, x: float, y: float, half: float) -> Heig
     return HeightField(z, surface.cell, (west + left * dx, south + low * dy))
 
 
-def _steep_cells(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:
-    """Mark the grid's cells whose relief over the baseline exceeds the slope."""
+def _gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Array:
+    """Return the largest relief over the baseline in each cell, meters a meter."""
+    largest = np.zeros(grid.shape, np.float32)
     if surface.relief == 0:
-        return np.zeros(grid.shape, np.bool_)
+        return largest
     if min(surface.cell) > COARSE:
-        return _on_steep_triangles(surface, max_slope, grid)
+        return _triangle_gradient(surface, grid)
     fine = surface if max(surface.cell) <= grid.resolution else _resample(surface, grid.resolution)
     reach = [max(1, round(BASELINE / 2 / c)) for c in fine.cell]
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
     baseline = 2 * max(r * c for r, c in zip(reach, fine.cell, strict=True))
-    steep = np.empty(fine.shape, np.bool_)
-    for start in range(0, len(steep), _STRIP):
+    rows, cols = _node_rows_cols(fine, grid)
+    first = np.flatnonzero(np.diff(cols, prepend=-1))
+    for start in range(0, len(rows), _STRIP):
         # A strip needs the rows within reach of it.
         above = min(start, reach[1])
         z = fine.z[start - above : start + _STRIP + reach[1]]
         relief = cv2.dilate(z, kernel) - cv2.erode(z, kernel)
-        strip = steep[start : start + _STRIP]
-        strip[:] = relief[above : above + len(strip)] > baseline * math.tan(max_slope)
-    return _nodes_cells(fine, steep, grid)
+        strip = relief[above : above + len(rows[start : start + _STRIP])] / np.float32(baseline)
+        # Neighboring nodes share a cell.
+        for row, values in zip(rows[start:], np.maximum.reduceat(strip, first, axis=1), strict=False):
+            largest[row, cols[first]] = np.maximum(largest[row, cols[first]], values)
+    return largest
 
 
 def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -> BoolArray:
@@ -152,15 +182,21 @@ def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -
 
     Each row of nodes lies in one row of cells.
     """
+    rows, cols = _node_rows_cols(surface, grid)
+    marked = np.zeros(grid.shape, np.bool_)
+    for row, nodes in zip(rows, chosen, strict=True):
+        marked[row, cols[nodes]] = True
+    return marked
+
+
+def _node_rows_cols(surface: HeightField, grid: OccupancyGrid) -> tuple[IntArray, IntArray]:
+    """Return the row of cells of each row of nodes, and the column of cells of each column."""
     (west, south), (n_rows, n_cols) = surface.origin, surface.shape
     x = west + np.arange(n_cols) * surface.cell[0]
     y = south + np.arange(n_rows)[::-1] * surface.cell[1]
     cols = _clipped_cells(np.stack((x, np.full(n_cols, south)), axis=-1), grid)[:, 1]
     rows = _clipped_cells(np.stack((np.full(n_rows, west), y), axis=-1), grid)[:, 0]
-    marked = np.zeros(grid.shape, np.bool_)
-    for row, nodes in zip(rows, chosen, strict=True):
-        marked[row, cols[nodes]] = True
-    return marked
+    return rows, cols
 
 
 def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyGrid) -> BoolArray:
@@ -179,30 +215,24 @@ def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyG
     return found
 
 
-def _on_steep_triangles(surface: HeightField, max_slope: float, grid: OccupancyGrid) -> BoolArray:
-    """Mark the grid's cells whose center lies on a triangle steeper than the slope."""
+def _triangle_gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Array:
+    """Return the gradient of the triangle at each cell's center, meters a meter."""
     shift = (grid.origin.x - surface.origin[0], grid.origin.y - surface.origin[1])
-    marked: BoolArray = _triangles_steeper(
-        surface.z, surface.cell, shift, grid.resolution, *grid.shape, math.tan(max_slope) ** 2
-    )
-    return marked
+    found: Float32Array = _triangle_gradients(surface.z, surface.cell, shift, grid.resolution, *grid.shape)
+    return found
 
 
 @njit(cache=True)
-def _triangles_steeper(
+def _triangle_gradients(
     z: Float32Array,
     cell: tuple[float, float],
     shift: tuple[float, float],
     step: float,
     rows: int,
     cols: int,
-    limit: float,
-) -> BoolArray:
-    """Return (rows, cols) whether the squared slope exceeds the limit at the cell centers.
-
-    The centers are `step` meters apart.
-    """
-    marked = np.zeros((rows, cols), np.bool_)
+) -> Float32Array:
+    """Return (rows, cols) gradients at the cell centers, which are `step` meters apart."""
+    found = np.empty((rows, cols), np.float32)
     last, right = z.shape[0] - 1, z.shape[1] - 2
     for row in range(rows):
         v = (shift[1] + (row + 0.5) * step) / cell[1]
@@ -216,8 +246,8 @@ def _triangles_steeper(
                 dx, dy = (se - sw) / cell[0], (ne - se) / cell[1]
             else:
                 dx, dy = (ne - nw) / cell[0], (nw - sw) / cell[1]
-            marked[row, col] = dx * dx + dy * dy > limit
-    return marked
+            found[row, col] = math.hypot(dx, dy)
+    return found
 
 
 def _resample(surface: HeightField, spacing: float) -> HeightField:

@@ -101,15 +101,15 @@ def _with_spawn_poses(world: World) -> World:
         x, y = min(max(middle.x, west), east), min(max(middle.y, south), north)
         place = replace(world, ground=_cut(world.ground, (x, y, SPAWN_AREA))[0])
     resolution = 0.1 if world.walls is not None else max(0.1, max(place.surface.size) / SPAWN_CELLS)
-    for footprint in FOOTPRINTS:
-        for clearance, slope in footprint.limits:
-            free = place.traversable(clearance=clearance, max_slope=slope, resolution=resolution)
-            if world.start is not None and not free.free_at(world.start.x, world.start.y):
-                continue
-            found = place.starts(free)
-            if found:
-                first = () if world.start is None else (world.start,)
-                return replace(world, spawn_poses=(*first, *found)[: len(found)], spawn_for=footprint.robot)
+    tried = [(footprint.robot, limits) for footprint in FOOTPRINTS for limits in footprint.limits]
+    grids = place.traversable_by([limits for _, limits in tried], resolution)
+    for (robot, _), free in zip(tried, grids, strict=True):
+        if world.start is not None and not free.free_at(world.start.x, world.start.y):
+            continue
+        found = place.starts(free)
+        if found:
+            first = () if world.start is None else (world.start,)
+            return replace(world, spawn_poses=(*first, *found)[: len(found)], spawn_for=robot)
     if world.start is not None:
         raise _refused_start(world, place, world.start, resolution)
     return replace(world, spawn_poses=(), spawn_for="")

@@ -60,7 +60,19 @@ def _rasterize(
         j0, j1 = max(0, int(np.ceil(south - 1e-9))), min(rows - 1, int(np.floor(north + 1e-9)))
         za, zb, zc = vertices[a, 2], vertices[b, 2], vertices[c, 2]
         for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
+            # Nodes between the edges, and one more: long thin triangles fill little of their box.
+            i2, i3 = float(i0), float(i1)
+            for step, start in (
+                (cy / area, (-ax * cy - (j - ay) * cx) / area),
+                (-by / area, (bx * (j - ay) + by * ax) / area),
+                ((by - cy) / area, 1 - (bx * (j - ay) + by * ax - ax * cy - (j - ay) * cx) / area),
+            ):
+                # The weight of a corner is start + step * i, and at least 0 inside.
+                if step > 0.0:
+                    i2 = max(i2, min(np.floor(-(start + slack) / step) - 1, i1 + 1.0))
+                elif step < 0.0:
+                    i3 = min(i3, max(np.ceil(-(start + slack) / step) + 1, i0 - 1.0))
+            for i in range(int(i2), int(i3) + 1):
                 wb = ((i - ax) * cy - (j - ay) * cx) / area
                 wc = (bx * (j - ay) - by * (i - ax)) / area
                 if wb >= -slack and wc >= -slack and wb + wc <= 1.0 + slack:

@@ -63,12 +63,12 @@ def world_facts(world: World, robot: str = "husky") -> WorldFacts:
         ConfigError: there is no such robot.
     """
     surface, walls, mesh = world.surface, world.walls, world.file_mesh
-    slope = _slopes(surface)
+    median, p95 = np.percentile(_slopes(surface), (50, 95), overwrite_input=True).tolist()
     return WorldFacts(
         size=surface.size,
         nodes=surface.shape,
         heights=(float(surface.z.min()), float(surface.z.max())),
-        slopes=(float(np.median(slope)), float(np.percentile(slope, 95))),
+        slopes=(median, p95),
         drivable=_drivable(world),
         walls=None
         if walls is None
@@ -146,10 +146,6 @@ def _slopes(surface: HeightField) -> Float32Array:
 def _drivable(world: World) -> dict[str, float]:
     cells = CELLS if world.walls is None else MAP_CELLS
     resolution = max(0.1, max(world.surface.size) / cells)
-    shares = {}
-    for name, robot in ROBOTS.items():
-        free = world.traversable(
-            clearance=robot.radius, max_slope=robot.max_slope, resolution=resolution
-        ).free
-        shares[name] = 100 * float(free.mean())
-    return shares
+    limits = [(robot.radius, robot.max_slope) for robot in ROBOTS.values()]
+    grids = world.traversable_by(limits, resolution)
+    return {name: 100 * float(grid.free.mean()) for name, grid in zip(ROBOTS, grids, strict=True)}

@@ -13,7 +13,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.navigation.spawn_poses import spawn_poses
-from lirs_wct.navigation.traversability import traversable
+from lirs_wct.navigation.traversability import traversable, traversable_by
 
 SLOPE = math.radians(20)
 
@@ -93,3 +93,12 @@ def test_slopes_strip_by_strip_are_those_of_the_whole(monkeypatch: pytest.Monkey
     monkeypatch.setattr("lirs_wct.navigation.traversability._STRIP", 7)
     strips = traversable(surface, clearance=0.1, max_slope=0.3)
     np.testing.assert_array_equal(whole.log_odds, strips.log_odds)
+
+
+def test_grids_of_several_limits_are_those_of_each() -> None:
+    z = np.random.default_rng(1).normal(0, 0.02, (40, 50)).astype(np.float32)
+    surface = HeightField.centered(z, (0.1, 0.1))
+    limits = [(0.1, 0.2), (0.2, 0.4), (0.1, 0.1)]
+    for (clearance, slope), grid in zip(limits, traversable_by(limits, surface), strict=True):
+        alone = traversable(surface, clearance=clearance, max_slope=slope)
+        np.testing.assert_array_equal(grid.free, alone.free)
