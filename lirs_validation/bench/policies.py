@@ -301,7 +301,7 @@ class PolicyChoice:
     @property
     def files(self) -> list[Path]:
         """Known files that the policy depends on: its module and files among its arguments."""
-        source = own_source_file(self.name, "policy")
+        source = own_source_file(self.name)
         given = [Path(value) for _, value in self.arguments if Path(value).is_file()]
         return [*([source] if source else []), *given]
 

@@ -6,7 +6,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 
 from lirs_envs.sensing.sensors import Observation
@@ -14,7 +13,6 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.drive_log import DriveLog, Tick
 from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
-from lirs_validation.experiment.feeding.thread import short_turns
 from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 from lirs_validation.metrics.verdict import LostRule
 from lirs_validation.record.run_record import Status
@@ -264,12 +262,11 @@ def drive(
         feeding=feeding,
     )
     next_report = 1.0
-    with short_turns() if taken.log.mapper_in == "thread" else nullcontext():
-        while not taken.over:
-            taken.step()
-            if taken.time >= next_report:
-                progress("drive", taken.time / seconds)
-                next_report += 1.0
+    while not taken.over:
+        taken.step()
+        if taken.time >= next_report:
+            progress("drive", taken.time / seconds)
+            next_report += 1.0
     return taken.log
 
 

@@ -6,13 +6,14 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, astuple, replace
-from typing import NoReturn, cast
+from typing import Any, NoReturn, cast
 
 import numpy as np
 
 from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
+from lirs_validation.config import DRIVERS, Attitude, MapConfig, RunConfig, driver_parts
+from lirs_validation.experiment.mapper_loading import MapperSpec
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct.errors import ConfigError, MapperError, WctError
 from lirs_wct.geometry.cloud import PointCloud
@@ -295,14 +296,16 @@ class GuardedCloudMapper(MapperGuard):
         return estimate
 
 
-def guard_mapper(mapper: Mapper | CloudMapper, config: RunConfig) -> GuardedMapper | GuardedCloudMapper:
-    """Return the guard of a run's mapper, with the configured attitude."""
+def guard_mapper(
+    mapper: Any, config: RunConfig | MapConfig | MapperSpec
+) -> GuardedMapper | GuardedCloudMapper:
+    """Return the guard of a mapper, with the configured attitude."""
     if reads_clouds(mapper):
         return GuardedCloudMapper(mapper, config.mapper, attitude=config.attitude == "imu")
     return GuardedMapper(with_attitude(cast("Mapper", mapper), config.attitude), config.mapper)
 
 
-def check_sensors(mapper: Mapper | CloudMapper, config: RunConfig) -> None:
+def check_sensors(mapper: Any, config: RunConfig) -> None:
     """Check that a run's lidar and driver suit its mapper.
 
     Any lidar suits a planar mapper: of one with rings it gets the ring nearest the horizon.

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.metadata
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lirs_validation.config import Attitude
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import (
@@ -23,6 +25,34 @@ RESOLUTION = 0.05
 """Edge of a map's cell for a mapper of your own that takes it, meters; ours use the same."""
 METHODS, PROPERTIES = ("update", "map", "trajectory"), ("stats", "lost")
 CLOUD_METHODS = ("update", "trajectory")
+
+
+@dataclass(frozen=True, slots=True)
+class MapperSpec:
+    """Specification of a mapper.
+
+    Attributes:
+        mapper: its name, or `module:name`.
+        seed: of its random numbers.
+        attitude: `imu`, or `none` for a mapper without inertial readings.
+    """
+
+    mapper: str
+    seed: int
+    attitude: Attitude
+
+
+@dataclass(frozen=True, slots=True)
+class MapperTraits:
+    """Properties of a mapper that its run depends on.
+
+    Attributes:
+        reads_clouds: whether it reads point clouds.
+        requires_odometry: whether it needs odometry.
+    """
+
+    reads_clouds: bool
+    requires_odometry: bool
 
 
 def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
@@ -64,7 +94,7 @@ def warm_up_mapper(name: str) -> None:
 
 def source_file(name: str) -> Path | None:
     """Return the file that holds a mapper of your own; None for ours."""
-    return own_source_file(name, "mapper")
+    return own_source_file(name)
 
 
 def _check_methods(mapper: Any, name: str) -> Mapper | CloudMapper:

@@ -7,6 +7,7 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from importlib.machinery import PathFinder
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -69,12 +70,17 @@ def make_own(maker: Callable[..., Any], offered: Mapping[str, Any], name: str, w
         raise ConfigError(f"{what} {name!r}: cannot be made: {type(error).__name__}: {error}") from error
 
 
-def own_source_file(name: str, what: str) -> Path | None:
-    """Return the file of the module that `module:name` names; None = a name of ours."""
+def own_source_file(name: str) -> Path | None:
+    """Return the file of the module in `module:name`, without importing it; None = a built-in name."""
     if ":" not in name:
         return None
-    file = getattr(_module(name.partition(":")[0], name, what), "__file__", None)
-    return Path(file) if file else None
+    folders, found = [str(Path.cwd()), *sys.path], None
+    for part in name.partition(":")[0].split("."):
+        found = PathFinder.find_spec(part, folders)
+        if found is None:
+            return None
+        folders = list(found.submodule_search_locations or ())
+    return Path(found.origin) if found is not None and found.origin else None
 
 
 def keywords_taken(maker: Callable[..., Any], offered: Mapping[str, Any]) -> dict[str, Any]:

@@ -24,8 +24,7 @@ from lirs_validation.experiment.cost import (
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
 from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
-from lirs_validation.experiment.feeding.process import MapperProcess, mapper_process, ready_process
-from lirs_validation.experiment.feeding.thread import ThreadFeeding
+from lirs_validation.experiment.feeding.process import MapperProcess, start_mapper
 from lirs_validation.experiment.loop import Recorder, drive
 from lirs_validation.experiment.mapper_guard import (
     GuardedCloudMapper,
@@ -178,27 +177,25 @@ def prepare(
         WctError: the source, a name or an option cannot be used.
     """
     robot = make_robot(config.robot)
-    mapper = guard_mapper(loaded := mapper_named(config.mapper, config.seed), config)
-    check_sensors(loaded, config)
     with ExitStack() as started:
-        process = mapper_process(config, loaded)
+        process = start_mapper(config)
         if process is not None:
             started.callback(process.close)
+        made = process or mapper_named(config.mapper, config.seed)
+        check_sensors(made, config)
+        mapper = guard_mapper(made, config)
         progress("build", 0.0)
         scenario = (scenarios or ScenarioCache()).scenario(config)
         with compile_timer() as compile_seconds:
             progress("plan", 0.0)
             driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
             progress("compile", 0.0)
-            process = ready_process(process)
+            if process is not None:
+                process.wait_until_ready()
             warm_up(scenario, robot, process)
         simulation = scenario.simulation(robot)
         started.pop_all()
-    feeding: Feeding
-    if process is not None:
-        mapper, feeding = guard_mapper(process, config), process
-    else:
-        feeding = ThreadFeeding(mapper) if config.threads > 1 else DirectFeeding(mapper)
+    feeding: Feeding = process or DirectFeeding(mapper)
     return ReadyRun(scenario, simulation, driver, mapper, feeding, compile_seconds())
 
 

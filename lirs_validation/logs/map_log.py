@@ -12,10 +12,10 @@ from pathlib import Path
 
 from lirs_validation.config import Attitude, MapConfig
 from lirs_validation.experiment.cost import CostMeter, compile_timer, frozen_heap
-from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
+from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, GuardedMapper
 from lirs_validation.logs.cloud_replay import horizontal_map, replay_clouds
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
-from lirs_validation.logs.log_mapper import check_log, make_log_mapper, warm_up_log_mapper
+from lirs_validation.logs.log_mapper import check_log, log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import odometry_accuracy, read_truth, reference_in_time, relations_in_time
 from lirs_validation.metrics.alignment import scan_coverage
@@ -102,8 +102,16 @@ def map_log(
 
 def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progress = no_progress) -> MappedLog:
     """Map a log by its config (see `map_log`)."""
+    with log_mapper(config) as mapper:
+        mapped = _mapped_log(config, mapper, progress)
+    return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
+
+
+def _mapped_log(
+    config: MapConfig, mapper: GuardedMapper | GuardedCloudMapper, progress: Progress
+) -> MappedLog:
+    """Read, map and evaluate a log."""
     meter, seconds = CostMeter(), dict[str, float]()
-    mapper = make_log_mapper(config)
     relations, reference = read_truth(config)
     progress("read", 0.0)
     with _measure_time(seconds, "read_seconds"):
@@ -144,8 +152,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         odometry=odometry_accuracy(log.track, relations, reference),
         cost=cost,
     )
-    mapped = MappedLog(record, log, grid, trajectory, reference, accuracy)
-    return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
+    return MappedLog(record, log, grid, trajectory, reference, accuracy)
 
 
 def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:

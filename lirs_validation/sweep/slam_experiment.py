@@ -13,6 +13,7 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
+from lirs_validation.experiment.feeding.process import start_mapper
 from lirs_validation.experiment.mapper_guard import check_sensors
 from lirs_validation.experiment.mapper_loading import mapper_named, package_versions, source_file
 from lirs_validation.experiment.run import run
@@ -135,7 +136,12 @@ def _check_names(robot: str, lidar: str | None, mapper: str, frontier: bool) -> 
     asked = RunConfig(
         source="", robot=robot, lidar=lidar, mapper=mapper, driver="frontier" if frontier else TOUR
     )
-    check_sensors(mapper_named(mapper, 0), asked)
+    process = start_mapper(asked)
+    try:
+        check_sensors(process or mapper_named(mapper, 0), asked)
+    finally:
+        if process is not None:
+            process.close()
 
 
 def world_name(config: RunConfig) -> str:

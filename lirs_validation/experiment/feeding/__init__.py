@@ -1,1 +1,1 @@
-"""Feeding of a mapper: direct, in a thread, or in a process."""
+"""Feeding of a drive's mapper: in the same process, or in its own."""

@@ -73,7 +73,7 @@ class DirectFeeding:
 
 
 def update_arguments(observation: Observation, *, clouds: bool) -> tuple[Any, ...]:
-    """Return the arguments of `Mapper.update`.
+    """Return the arguments of `update` of a mapper.
 
     Raises:
         ConfigError: it takes a point cloud, and the lidar has no rings.
@@ -86,8 +86,8 @@ def update_arguments(observation: Observation, *, clouds: bool) -> tuple[Any, ..
 
 
 AnyMapper = Mapper | GuardedCloudMapper
-Place = Literal["drive", "thread", "process"]
-"""Where a mapper works: in the drive's own thread, in another one, or in another process."""
+Place = Literal["drive", "process"]
+"""Location of a mapper: the drive's own process or another one."""
 
 
 @dataclass(frozen=True, slots=True)

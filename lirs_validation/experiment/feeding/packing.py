@@ -1,7 +1,4 @@
-"""Messages between a drive and its mapper's process.
-
-Scans and answers are sent in batches, as plain arrays.
-"""
+"""Messages between a drive and its mapper's process: batches of scans and answers as plain arrays."""
 
 from __future__ import annotations
 
@@ -36,9 +33,9 @@ class ScanBatch:
 
 
 def pack_updates(updates: Sequence[tuple[Any, ...]]) -> ScanBatch | Sequence[tuple[Any, ...]]:
-    """Return arguments of updates as arrays, to be sent."""
+    """Return the message of some updates; clouds and updates without odometry or IMU are sent one by one."""
     first = updates[0][0]
-    if not isinstance(first, LaserScan):
+    if not isinstance(first, LaserScan) or any(None in update for update in updates):
         return updates
     ranges = np.stack([scan.ranges for scan, _, _ in updates])
     numbers = np.array([(scan.stamp, *_PLANE(odometry), *imu.row) for scan, odometry, imu in updates])

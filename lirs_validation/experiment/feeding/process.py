@@ -1,7 +1,4 @@
-"""Mapper in its own process.
-
-It works next to the drive without sharing Python's lock.
-"""
+"""A mapper in its own process: foreign code cannot reach the evaluation, and two threads drive faster."""
 
 from __future__ import annotations
 
@@ -10,7 +7,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import warnings
 from collections import deque
 from contextlib import suppress
 from multiprocessing import Pipe
@@ -19,14 +15,15 @@ from typing import Any, NoReturn
 from weakref import finalize
 
 from lirs_envs.sensing.sensors import Observation
-from lirs_validation.config import RunConfig
+from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.experiment.cost import Cost
 from lirs_validation.experiment.feeding.feeding import Answer, Place, update_arguments
 from lirs_validation.experiment.feeding.packing import pack_updates, unpack_pose
-from lirs_wct.errors import ConfigError, MapperError
+from lirs_validation.experiment.mapper_loading import MapperSpec, MapperTraits
+from lirs_wct.errors import MapperError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, reads_clouds
+from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats
 
 BATCH = 8
 """Scans that are sent together; a message takes as long as a tenth of a tick."""
@@ -42,62 +39,63 @@ PROGRAM = (
 
 
 class MapperProcess:
-    """Process that creates and feeds a run's mapper.
+    """Process that makes a mapper and is fed with scans; it ends with this object.
 
-    It ends with this object.
-
-    It is a `Feeding`, and what it is asked for as a mapper it asks that one: only while no scan is
-    unanswered.
+    It is a `Feeding` and a mapper. The methods of a mapper may be called only while every scan is answered.
 
     Attributes:
         reads_clouds: whether the mapper reads point clouds.
-        compile_seconds: that the compiler took there, once it is ready.
+        requires_odometry: whether it needs odometry.
+        compile_seconds: time of the compiler there, once the process is ready.
+
+    Args:
+        config: mapper, seed and attitude of a run or of a log's map.
+        concurrent: whether the drive goes on while the mapper works.
 
     Raises:
-        MapperError: the process cannot be started.
+        ConfigError: the mapper cannot be made.
+        MapperError: the process cannot be started, or ended.
     """
 
     place: Place = "process"
 
-    def __init__(self, config: RunConfig, *, reads_clouds: bool) -> None:
-        self.reads_clouds, self.compile_seconds = reads_clouds, 0.0
+    def __init__(self, config: RunConfig | MapConfig, *, concurrent: bool) -> None:
+        self._concurrent, self.compile_seconds = concurrent, 0.0
         self._name = config.mapper
         self._pipe, far = Pipe()
         try:
             self._process = _start_process(far)
         except OSError as error:
-            raise MapperError(
-                f"mapper {config.mapper!r}: no process of its own can be started ({error}); "
-                "with --threads 1 it needs none"
-            ) from error
+            raise MapperError(f"mapper {config.mapper!r}: its process cannot be started ({error})") from error
         finally:
             far.close()
         self._end = finalize(self, _end, self._process, self._pipe)
         self._given: list[tuple[Any, ...]] = []
         self._answers: deque[Answer | Exception] = deque()
         self._sent = 0
-        self._send("prepare", config)
+        self._send("make", MapperSpec(config.mapper, config.seed, config.attitude))
+        traits: MapperTraits = self._reply()
+        self.reads_clouds, self.requires_odometry = traits.reads_clouds, traits.requires_odometry
+        self._send("warm_up")
 
     def wait_until_ready(self) -> None:
-        """Wait until the mapper is made and its kernels are compiled.
+        """Wait until the mapper's kernels are compiled.
 
         Raises:
-            ConfigError: it cannot be made there.
             MapperError: the process ended.
         """
         self.compile_seconds = self._reply()
 
     def begin(self) -> None:
-        """Restart with a new mapper, and restart its cost meter."""
+        """Make a new mapper; its cost counts from now on."""
         self._request("begin")
 
     @property
     def ready(self) -> bool:
-        """Return whether the next answer is ready, or none will come.
-
-        An incomplete batch is not requested.
-        """
-        return bool(self._answers) or self._pipe.closed or (self._sent > 0 and self._pipe.poll())
+        """Whether to take the next answer now: it is there, none will come, or the drive waits for it."""
+        if not self._concurrent or self._answers or self._pipe.closed:
+            return True
+        return self._sent > 0 and self._pipe.poll()
 
     def give(self, observation: Observation) -> None:
         """Hand over a scan (see `Feeding`)."""
@@ -195,40 +193,21 @@ class MapperProcess:
         raise MapperError(f"mapper {self._name!r}: its process ended ({how}{memory})")
 
 
-def mapper_process(config: RunConfig, mapper: Mapper | CloudMapper) -> MapperProcess | None:
-    """Start the process of a run's mapper; None with one thread.
-
-    Args:
-        config: of the run.
-        mapper: that was made of it in this process.
-
-    Raises:
-        MapperError: it cannot be started.
-    """
-    return MapperProcess(config, reads_clouds=reads_clouds(mapper)) if config.threads > 1 else None
+def needs_process(mapper: str) -> bool:
+    """Whether a mapper is foreign code: `module:name`, or an adapter of a compiled system."""
+    return ":" in mapper or mapper in CLOUD_MAPPERS
 
 
-def ready_process(process: MapperProcess | None) -> MapperProcess | None:
-    """Return a process with a ready mapper.
-
-    Return None and warn if the process cannot create the mapper.
+def start_mapper(config: RunConfig) -> MapperProcess | None:
+    """Start the process of a run's mapper; None = it works in this one.
 
     Raises:
-        MapperError: the process ended.
+        ConfigError: the mapper cannot be made.
+        MapperError: the process cannot be started.
     """
-    if process is None:
+    if config.threads == 1 and not needs_process(config.mapper):
         return None
-    try:
-        process.wait_until_ready()
-    except ConfigError as error:
-        process.close()
-        warnings.warn(
-            f"no other process can make this mapper ({error}): it works in a thread of this one, which takes "
-            "turns with the simulation",
-            stacklevel=2,
-        )
-        return None
-    return process
+    return MapperProcess(config, concurrent=config.threads > 1)
 
 
 def _start_process(far: Connection) -> subprocess.Popen[bytes]:

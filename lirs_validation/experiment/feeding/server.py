@@ -1,4 +1,4 @@
-"""Server in a mapper's process: creates the mapper, feeds it, answers requests."""
+"""Program of a mapper's process: make the mapper, feed it, answer requests."""
 
 from __future__ import annotations
 
@@ -11,19 +11,18 @@ import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
-from lirs_validation.config import RunConfig
 from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
 from lirs_validation.experiment.feeding.feeding import update_mapper
 from lirs_validation.experiment.feeding.packing import ScanBatch, pack_pose, unpack_updates
 from lirs_validation.experiment.mapper_guard import guard_mapper
-from lirs_validation.experiment.mapper_loading import mapper_named, warm_up_mapper
+from lirs_validation.experiment.mapper_loading import MapperSpec, MapperTraits, mapper_named, warm_up_mapper
 from lirs_validation.interrupts import end_with
 from lirs_wct.errors import MapperError, WctError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import Mapper, MapperStats, reads_clouds, requires_odometry
 
 if sys.platform == "win32":
     from multiprocessing.connection import PipeConnection as Connection
@@ -77,18 +76,22 @@ def _outcome(server: _Server, name: str, arguments: Sequence[Any]) -> tuple[Any,
 class _Server:
     """A run's mapper; each method is a request."""
 
-    def prepare(self, config: RunConfig) -> float:
-        """Make the mapper and compile its kernels; return the seconds that the compiler took."""
-        self._config = config
+    def make(self, spec: MapperSpec) -> MapperTraits:
+        """Make the mapper; return its traits."""
+        self._spec = spec
         self.begin()
+        mapper = self._mapper
+        return MapperTraits(reads_clouds(mapper), requires_odometry(cast("Mapper", mapper)))
+
+    def warm_up(self) -> float:
+        """Compile the mapper's kernels; return the seconds that the compiler took."""
         with compile_timer() as compile_seconds:
-            warm_up_mapper(config.mapper)
+            warm_up_mapper(self._spec.mapper)
         return compile_seconds()
 
     def begin(self) -> None:
-        """Create a new mapper; exclude existing objects from garbage collection (see `frozen_heap`)."""
-        c = self._config
-        self._mapper = guard_mapper(mapper_named(c.mapper, c.seed), c)
+        """Make a new mapper; existing objects are excluded from garbage collection (see `frozen_heap`)."""
+        self._mapper = guard_mapper(mapper_named(self._spec.mapper, self._spec.seed), self._spec)
         gc.freeze()
         self._meter = CostMeter()
 

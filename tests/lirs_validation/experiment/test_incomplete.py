@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,7 @@ def test_a_log_whose_trajectory_leaves_out_scans_is_incomplete(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = str(ROOT / "examples" / "data" / "office.clf.gz")
-    monkeypatch.setattr("lirs_validation.logs.map_log.make_log_mapper", lambda config: FewPoses())
+    monkeypatch.setattr("lirs_validation.logs.map_log.log_mapper", lambda config: nullcontext(FewPoses()))
     record = map_log(log, mapper="hector").record
     assert record.status == "incomplete"
     assert record.trajectory["poses"] == 2
@@ -76,7 +77,9 @@ def test_a_log_during_which_the_place_was_lost_is_lost(monkeypatch: pytest.Monke
         def lost(self) -> bool:
             return 20 <= self.stats.received < 60
 
-    monkeypatch.setattr("lirs_validation.logs.map_log.make_log_mapper", lambda config: LostInBetween())
+    monkeypatch.setattr(
+        "lirs_validation.logs.map_log.log_mapper", lambda config: nullcontext(LostInBetween())
+    )
     record = map_log(ROOT / "examples" / "data" / "office.clf.gz", mapper="hector").record
     assert record.status == "lost"
     assert "40 of " in record.reason

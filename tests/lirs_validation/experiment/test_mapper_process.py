@@ -19,7 +19,7 @@ import pytest
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.experiment.feeding.packing import packed, packed_pose, unpacked, unpacked_pose
+from lirs_validation.experiment.feeding.packing import pack_pose, pack_updates, unpack_pose, unpack_updates
 from lirs_validation.experiment.feeding.process import BATCH, MapperProcess
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_guard import guard_mapper
@@ -85,17 +85,13 @@ def gone(pid: int) -> bool:
         return True
 
 
-def test_a_script_needs_no_guard_and_its_own_class_stays_in_a_thread() -> None:
+def test_a_script_needs_no_guard_and_its_own_class_needs_a_module() -> None:
     Path("script.py").write_text(SCRIPT.format(mappers=["hector", "__main__:Own"]))
     ran = subprocess.run(
-        [sys.executable, "script.py"], capture_output=True, text=True, env=environment(), check=True
+        [sys.executable, "script.py"], capture_output=True, text=True, env=environment(), check=False
     )
-    first, process, thread = ran.stdout.splitlines()
-    assert first == "imported"
-    assert (process.split()[0], thread.split()[0]) == ("process", "thread")
-    assert process.split()[1:] == thread.split()[1:]  # the same results
-    (told,) = [line for line in ran.stderr.splitlines() if "UserWarning" in line]
-    assert "no other process can make this mapper (mapper '__main__:Own': " in told
+    assert [line.split()[0] for line in ran.stdout.splitlines()] == ["imported", "process"]
+    assert "ConfigError: mapper '__main__:Own': " in ran.stderr
 
 
 @pytest.mark.parametrize(
@@ -112,7 +108,7 @@ def test_a_process_that_dies_is_told_in_a_line(mapper: str, how: str) -> None:
 
 def test_a_process_that_dies_before_a_batch_is_sent_keeps_nobody_waiting() -> None:
     (observation,) = validate("simple", seconds=1).log.observations[:1]
-    process = MapperProcess(RunConfig(source="simple"), reads_clouds=False)
+    process = MapperProcess(RunConfig(source="simple"), concurrent=True)
     process.wait_until_ready()
     process._process.kill()
     process._process.wait()
@@ -127,7 +123,7 @@ def test_a_process_that_dies_before_a_batch_is_sent_keeps_nobody_waiting() -> No
 
 def test_a_process_that_cannot_be_started_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    with pytest.raises(MapperError, match=r"hector.*no process of its own can be started .*--threads 1"):
+    with pytest.raises(MapperError, match="mapper 'hector': its process cannot be started"):
         validate("simple", seconds=1, threads=2)
 
 
@@ -180,7 +176,7 @@ def test_a_process_answers_as_the_mapper_does_and_begins_anew() -> None:
     updates = [(o.scan, o.odometry, o.imu) for o in observations]
     here = guard_mapper(mapper_named("gmapping", config.seed), config)
     expected = [here.update(*update) for update in updates]
-    with closing(MapperProcess(config, reads_clouds=False)) as process:
+    with closing(MapperProcess(config, concurrent=False)) as process:
         process.wait_until_ready()
         for _ in range(2):
             process.begin()
@@ -205,13 +201,13 @@ def test_what_is_sent_comes_out_to_the_bit() -> None:
         xyz = rng.normal(size=(4, 3)).astype(np.float32)
         cloud = PointCloud(xyz, np.arange(4, dtype=np.uint16), xyz[:, 0].copy(), rng.uniform(), mount)
         clouds.append((cloud, imu))
-    for (scan, *rest), (sent, *others) in zip(scans, unpacked(packed(scans)), strict=True):
+    for (scan, *rest), (sent, *others) in zip(scans, unpack_updates(pack_updates(scans)), strict=True):
         np.testing.assert_array_equal(scan.ranges, sent.ranges)
         assert replace(scan, ranges=sent.ranges) == sent
         assert rest == others
-    assert list(unpacked(packed(clouds))) == clouds
+    assert list(unpack_updates(pack_updates(clouds))) == clouds
     for pose in (Pose2(1.0, 2.0, 0.3), mount):
-        assert unpacked_pose(packed_pose(pose)) == pose
+        assert unpack_pose(pack_pose(pose)) == pose
 
 
 def test_two_processes_at_a_time_in_one_program() -> None:
