@@ -42,7 +42,7 @@ from lirs_validation.driving.waypoint_route import WaypointRoute
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.formats.waypoints import Waypoint
+from lirs_wct.formats.waypoints import RoutePoint
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
@@ -141,7 +141,7 @@ class OnTrueMap(DrivenPolicy):
         view, pace = self._env.view, driver_config(self.context.robot)
         start, surface = view.T_world_base.to_pose2(), view.world.surface
         if view.goal is not None:
-            goal = Waypoint(*view.goal)
+            goal = RoutePoint(*view.goal)
             route = WaypointRoute((goal,), self._free(start, view.goal), pace, surface)
             return PathDriver(route, start, pace)
         free = self._free(start, None)

@@ -23,7 +23,7 @@ from lirs_validation.driving.paths import (
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.waypoints import Waypoint
+from lirs_wct.formats.waypoints import RoutePoint
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
@@ -49,7 +49,7 @@ class WaypointRoute:
 
     def __init__(
         self,
-        waypoints: tuple[Waypoint, ...],
+        waypoints: tuple[RoutePoint, ...],
         free: OccupancyGrid,
         config: DriverConfig,
         surface: HeightField | None,
@@ -90,7 +90,7 @@ class WaypointRoute:
         near = cells[np.linalg.norm(self._grid.centers(cells) - np.array(point), axis=1) < radius]
         self._weight[near[:, 0], near[:, 1]] += 50.0
 
-    def _leg(self, start: FloatArray, waypoint: Waypoint) -> FloatArray:
+    def _leg(self, start: FloatArray, waypoint: RoutePoint) -> FloatArray:
         """Return (n, 2) points from the free cell nearest to a point to a waypoint."""
         first = nearest(self._free, self._grid.cells(start))
         goal = nearest(self._free, self._grid.cells((waypoint.x, waypoint.y)))
@@ -104,7 +104,7 @@ class WaypointRoute:
 
 def check_waypoints(
     path: File,
-    waypoints: tuple[Waypoint, ...],
+    waypoints: tuple[RoutePoint, ...],
     free: OccupancyGrid,
     robot: str,
     cause: Callable[[tuple[float, float]], str],
@@ -144,7 +144,7 @@ def check_waypoints(
             )
 
 
-def _nearest(free: OccupancyGrid, area: BoolArray | None, waypoint: Waypoint) -> str:
+def _nearest(free: OccupancyGrid, area: BoolArray | None, waypoint: RoutePoint) -> str:
     """Return a hint for an error: the nearest free and reachable place."""
     reached = free if area is None else OccupancyGrid.from_mask(~area, free.resolution, free.origin)
     place = nearest_place(reached, (waypoint.x, waypoint.y))

@@ -19,7 +19,7 @@ NAMES = ("x", "y", "yaw")
 
 
 @dataclass(frozen=True)
-class Waypoint:
+class RoutePoint:
     """A position to reach; `yaw` = heading there, None = any."""
 
     x: float
@@ -27,7 +27,7 @@ class Waypoint:
     yaw: float | None = None
 
 
-def read_waypoints(path: Path) -> tuple[Waypoint, ...]:
+def read_waypoints(path: Path) -> tuple[RoutePoint, ...]:
     """Read waypoints.
 
     Text and CSV: one waypoint per line, numbers separated by commas or blanks. `#` begins a comment, and a
@@ -85,7 +85,7 @@ def _values(entry: dict[Any, Any]) -> list[Any]:
     return [entry[name] for name in NAMES if name in entry] if known else []
 
 
-def _waypoint(path: Path, place: str, values: Any) -> Waypoint:
+def _waypoint(path: Path, place: str, values: Any) -> RoutePoint:
     try:
         numbers = [float(value) for value in values if not isinstance(value, bool)]
     except (TypeError, ValueError):
@@ -95,4 +95,4 @@ def _waypoint(path: Path, place: str, values: Any) -> Waypoint:
         raise SourceError(
             f"{path}: {place}: a waypoint is x, y and perhaps yaw (finite numbers), got {values!r}"
         )
-    return Waypoint(*numbers)
+    return RoutePoint(*numbers)
