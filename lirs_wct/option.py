@@ -166,10 +166,10 @@ Declared = TypeVar("Declared", bound=type[Options])
 
 def documented(options: Declared) -> Declared:
     """Append the help of each option to the attributes in the docstring of a class of options."""
-    text = inspect.cleandoc(options.__doc__ or "")
+    text, raises, errors = inspect.cleandoc(options.__doc__ or "").partition("\n\nRaises:")
     heading = () if "Attributes:" in text else ("", "Attributes:")
     lines = (f"    {name}: {found.help}" for name, found in declared(options))
-    options.__doc__ = "\n".join((text, *heading, *lines))
+    options.__doc__ = "\n".join((text, *heading, *lines)) + raises + errors
     return options
 
 

@@ -12,6 +12,7 @@ import typer
 from sphinx.application import Sphinx
 
 PLACE = "% COMMAND LINE"
+HIDDEN = "Rarely used, not in --help"
 PANEL = "Options"
 """Heading of options without a panel of their own, as Typer has it."""
 
@@ -59,11 +60,14 @@ def _panels(command: Any, context: Any) -> Iterator[str]:
     """Yield a table of the arguments, and one of each panel of options."""
     panels: dict[str, list[str]] = {}
     for parameter in command.get_params(context):
+        hidden = getattr(parameter, "hidden", False)
+        parameter.hidden = False  # else it has no record
         record = parameter.get_help_record(context)
+        parameter.hidden = hidden
         if record is None or "--help" in parameter.opts:
             continue
         kind = "Arguments" if parameter.param_type_name == "argument" else PANEL
-        title = getattr(parameter, "rich_help_panel", None) or kind
+        title = HIDDEN if hidden else getattr(parameter, "rich_help_panel", None) or kind
         panels.setdefault(title, []).append(f"| {_cell(record[0], code=True)} | {_cell(record[1])} |")
     for title, rows in panels.items():
         yield f"**{title}**\n\n| | |\n|---|---|\n" + "\n".join(rows) + "\n"

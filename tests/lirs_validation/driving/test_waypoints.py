@@ -11,12 +11,12 @@ import pytest
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.waypoints import Waypoint, read_waypoints
+from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from tests.lirs_validation.driving.ride import DT, corridor, field, ride
 
-THREE = (Waypoint(1.0, 2.0), Waypoint(-3.0, 4.5, 1.5), Waypoint(0.0, 0.0))
+THREE = (RoutePoint(1.0, 2.0), RoutePoint(-3.0, 4.5, 1.5), RoutePoint(0.0, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def two_rooms() -> OccupancyGrid:
     ],
 )
 def test_places_where_the_robot_cannot_be_are_named(place: tuple[float, float], says: str) -> None:
-    given = (Waypoint(1.0, 1.0), Waypoint(2.0, 5.0), Waypoint(*place))
+    given = (RoutePoint(1.0, 1.0), RoutePoint(2.0, 5.0), RoutePoint(*place))
     with pytest.raises(
         SourceError, match=rf"^way\.csv: waypoint 3 \(.*\):? {says}; nearest place: 2\.95,[\d.]+$"
     ):
@@ -90,7 +90,7 @@ def test_places_where_the_robot_cannot_be_are_named(place: tuple[float, float], 
     check_waypoints(Path("way.csv"), given[:2], two_rooms(), "husky", str)
 
 
-def drive(free: OccupancyGrid, way: tuple[Waypoint, ...], seconds: float) -> tuple[PathDriver, np.ndarray]:
+def drive(free: OccupancyGrid, way: tuple[RoutePoint, ...], seconds: float) -> tuple[PathDriver, np.ndarray]:
     config = DriverConfig()
     start = Pose2(way[0].x, way[0].y, way[0].yaw or 0.0)
     driver = PathDriver(WaypointRoute(way[1:], free, config, None), start, config)
@@ -102,11 +102,11 @@ def test_waypoints_are_passed_in_their_order_round_obstacles(seed: int) -> None:
     free, touching = field(seed)
     config, cells = DriverConfig(), np.argwhere(free.free)
     rng = np.random.default_rng(seed)
-    picked: list[Waypoint] = []
+    picked: list[RoutePoint] = []
     while len(picked) < 5:
         x, y = free.centers(cells[rng.integers(len(cells))]).tolist()
         if abs(x) < 12 and abs(y) < 12:
-            picked.append(Waypoint(x, y))
+            picked.append(RoutePoint(x, y))
     check_waypoints(Path("w"), tuple(picked), free, "husky", str)
     driver, poses = drive(free, tuple(picked), 240.0)
     assert driver.finished == "the last waypoint is reached"
@@ -120,7 +120,7 @@ def test_waypoints_are_passed_in_their_order_round_obstacles(seed: int) -> None:
 
 
 def test_the_robot_faces_where_a_waypoint_says_and_then_goes_on() -> None:
-    way = (Waypoint(1.0, 1.5), Waypoint(6.0, 1.5, math.pi / 2), Waypoint(12.0, 1.5, math.pi))
+    way = (RoutePoint(1.0, 1.5), RoutePoint(6.0, 1.5, math.pi / 2), RoutePoint(12.0, 1.5, math.pi))
     driver, poses = drive(corridor(width=3.0), way, 60.0)
     assert driver.finished
     for waypoint in way[1:]:
@@ -132,7 +132,7 @@ def test_the_robot_faces_where_a_waypoint_says_and_then_goes_on() -> None:
 
 def test_a_blocked_way_ends_stuck_and_not_finished() -> None:
     config, start = DriverConfig(), Pose2(1.0, 1.5)
-    route = WaypointRoute((Waypoint(12.0, 1.5),), corridor(width=3.0), config, None)
+    route = WaypointRoute((RoutePoint(12.0, 1.5),), corridor(width=3.0), config, None)
     driver = PathDriver(route, start, config)
     ride(driver, start, 120.0, blocked=lambda pose: pose.x > 5.0)
     assert driver.stuck
