@@ -31,6 +31,8 @@ BRIDGED = 5
 """Distance from the nearest point up to which a gap counts as ground, nodes."""
 WARNED_SHARE = 0.01
 """Share of mountain area above which a warning appears."""
+MOST_CELLS, SPARSEST = 1e7, 1000.0
+"""Cells of the ground filter, and cells per point, one of which may be exceeded."""
 EMPTY = 0.9
 """Share of nodes without a point above which a cloud is refused."""
 
@@ -115,6 +117,7 @@ def _chosen(
     filtering = Smrf()
     if options.ground_slope is not None:
         filtering = Smrf(slope=options.ground_slope, mountain=math.inf)
+    _check_extent(path, xyz, filtering.cell)
     found, mountains = ground_points(xyz, filtering)
     if mountains > WARNED_SHARE:
         warnings.warn(
@@ -123,6 +126,20 @@ def _chosen(
             stacklevel=4,
         )
     return found, "the ground by SMRF (Pingel 2013)"
+
+
+def _check_extent(path: Path, xyz: FloatArray, cell: float) -> None:
+    """Refuse a cloud whose stray points would make the ground filter's grid far larger than its points.
+
+    Raises:
+        SourceError: there are over `MOST_CELLS` cells, and over `SPARSEST` per point.
+    """
+    width, depth = np.ptp(xyz[:, :2], axis=0)
+    if width * depth > max(MOST_CELLS, SPARSEST * len(xyz)) * cell**2:
+        raise SourceError(
+            f"{path}: {len(xyz)} points spread over {width:.4g} x {depth:.4g} m, at least one per "
+            f"{SPARSEST:g} cells of {cell:g} m is needed; some may be stray: keep a part by --window X,Y,SIDE"
+        )
 
 
 def _grid(path: Path, xyz: FloatArray, options: BuildOptions) -> NodeGrid:

@@ -380,3 +380,12 @@ def test_what_is_no_las_file_says_so_and_asks_for_no_package(
     path.write_bytes(content)
     with pytest.raises(SourceError, match=rf"a\.{suffix}: is not a LAS file: .*b'LASF'"):
         build_world(path)
+
+
+def test_a_stray_point_far_off_is_refused_at_once(tmp_path: Path) -> None:
+    xyz = np.random.default_rng(1).uniform(0, 20, (2000, 3))
+    xyz[0, :2] = 9000.0
+    path = tmp_path / "stray.ply"
+    trimesh.PointCloud(xyz).export(path)
+    with pytest.raises(SourceError, match=r"stray\.ply: 2000 points spread over .* --window"):
+        build_world(str(path))
