@@ -181,13 +181,15 @@ def positive(value: float | Iterable[float], label: str) -> None:
 
 
 def within(legal: str, unit: str = "") -> Check:
-    """Return a check that a number lies in an interval such as "[0, inf)"; NaN is illegal."""
+    """Return a check that a number lies in an interval such as "[0, inf)" or "(0, 360]"; NaN never does."""
     low, high = (float(bound) for bound in legal[1:-1].split(","))
+    closed = legal[0] == "["
+    words = f"within {legal}" if high < math.inf else f"{'at least' if closed else 'above'} {low:g}"
 
     def check(value: float, label: str) -> None:
-        above = value >= low if legal[0] == "[" else value > low
+        above = value >= low if closed else value > low
         if not (above and (value <= high if legal[-1] == "]" else value < high)):
-            raise ConfigError(f"{label} must be within {legal}{unit and f' {unit}'}, got {value}")
+            raise ConfigError(f"{label} must be {words}{unit and f' {unit}'}, got {value}")
 
     return check
 

@@ -73,10 +73,14 @@ class MapperProcess:
         self._given: list[tuple[Any, ...]] = []
         self._answers: deque[Answer | Exception] = deque()
         self._sent = 0
-        self._send("make", MapperSpec(config.mapper, config.seed, config.attitude))
-        traits: MapperTraits = self._reply()
+        try:
+            self._send("make", MapperSpec(config.mapper, config.seed, config.attitude))
+            traits: MapperTraits = self._reply()
+            self._send("warm_up")
+        except BaseException:
+            self._end()  # a traceback may keep this object for long
+            raise
         self.reads_clouds, self.requires_odometry = traits.reads_clouds, traits.requires_odometry
-        self._send("warm_up")
 
     def wait_until_ready(self) -> None:
         """Wait until the mapper's kernels are compiled.

@@ -52,7 +52,6 @@ def test_a_folder_of_something_else_is_not_replaced(wct: Any, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("validate", "simple", "--storage", "mcap"), "--storage is an option of bags: give --bag"),
         (("validate", "simple", "--sensors-only"), "--sensors-only is an option of bags: give --bag"),
         (("record", "simple", "--storage", "zip"), "--storage must be mcap or sqlite3, got 'zip'"),
         (("record",), "nothing to validate"),

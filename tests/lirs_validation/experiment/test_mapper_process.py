@@ -26,7 +26,7 @@ from lirs_validation.experiment.mapper_guard import guard_mapper
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.run import prepare
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_wct.errors import MapperError, SourceError
+from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -125,6 +125,13 @@ def test_a_process_that_cannot_be_started_is_told(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     with pytest.raises(MapperError, match="mapper 'hector': its process cannot be started"):
         validate("simple", seconds=1, threads=2)
+
+
+def test_nothing_is_left_of_a_mapper_that_cannot_be_made() -> None:
+    with pytest.raises(ConfigError, match="no class 'Missing'") as kept:
+        MapperProcess(RunConfig(source="simple", mapper="own_slam:Missing"), concurrent=False)
+    assert kept.tb is not None
+    assert not mapper_processes()
 
 
 def test_nothing_is_left_of_a_run_whose_world_cannot_be_built() -> None:

@@ -193,7 +193,7 @@ BAD = {
     "seed": ({"seed": -1}, ConfigError, "seed must be at least 0, got -1"),
     "cells": ({"resolution": 1e-5}, ConfigError, "resolution must be within [0.01, 1] m, got 1e-05"),
     "no field of view": ({"fov": 0.0}, ConfigError, "fov must be within (0, 360] deg, got 0.0"),
-    "no range": ({"range_max": float("nan")}, ConfigError, "range_max must be a finite number above 0 m"),
+    "no range": ({"range_max": float("nan")}, ConfigError, "range max must be a finite number above 0"),
     "no relations": ({"relations": "none.relations"}, SourceError, "none.relations: "),
     "no reference": ({"reference": "none.tum"}, SourceError, "none.tum: "),
 }

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from lirs_validation.config import EngineOptions
 from lirs_validation.sweep.engines import Limits
 from lirs_validation.sweep.ray_engine import perform_remotely
 from lirs_validation.sweep.sweep import Sweep, make_executor
@@ -28,7 +29,7 @@ def test_a_cluster_of_two_workers_survives_the_death_of_one(
         for k, manner in enumerate(manners)
     ]
     sweep = Sweep(experiments, tmp_path / "out")
-    outcomes = list(sweep.run(make_executor("ray", jobs=2)))
+    outcomes = list(sweep.run(make_executor(EngineOptions(engine="ray", jobs=2))))
 
     assert sorted(outcome.experiment for outcome in outcomes) == [
         experiment.name for experiment in experiments
@@ -51,7 +52,7 @@ def test_where_no_cluster_answers_it_is_said(tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     sweep = Sweep([FakeExperiment("a", str(tmp_path / "notes"))], tmp_path / "out")
     with pytest.raises(ConfigError, match=r"--address 127\.0\.0\.1:1: no Ray cluster answers there"):
-        list(sweep.run(make_executor("ray", address="127.0.0.1:1")))
+        list(sweep.run(make_executor(EngineOptions(engine="ray", address="127.0.0.1:1"))))
 
 
 @pytest.mark.parametrize("limits", [Limits(), Limits(seconds=60.0)])
