@@ -10,8 +10,6 @@ from typing import Any, NoReturn, cast
 
 import numpy as np
 
-from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import DRIVERS, Attitude, MapConfig, RunConfig, driver_parts
 from lirs_validation.experiment.mapper_loading import MapperSpec
 from lirs_validation.interrupts import is_interrupt
@@ -313,6 +311,10 @@ def check_sensors(mapper: Any, config: RunConfig) -> None:
     Raises:
         ConfigError: a mapper of point clouds has a planar lidar, or a driver that needs an occupancy map.
     """
+    # Who maps a log does not load the simulator.
+    from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
+    from lirs_envs.robots.catalog import make_robot
+
     if not reads_clouds(mapper):
         return
     lidar = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)

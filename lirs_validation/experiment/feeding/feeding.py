@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from lirs_envs.sensing.sensors import Observation
 from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from slam_baselines.mapper import Mapper
+
+if TYPE_CHECKING:
+    from lirs_envs.sensing.sensors import Observation
 
 
 class Feeding(Protocol):

@@ -11,10 +11,9 @@ from collections import deque
 from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 from weakref import finalize
 
-from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.experiment.cost import Cost
 from lirs_validation.experiment.feeding.feeding import Answer, Place, update_arguments
@@ -24,6 +23,9 @@ from lirs_wct.errors import MapperError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats
+
+if TYPE_CHECKING:
+    from lirs_envs.sensing.sensors import Observation
 
 BATCH = 8
 """Scans that are sent together; a message takes as long as a tenth of a tick."""
