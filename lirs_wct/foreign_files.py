@@ -6,7 +6,8 @@ and its content is unchanged. Every other file is the user's.
 
 1. Before the exchange, `link_foreign` makes the user's files visible in the new folder. A file gets a hard
    link. A folder gets a symbolic link to its path after the exchange, called bridge here. Thus a program that
-   saves into `w/mine/` reaches the same folder at every moment.
+   saves into `w/mine/` reaches the same folder; a path that is resolved at the very moment of step 2 can fail
+   with ELOOP, which the program sees as an error.
 2. After the exchange, `move_foreign` exchanges each bridge with its folder, moves the files that appeared
    late, and removes our own unchanged files. It removes a folder only when that is empty.
 
