@@ -48,6 +48,12 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | Close
         )
     if options.window is not None and overhangs:
         raise ConfigError(f"{path}: has overhangs, --window cannot cut it")
+    if no_ground.any():
+        warnings.warn(
+            f"{path}: {int(no_ground.sum())} of {no_ground.size} nodes have no ground, "
+            "set to the lowest height",
+            stacklevel=3,
+        )
     given = options.size or options.height or options.scale or options.z_scale
     scale = "as given" if given else "the file's own"
     gaps = no_ground if closed and no_ground.any() else None
@@ -72,11 +78,6 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
     if no_ground.all():
         raise SourceError(f"{path}: has no face that is seen from above")
     if no_ground.any():
-        warnings.warn(
-            f"{path}: {int(no_ground.sum())} of {no_ground.size} nodes have no ground, "
-            "set to the lowest height",
-            stacklevel=4,
-        )
         top[no_ground] = mesh.bounds[0, 2]
     if options.window is not None:
         top -= top.min()
