@@ -24,6 +24,8 @@ Entry = str | list[str]
 MODES = ("trinary", "scale", "raw")
 MAX_RESOLUTION = 1000.0
 """Meters of a cell's edge: a map of robots has cells of centimeters."""
+FARTHEST = 1e9
+"""Meters of an origin's coordinates at most; farther ones cannot tell cells apart."""
 BLACK, WHITE, UNKNOWN = 0, 254, 205
 """Pixels of occupied, free and unknown cells, as map_saver writes them."""
 WRITTEN_FREE = 0.196
@@ -162,6 +164,9 @@ def _check_metadata(metadata: MapMetadata) -> MapMetadata:
             f"resolution must be a finite number above 0, at most {MAX_RESOLUTION:g} m, "
             f"got {metadata.resolution}"
         )
+    origin = metadata.origin
+    if not max(abs(origin.x), abs(origin.y)) <= FARTHEST:
+        raise ValueError(f"origin must lie within {FARTHEST:g} m, got {origin.x:g}, {origin.y:g}")
     if metadata.mode not in MODES:
         raise ValueError(f"unknown mode {metadata.mode!r}; legal: {', '.join(MODES)}")
     if not 0 <= metadata.free_thresh <= metadata.occupied_thresh <= 1:
