@@ -22,8 +22,7 @@ from lirs_validation import read_record
 from lirs_validation.analysis.as_published import SUFFIX, conclusion, outcome_of, published_pairs
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.report.tables.run_tables import method_tables
-from lirs_validation.report.tables.table import as_markdown
+from lirs_validation.report.run_tables import method_tables
 from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep, make_executor
@@ -61,7 +60,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         entries = driven(configs, given.output or Path(temporary), given.jobs)
     for table in method_tables(entries):
-        print(as_markdown(table))
+        print(table.as_markdown())
     if given.json:
         given.json.write_text(json.dumps(rows(entries), indent=1) + "\n", encoding="utf-8")
 

@@ -29,7 +29,7 @@ from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import METRICS
 from lirs_validation.record.run_record import succeeded
-from lirs_validation.report.tables.table import ReportTable, as_markdown
+from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep, make_executor
@@ -78,7 +78,7 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         entries = driven(configs_of(given), given.output or Path(temporary), given.jobs)
-    print(as_markdown(table(entries)))
+    print(table(entries).as_markdown())
     if given.json:
         given.json.write_text(json.dumps(rows(entries), indent=1) + "\n", encoding="utf-8")
 

@@ -30,7 +30,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_validation.report.tables.sweep_tables import verdicts_table
+from lirs_validation.report.collision_tables import verdicts_table
 from lirs_wct.errors import WctError
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World

@@ -29,7 +29,7 @@ from lirs_validation import RunConfig, RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.report.tables.sweep_tables import sweep_tables
+from lirs_validation.report.run_tables import sweep_tables
 from lirs_validation.sweep.engines import Executor, Processes, Serial
 from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment

@@ -5,14 +5,17 @@ A killed process leaves temporary files behind. The next write of the same path 
 
 from __future__ import annotations
 
+import csv
+import json
 import os
 import re
 import secrets
 import shutil
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from lirs_wct.errors import OutputError
 from lirs_wct.foreign_files import link_foreign, move_foreign, write_manifest
@@ -53,6 +56,29 @@ def atomic_write(path: Path) -> Iterator[Path]:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         _WRITING.discard(temporary.name)
+
+
+def write_json(path: Path, document: object, default: Callable[[Any], Any] | None = None) -> None:
+    """Write a document as JSON; `default` converts values that JSON lacks.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_write(path) as temporary:
+        text = json.dumps(document, indent=1, allow_nan=False, default=default)
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], without_rows: Sequence[str]) -> None:
+    """Write rows as CSV; the header is that of the first row, or `without_rows`.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]) if rows else without_rows)
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 @contextmanager

@@ -19,8 +19,6 @@ Forces, tip-overs and stuck time are reported without a limit: they belong to th
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -39,7 +37,7 @@ from lirs_validation.collision.slope_test import climb
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_seed
-from lirs_wct.files import atomic_write
+from lirs_wct.files import write_csv, write_json
 from lirs_wct.world import World
 
 STREAM = 21
@@ -205,15 +203,7 @@ def write_verdicts(folder: Path, verdicts: Sequence[CollisionVerdict]) -> tuple[
     Raises:
         OutputError: the folder cannot be written.
     """
-    document = {"schema": SCHEMA, "collisions": [verdict.as_dict() for verdict in verdicts]}
-    with atomic_write(folder / "collisions.json") as path:
-        path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    with (
-        atomic_write(folder / "collisions.csv") as path,
-        path.open("w", newline="", encoding="utf-8") as file,
-    ):
-        rows = [asdict(verdict) | {"passed": verdict.passed} for verdict in verdicts]
-        writer = csv.DictWriter(file, list(rows[0]) if rows else ["world"])
-        writer.writeheader()
-        writer.writerows(rows)
-    return folder / "collisions.json", folder / "collisions.csv"
+    paths = folder / "collisions.json", folder / "collisions.csv"
+    write_json(paths[0], {"schema": SCHEMA, "collisions": [verdict.as_dict() for verdict in verdicts]})
+    write_csv(paths[1], [asdict(v) | {"passed": v.passed} for v in verdicts], without_rows=("world",))
+    return paths

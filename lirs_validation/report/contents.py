@@ -10,9 +10,10 @@ from lirs_validation.analysis.result_folders import ResultFolder, RunFolder
 from lirs_validation.record.formatting import Entry
 from lirs_validation.record.metric_catalog import Section
 from lirs_validation.record.run_record import succeeded
+from lirs_validation.report.collision_tables import checks_failed_table, collision_table
 from lirs_validation.report.paper import Finding, findings, paper_tables
 from lirs_validation.report.provenance import Origin, commands_table, origins_of
-from lirs_validation.report.tables.run_tables import (
+from lirs_validation.report.run_tables import (
     SECTIONS,
     failures_table,
     method_tables,
@@ -20,8 +21,7 @@ from lirs_validation.report.tables.run_tables import (
     section_by_run,
     summary_table,
 )
-from lirs_validation.report.tables.sweep_tables import checks_failed_table, collision_table
-from lirs_validation.report.tables.table import ReportTable
+from lirs_validation.report.table import ReportTable
 
 
 @dataclass(frozen=True)

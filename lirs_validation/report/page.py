@@ -24,7 +24,7 @@ from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.contents import Report, seeds_text
 from lirs_validation.report.pictures import Painter
-from lirs_validation.report.tables.table import ReportTable
+from lirs_validation.report.table import ReportTable
 
 MOST_PICTURES = 120
 """Largest number of runs with pictures; of more runs, the first seed of each group is shown."""

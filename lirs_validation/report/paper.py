@@ -10,8 +10,8 @@ from typing import Final, Literal
 from lirs_validation.record.formatting import Entry, significant, span
 from lirs_validation.record.metric_catalog import Metric, metrics_named
 from lirs_validation.record.run_record import succeeded
-from lirs_validation.report.tables.run_tables import EXTRAPOLATED, over_runs
-from lirs_validation.report.tables.table import Content, MetricSpread, ReportTable
+from lirs_validation.report.run_tables import EXTRAPOLATED, over_runs
+from lirs_validation.report.table import Content, MetricSpread, ReportTable
 
 HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
 VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}

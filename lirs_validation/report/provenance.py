@@ -11,7 +11,7 @@ from typing import Any
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.config import RunConfig
 from lirs_validation.record.formatting import Entry
-from lirs_validation.report.tables.table import ReportTable
+from lirs_validation.report.table import ReportTable
 from lirs_wct.errors import WctError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.option import Options, changed, declared

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +13,7 @@ from lirs_validation.interrupts import is_interrupt
 from lirs_validation.record.provenance import machine, versions
 from lirs_validation.record.run_record import SUCCEEDED, Status, plain
 from lirs_wct.errors import MapperError, OutputError, WctError
-from lirs_wct.files import atomic_write
+from lirs_wct.files import write_json
 from lirs_wct.progress import Progress
 
 MANIFEST = "sweep.json"
@@ -155,6 +154,4 @@ class Manifest:
         Raises:
             OutputError: the folder cannot be written.
         """
-        with atomic_write(folder / MANIFEST) as path:
-            text = json.dumps({"schema": MANIFEST_SCHEMA} | vars(self), indent=1, default=plain)
-            path.write_text(text + "\n", encoding="utf-8")
+        write_json(folder / MANIFEST, {"schema": MANIFEST_SCHEMA} | vars(self), plain)

@@ -146,7 +146,7 @@ def _show(
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
     from lirs_validation.bench.results import read_results
-    from lirs_validation.report.tables.bench_table import bench_table, score_line, write_scores
+    from lirs_validation.report.bench_table import bench_table, score_line, write_scores
 
     results = read_results(output, tasks, chosen)
     if not results:

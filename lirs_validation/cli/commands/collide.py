@@ -41,7 +41,7 @@ def collide(
     """Drive robots at random into obstacles and evaluate contacts: penetration, energy, slopes."""
     from lirs_envs.robots.catalog import make_robot
     from lirs_validation.collision.validation import write_verdicts
-    from lirs_validation.report.tables.sweep_tables import verdicts_table
+    from lirs_validation.report.collision_tables import verdicts_table
 
     robots = [make_robot(name) for name in read_names(robot, "--robot")]
     terrains = [mujoco_terrain(name) for name in read_names(terrain, "--terrain")]

@@ -50,7 +50,6 @@ def report(
     from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.report.contents import report_of
     from lirs_validation.report.page import page
-    from lirs_validation.report.tables.table import as_csv, as_markdown
 
     with err.status(f"reading {results}") as status:
         read = read_results(results)
@@ -61,9 +60,10 @@ def report(
     _write(output, html)
     if csv is not None:
         for table in contents.tables:
-            _write(csv / f"{table.key}.csv", as_csv(table))
+            _write(csv / f"{table.key}.csv", table.as_csv())
     if markdown is not None:
-        _write(markdown, f"# {contents.title}\n\n" + "\n".join(map(as_markdown, contents.tables)))
+        tables = [table.as_markdown() for table in contents.tables]
+        _write(markdown, "\n".join((f"# {contents.title}\n", *tables)))
     out.print(
         f"{output}: {len(contents.runs)} runs, {len(html.encode()) / 1e6:.1f} MB",
         soft_wrap=True,
@@ -86,7 +86,7 @@ def compare(
     from lirs_validation.analysis.compare import only
     from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
-    from lirs_validation.report.tables.compare_tables import (
+    from lirs_validation.report.compare_tables import (
         compare_table,
         write_compare_csv,
         write_compare_json,
@@ -137,7 +137,7 @@ def score(
     from lirs_validation.analysis.result_folders import read_run
     from lirs_validation.analysis.score import check_frame
     from lirs_validation.analysis.score import score as scored
-    from lirs_validation.report.tables.compare_tables import score_table, write_score
+    from lirs_validation.report.compare_tables import score_table, write_score
 
     if trajectory is None and map_yaml is None:
         raise ConfigError("nothing to score: give --trajectory, --map or both")

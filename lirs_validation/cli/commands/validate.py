@@ -147,7 +147,7 @@ def _check_free(folder: Path, experiment: SlamExperiment) -> None:
 
 
 def _show(sweep: Sweep) -> None:
-    from lirs_validation.report.tables.sweep_tables import sweep_tables
+    from lirs_validation.report.run_tables import sweep_tables
 
     if not sweep.outcomes:
         return

@@ -18,8 +18,8 @@ from lirs_validation.analysis.as_published import (
     published_pairs,
 )
 from lirs_validation.record.formatting import Entry
-from lirs_validation.report.tables.run_tables import method_tables
-from lirs_validation.report.tables.table import MetricSpread
+from lirs_validation.report.run_tables import method_tables
+from lirs_validation.report.table import MetricSpread
 from tests.lirs_validation.records import entry
 
 ODOMETRY = 0.2

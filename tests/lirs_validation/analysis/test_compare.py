@@ -18,7 +18,7 @@ from scipy import stats
 from lirs_validation.analysis.compare import compare, only
 from lirs_validation.analysis.statistics import holm, paired_test, repeats
 from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
-from lirs_validation.report.tables.compare_tables import compare_table, write_compare_csv, write_compare_json
+from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.records import entry
 

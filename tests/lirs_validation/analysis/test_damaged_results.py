@@ -17,7 +17,7 @@ from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.contents import report_of
-from lirs_validation.report.tables.run_tables import results_table
+from lirs_validation.report.run_tables import results_table
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import SourceError
 from tests.lirs_validation.records import record, saved, saved_whole

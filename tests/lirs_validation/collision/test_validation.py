@@ -22,7 +22,7 @@ from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import PERIOD, Leg, places
 from lirs_validation.collision.slope_test import climb
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions, write_verdicts
-from lirs_validation.report.tables.sweep_tables import verdicts_table
+from lirs_validation.report.collision_tables import verdicts_table
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
@@ -305,7 +305,7 @@ def test_files_and_table(blocks: World, tmp_path: Path) -> None:
     lines = sheet.read_text().splitlines()
     assert len(lines) == 3
     assert lines[0].startswith("world,robot,terrain")
-    caption = verdicts_table([good, bad]).table.caption
+    caption = verdicts_table([good, bad]).caption
     assert "seed 2: penetration, 99.9 % 20 mm, legal: at most 10 mm" in caption
 
 

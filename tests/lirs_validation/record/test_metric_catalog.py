@@ -25,11 +25,10 @@ from lirs_validation.record.metric_catalog import (
     picture_lines,
 )
 from lirs_validation.record.schema import record_schema
+from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
 from lirs_validation.report.contents import report_of
 from lirs_validation.report.page import page
-from lirs_validation.report.tables.compare_tables import compare_table, write_compare_csv, write_compare_json
-from lirs_validation.report.tables.run_tables import markdown_table, results_table
-from lirs_validation.report.tables.table import as_csv, as_markdown
+from lirs_validation.report.run_tables import results_table
 from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.records import entry
 
@@ -99,14 +98,14 @@ def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.Monk
         (tmp_path / run["name"]).mkdir()
         (tmp_path / run["name"] / "record.json").write_text(json.dumps(run))
     assert "1.23" in shown(results_table(runs))
-    assert "| blur [cm] |" in markdown_table(runs)
+    assert "| blur [cm] |" in results_table(runs).as_markdown()
     assert ("blur", "1.23 cm") in picture_lines(runs[0])
     report = report_of(read_results(tmp_path))
     tables = {table.key: table for table in report.tables}
     for key in ("summary", "map", "map-runs"):
-        row = next(csv.DictReader(io.StringIO(as_csv(tables[key]))))
+        row = next(csv.DictReader(io.StringIO(tables[key].as_csv())))
         assert float(row["blur [cm]"]) == pytest.approx(1.23)
-        assert "blur [cm]" in as_markdown(tables[key])
+        assert "blur [cm]" in tables[key].as_markdown()
     html = page(report, "lirs-wct report out")
     assert "median blur [cm]" in html
     assert html.count("blur [cm]") >= 5  # tile, summary, section by group and by run, distributions
@@ -125,6 +124,6 @@ def test_a_value_reads_alike_everywhere() -> None:
     run["collisions"]["max_penetration"] = 0.001234
     rtf, depth = metrics_named(["rtf.mean", "collisions.max_penetration"])
     assert rtf.formatted(rtf.of(run)) == "1234"
-    assert "| 1234 |" in markdown_table([run])
+    assert "| 1234 |" in results_table([run]).as_markdown()
     assert depth.formatted(depth.of(run)) == "1.23"
     assert dict(picture_lines(run))["deepest penetration"] == "1.23 mm"

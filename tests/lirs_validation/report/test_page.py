@@ -22,8 +22,8 @@ from lirs_validation.report.charts import INK
 from lirs_validation.report.contents import Report, report_of
 from lirs_validation.report.page import page
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
-from lirs_validation.report.tables.run_tables import group_table, summary_table
-from lirs_validation.report.tables.table import MetricSpread, ReportTable, as_csv, as_markdown
+from lirs_validation.report.run_tables import group_table, summary_table
+from lirs_validation.report.table import MetricSpread, ReportTable
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -125,12 +125,12 @@ def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
     assert isinstance(spread, MetricSpread)
     assert spread.values == expected
     assert spread.text == f"{expected.mean:.3f} ± {expected.half_width:.3f}"
-    rows = list(csv.DictReader(io.StringIO(as_csv(table))))
+    rows = list(csv.DictReader(io.StringIO(table.as_csv())))
     line = next(r for r in rows if r["world"] == "simple" and r["mapper"] == "gmapping")
     assert float(line["ATE [m]"]) == expected.mean
     assert float(line["ATE [m] std"]) == expected.std
     assert line["ATE [m] n"] == "3"
-    assert spread.text in as_markdown(table)
+    assert spread.text in table.as_markdown()
     assert "3 seeds" in report.subtitle
 
 
@@ -145,7 +145,7 @@ def test_a_mean_says_how_many_values_it_holds(tmp_path: Path) -> None:
     assert spread.text == "0.800 (1 of 3)"
     assert "(n of N): n of the N runs have this value." in report.summary.caption
     assert "median F1 (1 of 3 runs)" in html
-    line = next(csv.DictReader(io.StringIO(as_csv(report.summary))))
+    line = next(csv.DictReader(io.StringIO(report.summary.as_csv())))
     assert (line["F1 n"], line["F1 of"], line["ATE [m] of"]) == ("1", "3", "3")
 
 
@@ -154,7 +154,7 @@ def test_one_seed_says_that_it_is_one(tmp_path: Path) -> None:
     report, html = reported(tmp_path)
     assert "One seed: one run&#39;s values, without any interval." in html
     assert "one seed" in report.subtitle
-    assert "±" not in as_markdown(report.summary)
+    assert "±" not in report.summary.as_markdown()
 
 
 def test_seeds_are_counted_in_each_group(tmp_path: Path) -> None:
@@ -311,7 +311,7 @@ def test_numbers_have_three_digits_that_count() -> None:
         "10.00",
     ]
     assert MetricSpread(metrics_in("rtf")[0], None).text == "-"
-    assert as_markdown(ReportTable("k", "T", "c", ("a|b",), (("x|y",),))).count("x\\|y") == 1
+    assert ReportTable("k", "T", "c", ("a|b",), (("x|y",),)).as_markdown().count("x\\|y") == 1
 
 
 def test_who_holds_in_which_world_stands_in_one_row_and_in_words(tmp_path: Path) -> None:

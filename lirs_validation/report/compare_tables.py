@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 from lirs_validation.analysis.compare import LEVEL, Comparison, Difference
-from lirs_validation.analysis.groups import FIELDS, RunGroup, distinguishing_fields
+from lirs_validation.analysis.groups import FIELDS, distinguishing_fields
 from lirs_validation.analysis.score import Score
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import WORSE, metrics_in, worse_than_odometry
-from lirs_validation.report.tables.table import FittedTable, ReportTable
-from lirs_wct.files import atomic_write
+from lirs_validation.report.table import ReportTable
+from lirs_wct.files import write_csv, write_json
 
 
-def compare_table(comparison: Comparison, names: tuple[str, str]) -> FittedTable:
+def compare_table(comparison: Comparison, names: tuple[str, str]) -> ReportTable:
     """Return the differences by group, significant ones bold, with a caption."""
     differences = comparison.differences
     shown = distinguishing_fields(d.group for d in differences)
@@ -32,9 +30,15 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> FittedTable
             name, *rest = difference_texts(d)
             rows.append((f"  {name}", *rest))
             styles.append("bold" if d.significant else "")
-    table = ReportTable("compare", "", reading(comparison), HEADINGS, tuple(rows), 1, remarks=False)
-    return FittedTable(
-        table, title=f"a = {names[0]}, b = {names[1]}", styles=styles, drop=("95 %", "p"), keep=("verdict",)
+    return ReportTable(
+        "compare",
+        f"a = {names[0]}, b = {names[1]}",
+        reading(comparison),
+        HEADINGS,
+        tuple(rows),
+        styles=tuple(styles),
+        drop=("95 %", "p"),
+        keep=("verdict",),
     )
 
 
@@ -103,11 +107,7 @@ def write_compare_csv(path: Path, comparison: Comparison) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        rows = [as_dict(d) for d in comparison.differences]
-        writer = csv.DictWriter(file, list(rows[0]) if rows else [*FIELDS])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_csv(path, [as_dict(d) for d in comparison.differences], without_rows=FIELDS)
 
 
 def write_compare_json(path: Path, comparison: Comparison, names: tuple[str, str]) -> None:
@@ -120,11 +120,10 @@ def write_compare_json(path: Path, comparison: Comparison, names: tuple[str, str
         "a": names[0],
         "b": names[1],
         "differences": [as_dict(d) for d in comparison.differences],
-        "only_a": _as_dicts(comparison.only_a),
-        "only_b": _as_dicts(comparison.only_b),
+        "only_a": [asdict(group) for group in comparison.only_a],
+        "only_b": [asdict(group) for group in comparison.only_b],
     }
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(path, document)
 
 
 def as_dict(d: Difference) -> dict[str, Any]:
@@ -141,10 +140,6 @@ def as_dict(d: Difference) -> dict[str, Any]:
     }
 
 
-def _as_dicts(groups: Sequence[RunGroup]) -> list[dict[str, Any]]:
-    return [asdict(group) for group in groups]
-
-
 def _failures(comparison: Comparison) -> list[str]:
     """Return a line per group with failed runs, which are in no mean."""
     lines = []
@@ -158,7 +153,7 @@ def _failures(comparison: Comparison) -> list[str]:
     return lines
 
 
-def score_table(score: Score, record: Mapping[str, Any]) -> FittedTable:
+def score_table(score: Score, record: Mapping[str, Any]) -> ReportTable:
     """Return the metrics of the score and of the run's own mapper."""
     lines = [f"{score.status}: {score.reason}"] if score.reason else []
     lines.append(f"read in the {score.frame} frame")
@@ -173,7 +168,7 @@ def score_table(score: Score, record: Mapping[str, Any]) -> FittedTable:
         if metric.of(entries["scored"]) is not None
     ]
     caption = "\n".join(("; ".join(lines), *worse))
-    return FittedTable(ReportTable("score", "", caption, ("metric", *entries), tuple(rows)), title=score.run)
+    return ReportTable("score", score.run, caption, ("metric", *entries), tuple(rows))
 
 
 def write_score(path: Path, score: Score, trajectory: Path | None, map_yaml: Path | None) -> None:
@@ -183,6 +178,5 @@ def write_score(path: Path, score: Score, trajectory: Path | None, map_yaml: Pat
         OutputError: the file cannot be written.
     """
     given = {"trajectory": trajectory, "map": map_yaml}
-    document = {"files": {key: None if p is None else str(p) for key, p in given.items()}} | asdict(score)
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    files = {key: None if p is None else str(p) for key, p in given.items()}
+    write_json(path, {"files": files} | asdict(score))

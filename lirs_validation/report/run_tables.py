@@ -1,11 +1,12 @@
-"""Tables of runs: one row a run or group, failures, methods as published."""
+"""Tables of runs: one row a run or group, failures, methods as published, all tables of a sweep."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
+
+from rich.console import RenderableType
+from rich.text import Text
 
 from lirs_validation.analysis.as_published import (
     MOST,
@@ -37,8 +38,11 @@ from lirs_validation.record.metric_catalog import (
     worse_lines,
     worse_than_odometry,
 )
-from lirs_validation.record.run_record import RunRecord, succeeded
-from lirs_validation.report.tables.table import Content, FittedTable, MetricSpread, ReportTable
+from lirs_validation.record.run_record import RunRecord, read_record, succeeded
+from lirs_validation.report.collision_tables import verdicts_table
+from lirs_validation.report.table import Content, MetricSpread, ReportTable
+from lirs_validation.sweep.collision_experiment import CollisionExperiment, read_verdict
+from lirs_validation.sweep.sweep import Sweep
 
 EXTRAPOLATED = "†"
 SECTIONS: dict[Section, str] = {
@@ -49,6 +53,8 @@ SECTIONS: dict[Section, str] = {
     "cost": "Cost",
 }
 """Sections of the report and their titles."""
+SINGLE = {"world", "robot", "mapper"}
+"""Fields with columns in the table of single runs, in addition to the seed."""
 MOST_NAMED = 12
 """Largest number of groups that a caption names one by one."""
 ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
@@ -67,8 +73,6 @@ ALWAYS = ("world", "robot", "mapper", "seed", "status")
 """Columns that are always shown."""
 LEAST = ("driven [m]",)
 """Columns that a narrow screen hides first."""
-COMMON = RUN_AXES
-"""Columns whose common value moves into the title."""
 
 
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
@@ -262,76 +266,30 @@ def _method_fields(groups: Sequence[RunGroup]) -> tuple[str, ...]:
     return ("world", "mapper", *rest)
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column: heading, function of a run's text, and whether it is one of FACTS."""
-
-    heading: str
-    text: Callable[[Entry], str]
-    fact: bool = False
-
-
-def results_table(records: Sequence[RunRecord | Entry]) -> FittedTable:
-    """Return the runs for the screen, with remarks on failed and inaccurate runs.
+def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
+    """Return the runs, failures first, with remarks on failed and inaccurate runs.
 
     Values that all runs share are in the title, so that the table fits a terminal of 80 characters.
     """
-    entries = failures_first(records)
-    shown = _columns(entries)
-    common = [c for c in shown if c.heading in COMMON and len({c.text(e) for e in entries}) == 1]
-    columns = [c for c in shown if c not in common]
+    entries = sorted(map(as_entry, records), key=succeeded)
+    shown = {*ALWAYS, *unusual_fields(map(RunGroup.of, entries))}
+    facts = [name for name in FACTS if name in shown]
+    metrics = [m for m in metrics_selected("runs") if not m.optional or _existing([m], entries)]
+    rows = [
+        (*(text_at(e, FACTS[name]) for name in facts), *(m.formatted(m.of(e)) for m in metrics))
+        for e in entries
+    ]
     table = ReportTable(
         "runs",
         "",
         _remarks(entries),
-        tuple(column.heading for column in columns),
-        tuple(tuple(column.text(entry) for column in columns) for entry in entries),
-        sum(column.fact for column in columns),
+        (*facts, *(metric.short or metric.heading for metric in metrics)),
+        tuple(rows),
+        len(facts),
+        styles=tuple(map(_style, entries)),
+        drop=LEAST,
     )
-    title = ", ".join(_column_title(entries[0], column) for column in common)
-    return FittedTable(table, title=title, styles=[_style(entry) for entry in entries], drop=LEAST)
-
-
-def markdown_table(records: Sequence[RunRecord | Entry]) -> str:
-    """Return the same table as Markdown, for a README."""
-    entries = failures_first(records)
-    columns = _columns(entries)
-    lines = [
-        "| " + " | ".join(c.heading for c in columns) + " |",
-        "|" + "|".join("---" if c.fact and c.heading != "seed" else "---:" for c in columns) + "|",
-    ]
-    for entry in entries:
-        cells = (c.text(entry).replace("|", "\\|") for c in columns)
-        lines.append("| " + " | ".join(cells) + " |")
-    remarks = _remarks(entries)
-    return "\n".join(lines) + "\n" + (f"\n{remarks}\n" if remarks else "")
-
-
-def failures_first(records: Sequence[RunRecord | Entry]) -> list[Entry]:
-    """Return the records as nested dicts, failures first."""
-    return sorted((as_entry(r) for r in records), key=succeeded)
-
-
-def _columns(entries: Sequence[Entry]) -> list[Column]:
-    shown = {*ALWAYS, *unusual_fields(map(RunGroup.of, entries))}
-    facts = [
-        Column(name, partial(text_at, key=key), fact=True) for name, key in FACTS.items() if name in shown
-    ]
-    metrics = [
-        m
-        for m in metrics_selected("runs")
-        if not m.optional or any(m.of(entry) is not None for entry in entries)
-    ]
-    return facts + [_metric_column(metric) for metric in metrics]
-
-
-def _metric_column(metric: Metric) -> Column:
-    return Column(metric.short or metric.heading, lambda entry: metric.formatted(metric.of(entry)))
-
-
-def _column_title(entry: Entry, column: Column) -> str:
-    text = column.text(entry)
-    return text if column.heading in ("robot", "mapper") else f"{column.heading} {text}"
+    return table.with_common_in_title(RUN_AXES, unnamed=("robot", "mapper"))
 
 
 def _style(entry: Entry) -> str:
@@ -351,3 +309,28 @@ def _remarks(entries: Sequence[Entry]) -> str:
             f"{run}{'' if succeeded(entry) else ' failed'}: {entry.get('reason') or entry['status']}"
         )
     return "\n".join((*lines, *worse_lines(entries)))
+
+
+def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:
+    """Yield tables of finished experiments: runs or groups, methods as published, verdicts."""
+    finished = [found for found in sweep.experiments if found.name in sweep.outcomes]
+    checks = [check for check in finished if isinstance(check, CollisionExperiment)]
+    entries = [_entry(sweep, run.name) for run in finished if run not in checks]
+    groups = by_group(entries)
+    if len(groups) < len(entries) or not set(distinguishing_fields(groups)) <= SINGLE:
+        if failures := failure_lines(entries):
+            yield Text("\n".join(failures), style="bold red")
+        yield summary_table(entries).titled("")
+    elif entries:
+        yield results_table(entries)
+    yield from method_tables(entries)
+    verdicts = [read_verdict(sweep.out / c.name) for c in checks if sweep.outcomes[c.name].succeeded]
+    if verdicts:
+        yield verdicts_table(verdicts)
+
+
+def _entry(sweep: Sweep, name: str) -> dict[str, Any]:
+    """Return a record without its series, to save memory."""
+    entry = read_record(sweep.out / name)
+    entry["rtf"].pop("series", None)
+    return entry

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,8 +9,8 @@ from lirs_validation.bench.policies import UPPER_BOUND
 from lirs_validation.bench.results import PolicyResult, share_of_bound
 from lirs_validation.bench.scores import PolicyScore
 from lirs_validation.record.formatting import NOTHING
-from lirs_validation.report.tables.table import FittedTable, ReportTable
-from lirs_wct.files import atomic_write
+from lirs_validation.report.table import ReportTable
+from lirs_wct.files import write_json
 
 MEASURES = {
     "navigation": "success weighted by path length (SPL)",
@@ -34,7 +33,7 @@ def interval(score: PolicyScore) -> str:
     return NOTHING if score.low is None else f"{score.low:.3f}, {score.high:.3f}"
 
 
-def bench_table(results: Sequence[PolicyResult], task: str) -> FittedTable:
+def bench_table(results: Sequence[PolicyResult], task: str) -> ReportTable:
     """Return the table of policies, the best first."""
     bound = next((result for result in results if result.policy.name == UPPER_BOUND), None)
     rows = tuple(_row(result, bound) for result in results)
@@ -46,7 +45,7 @@ def bench_table(results: Sequence[PolicyResult], task: str) -> FittedTable:
         caption += " *: gets simulator-only data."
     if len({result.score.count for result in results}) > 1:
         caption += " Not every policy has run on every task: their scores do not compare."
-    return FittedTable(ReportTable("bench", "", caption, HEADINGS, rows), drop=("failed", "collision"))
+    return ReportTable("bench", "", caption, HEADINGS, rows, drop=("failed", "collision"))
 
 
 def _row(result: PolicyResult, bound: PolicyResult | None) -> tuple[str, ...]:
@@ -77,8 +76,4 @@ def write_scores(path: Path, results: Sequence[PolicyResult], about: dict[str, o
         | {"tasks": {name: entry["metrics"]["score"] for name, entry in sorted(result.episodes.items())}}
         for result in results
     ]
-    with atomic_write(path) as temporary:
-        text = json.dumps(
-            about | {"interval": "percentile bootstrap over tasks", "policies": policies}, indent=1
-        )
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_json(path, about | {"interval": "percentile bootstrap over tasks", "policies": policies})
