@@ -86,7 +86,7 @@ def test_a_written_map_reads_back(
     [
         ("image: m.png\n", "resolution, origin"),
         ("image: m.png\nresolution: 0\norigin: [0, 0, 0]\n", "resolution must be a finite number above 0"),
-        ("image: m.png\nresolution: 1\norigin: [0, 1e300, 0]\n", "origin must lie within 1e+09 m, got 0, 1e+30"),
+        ("image: m.png\nresolution: 1\norigin: [0, 1e300, 0]\n", "origin must lie within 1e+09 m"),
         (f"image: m.png\n{KEYS}mode: cubic\n", "trinary, scale, raw"),
         ("image: m.png\nresolution: 1\norigin: [0]\n", "origin must be [x, y, yaw]"),
         (f"image: m.png\n{KEYS}free_thresh: 0.9\n", "free_thresh"),
