@@ -1,21 +1,25 @@
 # make demo   sets up .venv, drives a robot through the three bundled worlds, prints a table; pictures in out/demo/
-# make test   sets up .venv, runs every check
+# make test   sets up .venv, runs linters, type checks and the fast tests
+# make check  sets up .venv, runs the slow tests: browser, notebooks, README's programs, documentation
 # make docs   sets up .venv, builds the site into out/docs/; opens with out/docs/index.html
 PYTHON ?= python3
 BIN := .venv/bin
-PYTEST_ARGS ?= -n auto
+PYTEST_ARGS ?= -n auto --dist loadscope
 
-.PHONY: demo test docs clean
+.PHONY: demo test check docs clean
 
 demo: .venv/installed
 	$(BIN)/lirs-wct validate simple medium advanced --robot husky --mapper hector --seconds 120 --seed 1 -o out/demo
 
-test: .venv/installed-dev
+test: .venv/kernels
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/pytest $(PYTEST_ARGS)
+	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow"
+
+check: .venv/kernels
+	$(BIN)/pytest $(PYTEST_ARGS) -m slow
 
 docs: .venv/installed-docs
 	$(BIN)/python -m sphinx -b html -W --keep-going -q docs out/docs
@@ -37,3 +41,7 @@ clean:
 .venv/installed-dev: pyproject.toml | .venv/bin/python
 	$(BIN)/pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	@touch $@ .venv/installed
+
+.venv/kernels: | .venv/installed-dev
+	$(BIN)/python tests/compile_kernels.py
+	@touch $@

@@ -11,8 +11,8 @@ from hypothesis import settings
 import lirs_envs  # noqa: F401  before mujoco, so that it renders without a screen
 
 # Kernels compile inside the first example; a shared machine is slow at times.
-settings.register_profile("local", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True)
+settings.register_profile("local", deadline=None, max_examples=25)
+settings.register_profile("ci", settings.get_profile("local"), derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") == "true" else "local")
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -82,3 +82,11 @@ def picture(tmp_path: Path) -> Path:
     path = tmp_path / "hill.png"
     cv2.imwrite(str(path), (255 * np.exp(-3 * (x**2 + y**2))).astype(np.uint8))
     return path
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark every test of a page in a browser as slow."""
+    for item in items:
+        if "browser" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.slow)
