@@ -28,7 +28,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lirs_validation.experiment.cost import frozen_heap
 from lirs_validation.logs.reference import read_reference
 from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.metrics.relative_pose_error import (
@@ -131,8 +130,7 @@ def measure(job: tuple[str, str, int, float, Path]) -> dict[str, Any]:
     drive(make_mapper(name, seed=seed), log, min(scans, 300))  # compiles, or loads what is compiled
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     mapper = make_mapper(name, seed=seed)
-    with frozen_heap():
-        updates, seconds = drive(mapper, log, scans)
+    updates, seconds = drive(mapper, log, scans)
     stats = mapper.stats
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     used = stats.counts.get("nodes", stats.used)

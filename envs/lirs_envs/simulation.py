@@ -26,7 +26,6 @@ from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.field_validators import require_seed
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.rows import Rows
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
 
@@ -128,7 +127,7 @@ class Simulation:
         self._sensors = Sensors(self.robot, body, self.preset, self.caster, config.noise, self._seed)
         self._controller = make_controller(self.robot, body, self.world.surface)
         self._contacts = ContactMonitor(body.contact_drops)
-        self._controls: Rows[tuple[float, ...]] = Rows(_numbers, tuple, len(self.robot.rotors) or 2)
+        self._controls: list[tuple[float, ...]] = []
         self._initial_state: FloatArray | None = None
         self._initial_walkers = None if self.walkers is None else self.walkers.state()
         self.timing = Timing()
@@ -262,7 +261,7 @@ class Simulation:
 
         There is one row per control update.
         """
-        return self._controls.as_array()
+        return np.array(self._controls, dtype=np.float64).reshape(-1, len(self.robot.rotors) or 2)
 
     def replay(self, *, reference: bool = False) -> PhysicsReplay:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
@@ -296,7 +295,3 @@ class Simulation:
                 f"{self.robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
                 f"it slid or tipped to ({there.x:.2f}, {there.y:.2f})"
             )
-
-
-def _numbers(*values: float) -> tuple[float, ...]:
-    return values

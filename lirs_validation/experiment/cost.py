@@ -1,9 +1,7 @@
-"""Cost of a run: processor time, memory, compilation, contention; heap control."""
+"""Cost of a run: processor time, memory, compilation, contention."""
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import os
 import sys
 import tempfile
@@ -17,11 +15,10 @@ from typing import IO
 from numba.core.event import TimingListener, install_listener
 
 if sys.platform != "win32":
+    import fcntl
     import resource
 
 _SELF = Path("/proc/self")
-_M_MMAP_THRESHOLD, _MOST_KEPT = -3, 1 << 25
-"""Of GNU's malloc.h: the parameter, and the largest value that it sets by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,70 +85,6 @@ def compile_timer() -> Iterator[Callable[[], float]]:
     timer = TimingListener()
     with install_listener("numba:compiler_lock", timer):
         yield lambda: float(timer.duration) if timer.done else 0.0
-
-
-@contextmanager
-def frozen_heap() -> Iterator[None]:
-    """Exclude existing objects from garbage collection in a block.
-
-    The compiler and its modules hold a million objects: a look through them takes 0.1 s, in the middle of
-    whichever scan it falls on. New objects are collected as usual.
-    """
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-
-
-@contextmanager
-def clean_heap() -> Iterator[None]:
-    """Collect a block's garbage and return its memory to the system.
-
-    The parts of a figure hold each other. Python looks for such through all that is old only when a quarter
-    as much is new: the figures of several runs would stay.
-    """
-    with frozen_heap():
-        yield
-        gc.collect()
-    give_back_memory()
-
-
-@contextmanager
-def large_blocks_apart() -> Iterator[None]:
-    """Map large memory blocks individually with GNU's C library.
-
-    Each block from 1 MB on is then given back when it is freed.
-
-    It learns from freed blocks to keep blocks of up to 32 MB, and does so again after this: a run's arrays
-    fit between each other seldom, and some 50 MB more would be held. With another library, nothing happens.
-    """
-    _set_mmap_threshold(1 << 20)
-    try:
-        yield
-    finally:
-        _set_mmap_threshold(_MOST_KEPT)
-
-
-def _set_mmap_threshold(size: int) -> None:
-    if sys.platform == "linux":
-        with suppress(AttributeError):
-            ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, size)
-
-
-def give_back_memory() -> None:
-    """Return freed memory to the system; without GNU's C library, do nothing.
-
-    GNU's keeps freed blocks of up to 32 MB where a smaller one above them is in use. Each step of an
-    evaluation needs arrays of the maps' size for a while: some 50 MB would be held after it.
-    """
-    if sys.platform == "linux":
-        with suppress(AttributeError):
-            ctypes.CDLL(None).malloc_trim(0)
-
-
-if sys.platform != "win32":
-    import fcntl
 
 
 @dataclass

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from operator import attrgetter
-from pathlib import Path
-from typing import overload
 
 import numpy as np
 
@@ -16,12 +11,9 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_validation.experiment.cloud_elevation import CloudSample
 from lirs_validation.experiment.feeding.feeding import Place
 from lirs_validation.record.run_record import Status
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.rows import Rows
-from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
-from lirs_wct.spool import ArraySpool
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +45,11 @@ class Tick:
 class DriveLog:
     """Log of a drive.
 
-    It grows by one entry per scan, about 250 bytes in memory.
+    Each scan adds one entry; an hour's drive takes some hundred megabytes.
 
     Attributes:
+        start: where the driver had the robot set down, world frame.
+        spatial: whether the mapper estimates poses in space.
         observations: the mapper's inputs, without the clouds.
         clouds: some of these, of a mapper that reads them.
         walker_beams: which beams of each scan met a walker; empty where there are none.
@@ -67,56 +61,49 @@ class DriveLog:
         waiting: seconds of each tick in which the drive waited for the mapper.
         status: at the drive's end; `reason` explains it.
         concurrent: whether something else of ours ran at the same time.
-        start: where the driver had the robot set down, world frame.
         commands: of the driver, one per tick: the commands after the first observation, the second, ...
-        spatial: whether the mapper estimates poses in space.
         mapper_in: where it worked.
     """
 
-    observations: ObservationLog
-    walker_beams: ArraySpool[np.bool]
-    estimates: Rows[Pose2] | Rows[Pose3]
+    start: Pose2 = field(default_factory=Pose2)
+    spatial: bool = False
+    observations: list[Observation] = field(default_factory=list)
     clouds: CloudSample = field(default_factory=CloudSample)
-    truth: Rows[Pose3] = field(default_factory=lambda: Rows.of(Pose3))
+    walker_beams: list[BoolArray] = field(default_factory=list)
+    truth: list[Pose3] = field(default_factory=list)
+    estimates: list[Pose2 | Pose3] = field(default_factory=list)
+    commands: list[Twist] = field(default_factory=list)
     final: Trajectory | None = None
-    walls: array[float] = field(default_factory=lambda: array("d"))
-    mapper_seconds: array[float] = field(default_factory=lambda: array("d"))
-    waiting: array[float] = field(default_factory=lambda: array("d"))
+    walls: list[float] = field(default_factory=list)
+    mapper_seconds: list[float] = field(default_factory=list)
+    waiting: list[float] = field(default_factory=list)
     status: Status = "ok"
     reason: str = ""
     concurrent: bool = False
-    start: Pose2 = field(default_factory=Pose2)
-    commands: Rows[Twist] = field(default_factory=lambda: Rows.of(Twist))
-    spatial: bool = False
     mapper_in: Place = "drive"
-
-    @staticmethod
-    def begin(start: Pose2, *, spatial: bool = False, folder: Path | None = None) -> DriveLog:
-        """Return the log of a drive before its first scan.
-
-        Args:
-            start: where the driver has the robot set down, world frame.
-            spatial: whether the mapper estimates poses in space.
-            folder: of the files that hold what memory should not; they have no names, and are gone with the
-                process. None = the system's folder for temporary files.
-        """
-        estimates = Rows.of(Pose3) if spatial else Rows.of(Pose2)
-        return DriveLog(ObservationLog(folder), ArraySpool(folder), estimates, start=start, spatial=spatial)
 
     def add(self, tick: Tick, estimate: Pose2 | Pose3) -> None:
         """Append a tick's observation and true pose, and the mapper's estimate."""
         observation = tick.observation
-        if observation.cloud is not None and self.spatial:
-            self.clouds.offer(len(self.observations), observation.cloud, tick.walker_points)
+        if observation.cloud is not None:
+            if self.spatial:
+                self.clouds.offer(len(self.observations), observation.cloud, tick.walker_points)
+            scan = replace(observation.scan, ranges=observation.scan.ranges.copy())  # not the whole sweep
+            observation = replace(observation, scan=scan, cloud=None)
         self.observations.append(observation)
         if tick.walker_beams is not None:
             self.walker_beams.append(tick.walker_beams)
         self.truth.append(tick.T_world_base)
-        self.estimates.append(estimate)  # type: ignore[arg-type]  # of the mapper's kind
+        self.estimates.append(estimate)
 
     def forget_times(self) -> None:
         """Discard the times of the ticks so far."""
-        del self.walls[:], self.mapper_seconds[:], self.waiting[:]
+        self.walls, self.mapper_seconds, self.waiting = [], [], []
+
+    @property
+    def stamps(self) -> FloatArray:
+        """(n,) stamps of the scans, seconds."""
+        return np.array([observation.scan.stamp for observation in self.observations])
 
     @property
     def T_world_map(self) -> Pose2 | Pose3:  # noqa: N802  a frame pair
@@ -135,7 +122,7 @@ class DriveLog:
 
     def online(self) -> Trajectory:
         """Return the mapper's online estimates in the map frame."""
-        return Trajectory.from_poses(self.observations.stamps, self.estimates)
+        return Trajectory.from_poses(self.stamps, self.estimates)
 
     def scans_dropped(self, received: int) -> int:
         """Return the number of scans that the mapper dropped.
@@ -152,77 +139,7 @@ class DriveLog:
         T_odom_base = self.observations[0].odometry
         T_world_odom = self.truth[0].to_pose2() @ T_odom_base.inverse()
         return (
-            Trajectory.from_poses(self.observations.stamps, self.truth),
+            Trajectory.from_poses(self.stamps, self.truth),
             (self.online() if self.final is None else self.final).moved(self.T_world_map),
-            Trajectory.from_poses(self.observations.stamps, self.observations.odometry).moved(T_world_odom),
+            Trajectory.from_poses(self.stamps, [o.odometry for o in self.observations]).moved(T_world_odom),
         )
-
-
-LIDAR = attrgetter("angle_min", "angle_increment", "range_min", "range_max", "time_increment", "T_base_laser")
-"""Fields that all scans of a lidar share."""
-
-
-class ObservationLog(Sequence[Observation]):
-    """Growing sequence of observations without clouds.
-
-    All come from one robot; items are copies.
-
-    Attributes:
-        odometry: of the observations.
-        imu: of the observations.
-
-    Args:
-        folder: of the file of ranges; None = the system's folder for temporary files.
-    """
-
-    def __init__(self, folder: Path | None = None) -> None:
-        self._first: LaserScan | None = None
-        self._lidar: tuple[object, ...] = ()
-        self._ranges = ArraySpool[np.float32](folder)
-        self._stamps = array("d")
-        self.odometry = Rows.of(Pose2)
-        self.imu = Rows(Imu.from_row, attrgetter("row"), 9)
-
-    def append(self, observation: Observation) -> None:
-        """Add an observation of the same lidar.
-
-        Raises:
-            ValueError: the lidar is another one.
-            OutputError: the file of ranges cannot be written.
-        """
-        scan = observation.scan
-        if self._first is None:
-            self._first, self._lidar = replace(scan, ranges=scan.ranges[:0]), LIDAR(scan)
-        if LIDAR(scan) != self._lidar:
-            raise ValueError(f"a drive has one lidar: {self._lidar}, got {LIDAR(scan)}")
-        self._ranges.append(scan.ranges)
-        self._stamps.append(scan.stamp)
-        self.odometry.append(observation.odometry)
-        self.imu.append(observation.imu)
-
-    @property
-    def stamps(self) -> FloatArray:
-        """(n,) stamps of the scans, seconds."""
-        return np.array(self._stamps)
-
-    def __len__(self) -> int:
-        return len(self._stamps)
-
-    @overload
-    def __getitem__(self, index: int) -> Observation: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Observation]: ...
-    def __getitem__(self, index: int | slice) -> Observation | list[Observation]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(len(self))[index]]
-        scan = self._scan(self._ranges[index], self._stamps[index])
-        return Observation(scan, self.odometry[index], self.imu[index])
-
-    def __iter__(self) -> Iterator[Observation]:
-        columns = self._ranges, self._stamps, self.odometry, self.imu
-        for ranges, stamp, odometry, imu in zip(*columns, strict=True):
-            yield Observation(self._scan(ranges, stamp), odometry, imu)
-
-    def _scan(self, ranges: Float32Array, stamp: float) -> LaserScan:
-        assert self._first is not None
-        return replace(self._first, ranges=ranges, stamp=stamp)

@@ -9,7 +9,6 @@ import numpy as np
 
 from lirs_envs.simulation import Simulation
 from lirs_validation.experiment.cloud_elevation import Elevations, evaluate_elevation
-from lirs_validation.experiment.cost import give_back_memory
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, imu_copy, scan_copy
 from lirs_validation.experiment.mapper_loading import RESOLUTION, package_versions
@@ -120,11 +119,9 @@ def evaluate_maps(world: World, log: DriveLog, mapper: Mapper | GuardedCloudMapp
         elevation, found = evaluate_elevation(world, log.clouds, truth, estimate)
         no_scores = dict.fromkeys(field.name for field in fields(MapScores))
         return Maps(None, true_pose_map(log, RESOLUTION), no_scores | asdict(found), alignment, elevation)
-    del truth, estimate  # long ones are as large as a map
     T_world_map = log.truth[0].to_pose2()
     built = mapper.map()
     true_pose, built = true_pose_map(log, built.resolution), built.moved(T_world_map)
-    give_back_memory()
     scores = map_scores(
         built,
         true_pose,

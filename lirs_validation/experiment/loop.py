@@ -6,7 +6,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
@@ -47,7 +46,6 @@ class Drive:
         seconds: simulated time to drive.
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
-        spool: folder of the log's nameless files; None = the system's for temporary files.
         feeding: gives the mapper its scans, and is closed by who made it; None = at once.
 
     Raises:
@@ -63,7 +61,6 @@ class Drive:
         *,
         wall_limit: float | None = None,
         recorder: Recorder | None = None,
-        spool: Path | None = None,
         feeding: Feeding | None = None,
     ) -> None:
         self._simulation, self._driver = simulation, driver
@@ -74,7 +71,7 @@ class Drive:
         self._given: deque[Tick] = deque()
         self._error: Exception | None = None
         spatial = isinstance(mapper, GuardedCloudMapper)
-        self.log, self.over = DriveLog.begin(driver.start, spatial=spatial, folder=spool), False
+        self.log, self.over = DriveLog(driver.start, spatial), False
         self._feeding = feeding or DirectFeeding(mapper)
         self.log.mapper_in = self._feeding.place
         begun = time.perf_counter()
@@ -230,7 +227,6 @@ def drive(
     *,
     wall_limit: float | None = None,
     recorder: Recorder | None = None,
-    spool: Path | None = None,
     feeding: Feeding | None = None,
 ) -> DriveLog:
     """Drive for a time, or until a failure or the wall limit.
@@ -245,7 +241,6 @@ def drive(
         progress: of the drive.
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
-        spool: folder of the log's nameless files; None = the system's for temporary files.
         feeding: gives the mapper its scans, and is closed by who made it; None = at once.
 
     Raises:
@@ -258,7 +253,6 @@ def drive(
         seconds,
         wall_limit=wall_limit,
         recorder=recorder,
-        spool=spool,
         feeding=feeding,
     )
     next_report = 1.0

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from lirs_validation.driving.replay import COMMANDS
-from lirs_validation.experiment.cost import give_back_memory
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps
 from lirs_validation.metrics.elevation import ELEVATION, write_elevation
@@ -56,17 +55,15 @@ def write_results(
         for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
             write_tum(temporary / f"{name}.tum", trajectory)
         times = np.arange(len(log.commands)) * period
-        commands = np.column_stack((times, log.commands.as_array()[:, :2]))
+        commands = np.column_stack((times, [(c.v, c.omega) for c in log.commands]))
         write_commands(temporary / COMMANDS, Commands(log.start, commands))
         write_log(temporary / "scans.clf.gz", ((o.scan, o.odometry) for o in log.observations))
-        write_imu(temporary / "imu.csv.gz", log.observations.imu)
+        write_imu(temporary / "imu.csv.gz", [o.imu for o in log.observations])
         lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
         elevation = None if maps.elevation is None else maps.elevation.built
         drawn = (maps.true_pose, maps.built, maps.aligned, elevation)
-        give_back_memory()
         overview = overview_figure(world, record, truth, estimate, *drawn)
-        give_back_memory()
         overview.savefig(temporary / "overview.png")
         for file in bag:
             shutil.move(file, temporary / file.name)

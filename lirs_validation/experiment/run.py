@@ -12,15 +12,7 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
-from lirs_validation.experiment.cost import (
-    CostMeter,
-    clean_heap,
-    compile_timer,
-    cpu_contention,
-    frozen_heap,
-    give_back_memory,
-    large_blocks_apart,
-)
+from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
 from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
@@ -134,11 +126,9 @@ def run(
     ready = prepare(config, progress, scenarios)
     with recording(config, out, ready.simulation.period) as recorded:
         with closing(ready.feeding):
-            log, cost = _timed_drive(ready, progress, recorded.add, _existing(out))
+            log, cost = _timed_drive(ready, progress, recorded.add)
             log.concurrent = log.concurrent or concurrent
             evaluated = _evaluate(ready, log, cost, progress)
-        # The simulation with its commands, and the mapper's grids: as large as the arrays of the pictures.
-        del ready
         return _write_run(evaluated, out, name, recorded)
 
 
@@ -226,7 +216,6 @@ def conclude(
     return _write_run(_evaluate(ready, log, cost, progress), out, name, recorded)
 
 
-@large_blocks_apart()
 def _evaluate(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Progress) -> Run:
     """Return a run whose folder is not written yet."""
     scenario, mapper = ready.scenario, ready.mapper
@@ -234,16 +223,12 @@ def _evaluate(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Pr
         raise SimulationError(f"{scenario.config.source}: nothing was driven: {log.reason}")
     log.final = mapper.trajectory()
     progress("evaluate", 1.0)
-    give_back_memory()
     maps = evaluate_maps(scenario.world, log, mapper)
-    give_back_memory()
     cost = cost | {"compile_seconds": ready.compile_seconds}
     record = evaluate(scenario, ready.simulation, mapper, log, maps, cost)
     return Run(record, log, maps, scenario.world, None)
 
 
-@clean_heap()
-@large_blocks_apart()
 def _write_run(run: Run, out: Path | None, name: str | None, recorded: Recording | None) -> Run:
     """Write the folder of a run where one is wanted."""
     if out is None:
@@ -255,17 +240,10 @@ def _write_run(run: Run, out: Path | None, name: str | None, recorded: Recording
     return replace(run, record=write_results(folder, run.record, log, maps, run.world, bag), folder=folder)
 
 
-def _existing(out: Path | None) -> Path | None:
-    """Return the results' folder, or its nearest existing parent."""
-    return None if out is None else next((folder for folder in (out, *out.parents) if folder.is_dir()), None)
-
-
-def _timed_drive(
-    ready: ReadyRun, progress: Progress, recorder: Recorder, spool: Path | None
-) -> tuple[DriveLog, dict[str, Any]]:
+def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and the cost of the drive."""
     config = ready.scenario.config
-    with cpu_contention() as others, frozen_heap():
+    with cpu_contention() as others:
         meter = CostMeter()
         log = drive(
             ready.simulation,
@@ -275,7 +253,6 @@ def _timed_drive(
             progress,
             wall_limit=config.wall_limit,
             recorder=recorder,
-            spool=spool,
             feeding=ready.feeding,
         )
         cost = ready.cost(meter)

@@ -11,7 +11,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from lirs_validation.config import Attitude, MapConfig
-from lirs_validation.experiment.cost import CostMeter, compile_timer, frozen_heap
+from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, GuardedMapper
 from lirs_validation.logs.cloud_replay import horizontal_map, replay_clouds
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
@@ -123,7 +123,7 @@ def _mapped_log(
     with compile_timer() as compile_seconds:
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
-    with frozen_heap(), _measure_time(seconds, "map_seconds"):
+    with _measure_time(seconds, "map_seconds"):
         if isinstance(mapper, GuardedCloudMapper):
             tracking, level = replay_clouds(config.log, mapper, log.clouds or (), readings, progress)
             trajectory = mapper.trajectory()

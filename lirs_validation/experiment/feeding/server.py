@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import pickle
 import signal
@@ -90,9 +89,8 @@ class _Server:
         return compile_seconds()
 
     def begin(self) -> None:
-        """Make a new mapper; existing objects are excluded from garbage collection (see `frozen_heap`)."""
+        """Make a new mapper."""
         self._mapper = guard_mapper(mapper_named(self._spec.mapper, self._spec.seed), self._spec)
-        gc.freeze()
         self._meter = CostMeter()
 
     def update(

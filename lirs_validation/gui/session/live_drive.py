@@ -6,6 +6,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from lirs_envs.robots.command import Twist, clip
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import MANUAL, RunConfig
@@ -166,7 +168,7 @@ class LiveDrive:
         """Return the drive at a scan, 0 = before the first motion."""
         log, until = self._drive.log, scan + 1
         observation, T_world_base = log.observations[scan], log.truth[scan]
-        truth = log.truth.as_array()[:until, :3]
+        truth = np.array([T.position for T in log.truth[:until]])
         estimates = [log.in_plane(pose) for pose in log.estimates[:until]]
         estimate = self._T_world_map.apply([(p.x, p.y) for p in estimates])
         stamp = observation.scan.stamp

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 import subprocess
 import sys
 import time
@@ -34,51 +33,6 @@ high = meter.peak_memory()
 del block
 print(before, high, CostMeter().peak_memory())
 """
-
-FREED = """
-import numpy as np
-from pathlib import Path
-from lirs_validation.experiment.cost import give_back_memory
-def resident():
-    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
-blocks = [np.ones(100_000, np.uint8) for _ in range(2000)]
-del blocks[:-1]
-kept = resident()
-give_back_memory()
-print(kept - resident())
-"""
-
-
-APART = """
-import contextlib, sys
-import numpy as np
-from pathlib import Path
-from lirs_validation.experiment.cost import large_blocks_apart
-def resident():
-    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
-for _ in range(2):  # the library learns from what is freed
-    large = np.ones(30_000_000, np.uint8)
-    del large
-with large_blocks_apart() if sys.argv[1] == "apart" else contextlib.nullcontext():
-    before = resident()
-    blocks = [np.ones(20_000_000, np.uint8) for _ in range(5)]
-    above = np.ones(100_000, np.uint8)
-    del blocks
-    print(resident() - before)
-"""
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="of GNU's C library")
-@pytest.mark.parametrize(("how", "kept"), [("apart", False), ("as ever", True)])
-def test_large_blocks_go_back_as_they_are_freed(how: str, kept: bool) -> None:
-    done = subprocess.run([sys.executable, "-c", APART, how], capture_output=True, text=True, check=True)
-    assert (int(done.stdout) > 50e6) == kept
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="of GNU's C library")
-def test_freed_memory_goes_back_though_a_later_block_is_in_use() -> None:
-    done = subprocess.run([sys.executable, "-c", FREED], capture_output=True, text=True, check=True)
-    assert int(done.stdout) > 150e6
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak is reset on Linux only")

@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import time
-import weakref
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.experiment import run as run_module
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_guard import GuardedMapper
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.metrics.real_time_factor import per_second
 from lirs_validation.metrics.verdict import LOST_SECONDS
-from lirs_validation.record.run_record import RunRecord
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -233,35 +227,3 @@ def test_compile_seconds_hold_neither_planning_nor_driving(monkeypatch: pytest.M
     monkeypatch.setattr("lirs_validation.experiment.warm_up._WARM", set())
     record = validate("simple", seconds=1).record
     assert record.cost["compile_seconds"] == record.rtf["compile_seconds"] == 0.0
-
-
-def test_simulation_and_mapper_are_gone_before_the_folder_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A long drive's commands and a mapper's grids are as large as what the picture is drawn with."""
-    prepare, write, parts, alive = run_module.prepare, run_module.write_results, [], []
-
-    def noted(*args: Any, **options: Any) -> run_module.ReadyRun:
-        ready = prepare(*args, **options)
-        parts.extend((weakref.ref(ready.simulation), weakref.ref(ready.mapper)))
-        return ready
-
-    def looked(*args: Any) -> RunRecord:
-        alive.extend(part() is not None for part in parts)
-        return write(*args)
-
-    monkeypatch.setattr(run_module, "prepare", noted)
-    monkeypatch.setattr(run_module, "write_results", looked)
-    figures = number_of_figures()
-    gc.disable()  # a long one: nothing is looked through by itself
-    try:
-        validate("medium", seconds=1, out=tmp_path)
-        left = number_of_figures() - figures
-    finally:
-        gc.enable()
-    assert alive == [False, False]
-    assert left == 0
-
-
-def number_of_figures() -> int:
-    return sum(issubclass(type(one), Figure) for one in gc.get_objects())  # asks no weak reference
