@@ -12,7 +12,6 @@ from lirs_validation.metrics.log_accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord, map_lines
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import Canvas, bounds_shown
-from lirs_wct.drawing.panels import headline, path_ends, value_list
 from lirs_wct.drawing.style import (
     BLACK,
     BLUE,
@@ -20,11 +19,14 @@ from lirs_wct.drawing.style import (
     GREEN,
     VERMILLION,
     Drawing,
+    headline,
     legend,
     map_axes,
     new_figure,
+    path_ends,
     plain_axes,
     title,
+    value_list,
 )
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory

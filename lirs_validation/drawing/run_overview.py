@@ -18,9 +18,15 @@ from lirs_validation.metrics.elevation import ElevationMap
 from lirs_validation.record.metric_catalog import WORSE, picture_lines, worse_than_odometry
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import MARGIN, UNKNOWN_SHADE, Canvas, bounds_shown
-from lirs_wct.drawing.hillshade import WALL, height_colors, shaded_heights
-from lirs_wct.drawing.panels import headline, path_ends, value_list
+from lirs_wct.drawing.canvas import (
+    MARGIN,
+    UNKNOWN_SHADE,
+    WALL,
+    Canvas,
+    bounds_shown,
+    height_colors,
+    shaded_heights,
+)
 from lirs_wct.drawing.style import (
     BLACK,
     BLUE,
@@ -30,12 +36,15 @@ from lirs_wct.drawing.style import (
     TEXT,
     VERMILLION,
     Drawing,
+    headline,
     legend,
     map_axes,
     new_figure,
+    path_ends,
     plain_axes,
     rgb,
     title,
+    value_list,
 )
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.trajectory import Trajectory

@@ -8,9 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Wedge
 
-from lirs_wct.drawing.canvas import Canvas, bounds_of
-from lirs_wct.drawing.hillshade import shaded_surface
-from lirs_wct.drawing.panels import path_ends
+from lirs_wct.drawing.canvas import Canvas, bounds_of, shaded_surface
 from lirs_wct.drawing.style import (
     BLACK,
     BLUE,
@@ -21,6 +19,7 @@ from lirs_wct.drawing.style import (
     length,
     map_axes,
     new_figure,
+    path_ends,
     plain_axes,
     title,
 )

@@ -16,12 +16,11 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import Canvas
-from lirs_wct.drawing.hillshade import WALL, height_colors, shaded_heights
-from lirs_wct.drawing.mesh_view import mesh_view
-from lirs_wct.drawing.oblique import oblique_view
-from lirs_wct.drawing.panels import (
+from lirs_wct.drawing.canvas import FLOOR, WALL, Canvas, height_colors, shaded_heights
+from lirs_wct.drawing.mesh_view import Tints, mesh_view
+from lirs_wct.drawing.style import (
     BELOW,
+    BLACK,
     GAP,
     LEFT,
     LETTERS,
@@ -29,19 +28,16 @@ from lirs_wct.drawing.panels import (
     NARROW,
     RIM,
     SCALE,
-    Size,
-    add_axes,
-    fewer_ticks,
-    fit_size,
-    headline,
-)
-from lirs_wct.drawing.style import (
-    BLACK,
     SMALL,
     TEXT,
     VERMILLION,
     Drawing,
+    Size,
+    add_axes,
     bare_figure,
+    fewer_ticks,
+    fit_size,
+    headline,
     legend,
     length,
     map_axes,
@@ -62,13 +58,13 @@ WIDE = 2.5
 """Ratio of width to depth above which the panels are stacked vertically."""
 BLOCK_NODES = 700
 """Limit of nodes along each side of the terrain in the oblique view."""
-WALL_TOP, WALL_SIDE = (0.47, 0.50, 0.56), (0.30, 0.32, 0.38)
+WALL_TOP, WALL_SIDE = (0.53, 0.56, 0.62), (0.44, 0.46, 0.53)
 
 
 def view_figure(world: World) -> Drawing:
     """Draw a world from above with start poses, and at an angle, without OpenGL or pyplot."""
     canvas = Canvas.over(world.surface.bounds)
-    block = block_picture(world, canvas)
+    block = block_picture(world)
     rows, cols = canvas.shape
     stacked = cols > WIDE * rows
     above, oblique = (
@@ -98,7 +94,7 @@ def view_figure(world: World) -> Drawing:
 
 def oblique_figure(world: World) -> Drawing:
     """Draw a large oblique view of a world."""
-    block = block_picture(world, Canvas.over(world.surface.bounds, 1400), width=1700)
+    block = block_picture(world, width=1700)
     size = fit_size(block.shape[1] / block.shape[0], Size(WIDTH - RIM - SCALE, TALL))
     width = max(size.width + RIM + SCALE, WIDTH / 2)
     text = f"{_wrap(world_title(world), width)}\n{_wrap(_seen_from(world), width)}"
@@ -140,19 +136,27 @@ def _seen_from(world: World) -> str:
     return f"from the south-south-west{stretched}"
 
 
-def block_picture(world: World, canvas: Canvas, width: int = 1100) -> FloatArray:
+def block_picture(world: World, width: int = 1100) -> FloatArray:
     """Return a (rows, cols, 4) oblique view of the world as a block, transparent outside.
 
-    A mesh is drawn with its overhangs and in its own proportions.
+    A mesh is drawn with its overhangs and in its own proportions, a laser map with its walls.
     """
     if world.solid is not None:
         return mesh_view(world.solid, width=width)
     if world.walls is None:
         return mesh_view(_block(world), width=width)
-    tops = shaded_heights(world, canvas)
-    tops[canvas.walls(world.walls)] = WALL_TOP
-    sides = np.broadcast_to(np.array(WALL_SIDE), tops.shape)
-    return oblique_view(_standing(world, canvas), tops, sides, canvas, tilt=math.radians(50), width=width)
+    mesh, tints = _standing(world.mesh, world.walls.height)
+    return mesh_view(mesh, tints, tilt=math.radians(50), width=width)
+
+
+def _standing(mesh: TriangleMesh, height: float) -> tuple[TriangleMesh, Tints]:
+    """Return floor and walls of a height with one color per face, by its direction and height."""
+    corners = mesh.vertices[mesh.faces]
+    level = mesh.face_normals[:, 2] > 0.5
+    kind = np.where(level, corners[:, :, 2].max(axis=1) > height / 2, 2)
+    faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
+    tints = Tints(np.array((FLOOR, WALL_TOP, WALL_SIDE)), np.repeat(kind, 3))
+    return TriangleMesh(corners.reshape(-1, 3), faces), tints
 
 
 def _block(world: World) -> TriangleMesh:
@@ -190,14 +194,6 @@ def _starts(axes: Axes, world: World, size: Size) -> bool:
     if handles:
         legend(axes, handles, side="left" if size.width < NARROW else "right")
     return bool(handles)
-
-
-def _standing(world: World, canvas: Canvas) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    """Return (rows, cols) heights of the ground and of wall tops, meters."""
-    z = canvas.heights(world.surface)
-    if world.walls is not None:
-        z = np.where(canvas.walls(world.walls), np.fmax(z, world.walls.height), z)
-    return z
 
 
 def _exaggeration(world: World) -> float:
