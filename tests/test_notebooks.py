@@ -28,6 +28,7 @@ def beside_examples(tmp_path: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, beside_examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LIRS_QUICK", "1")

@@ -67,6 +67,7 @@ def same(drawn: BenchTask, shipped: BenchTask) -> bool:
     return a == b and all(abs(x - y) <= 0.002 for x, y in numbers)
 
 
+@pytest.mark.slow
 def test_every_test_task_that_ships_can_begin() -> None:
     for name in SETS:
         worlds = set()

@@ -39,6 +39,7 @@ def test_none_is_forgotten() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == RUN_BELOW | {"make_inputs"}
 
 
+@pytest.mark.slow
 def test_build_a_world(tmp_path: Path) -> None:
     shown = run("build_a_world", "-o", tmp_path, cwd=tmp_path)
     assert "30 x 30 m, 2.50 m high" in shown
@@ -47,23 +48,27 @@ def test_build_a_world(tmp_path: Path) -> None:
         assert (tmp_path / "dunes" / name).is_file()
 
 
+@pytest.mark.slow
 def test_validate_slam(tmp_path: Path) -> None:
     shown = run("validate_slam", "--seconds", "6", "-o", tmp_path, cwd=tmp_path)
     assert [line.split()[0] for line in shown.splitlines()] == ["hector", "gmapping", "cartographer"]
     assert len([read_record(folder) for folder in tmp_path.iterdir()]) == 3
 
 
+@pytest.mark.slow
 def test_map_a_log(tmp_path: Path) -> None:
     shown = run("map_a_log", "--seconds", "6", "-o", tmp_path, cwd=tmp_path)
     assert "331 scans" in shown
     assert "in the world of that map: ok" in shown
 
 
+@pytest.mark.slow
 def test_drive_with_gymnasium(tmp_path: Path) -> None:
     assert "20 steps" in run("drive_with_gymnasium", "--steps", "20", cwd=tmp_path)
     assert (tmp_path / "scan.png").stat().st_size > 2000
 
 
+@pytest.mark.slow
 def test_your_own_mapper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from lirs_validation import validate
 

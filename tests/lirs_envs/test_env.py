@@ -76,6 +76,7 @@ def test_spec_survives_pickle_and_json(name: str) -> None:
     assert episode(again, 1, 5) == episode(env, 1, 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", IDS)
 def test_a_second_process_says_the_same(name: str) -> None:
     program = (

@@ -21,6 +21,8 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.uv import cube_uv
 
+pytestmark = pytest.mark.slow
+
 ABOVE = {"pycollada": 10**9, "stream": 0, "brief stream": 0}
 
 

@@ -20,6 +20,8 @@ from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.export.package import write_package
 from lirs_wct.navigation.spawn_poses import spawn_poses
 
+pytestmark = pytest.mark.slow
+
 RADIUS = 0.3
 
 WORLDS: dict[str, dict[str, Any]] = {

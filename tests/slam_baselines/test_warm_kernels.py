@@ -44,6 +44,7 @@ print(*(key for key in after if after[key] != before.get(key)))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MAPPERS)
 def test_no_update_compiles_after_the_warm_up(name: str) -> None:
     root = Path(__file__).parents[2]

@@ -62,6 +62,7 @@ def cut(path: Path, how: str) -> None:
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "how"),
     [
@@ -99,6 +100,7 @@ def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
         yield from places(child, (*path, key))
 
 
+@pytest.mark.slow
 def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> None:
     """Every value of a record is replaced by nonsense, one at a time."""
     folder = saved_whole(tmp_path, record())
@@ -152,6 +154,7 @@ def test_a_collision_check_that_is_nonsense_is_run_again(text: str, tmp_path: Pa
     assert check.find_outcome(tmp_path) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["record.json", "map.pgm", "map.yaml"])
 @pytest.mark.parametrize("how", ["gone", "empty", "half", "noise"])
 def test_a_mapped_log_that_is_cut_off_is_mapped_again(

@@ -14,6 +14,7 @@ OFFICE = Path(__file__).parents[3] / "examples/data/office.yaml"
 """Walls on level ground: here the methods hold, and rounding does not lead them elsewhere."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in MAPPERS if name.endswith("_original")])
 def test_a_run_mapped_again_from_its_scans_scores_as_the_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

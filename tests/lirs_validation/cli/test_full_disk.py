@@ -49,6 +49,7 @@ def test_a_picture_that_cannot_be_written_is_said(tmp_path: Path) -> None:
         write_image(tmp_path / "noise.xyz", noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "size"),
     [

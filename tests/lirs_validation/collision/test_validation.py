@@ -79,6 +79,7 @@ def test_every_robot_among_blocks(name: str, blocks: World) -> None:
     assert verdict.force_mean > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "kind", "name"),
     [
