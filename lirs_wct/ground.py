@@ -23,11 +23,13 @@ class Terrain:
     Attributes:
         surface: heights.
         no_ground: (rows, cols) whether a node of the surface has no ground; None = every node has.
+        sample_spacing: of the source, meters, where the surface was resampled; None = the surface's cell.
     """
 
     kind: ClassVar[Literal["terrain"]] = "terrain"
     surface: HeightField
     no_ground: BoolArray | None = None
+    sample_spacing: float | None = None
 
     def mesh(self, settings: ExportOptions) -> TriangleMesh:
         """Return surface, skirt and base as a closed solid within the settings' budget."""

@@ -79,6 +79,13 @@ class World(ShownAsPicture):
         return self.ground.surface
 
     @property
+    def sample_spacing(self) -> float | None:
+        """Distance between the source's height samples, meters; None of a laser map or a mesh."""
+        if not isinstance(self.ground, Terrain):
+            return None
+        return self.ground.sample_spacing or max(self.surface.cell)
+
+    @property
     def walls(self) -> WallGrid | None:
         """Walls of a laser map."""
         return self.ground.walls if isinstance(self.ground, LaserMap) else None
@@ -231,6 +238,7 @@ class World(ShownAsPicture):
             solid=self.solid,
             overhangs=self.overhangs,
             no_ground=self.no_ground,
+            sample_spacing=self.ground.sample_spacing if isinstance(self.ground, Terrain) else None,
             export_options=asdict(self.export_options),
             source=self.source,
             place=self.place,
@@ -265,4 +273,4 @@ def _ground(content: WorldFile) -> Ground:
         return LaserMap(content.surface, content.walls, content.truth)
     if content.solid is not None:
         return ClosedMesh(content.surface, content.solid, content.overhangs, content.no_ground)
-    return Terrain(content.surface, content.no_ground)
+    return Terrain(content.surface, content.no_ground, content.sample_spacing)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +18,7 @@ from lirs_validation.metrics import StartAlignment, map_scores, start_alignment,
 from lirs_validation.metrics.agreement import agreement, decided, sampled
 from lirs_validation.metrics.alignment import MAX_GAP, associated
 from lirs_validation.metrics.verdict import incompleteness
+from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct.errors import SourceError, unknown_name
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -55,6 +57,21 @@ class Score:
     given: int
     trajectory: dict[str, Any]
     map: dict[str, Any]
+
+    def verdict(self, entry: Mapping[str, Any]) -> Verdict | None:
+        """Return the verdict on the result; None without a trajectory.
+
+        Args:
+            entry: record of the run, as nested dicts.
+        """
+        if not self.trajectory:
+            return None
+        own = {"status": self.status, "reason": self.reason, "map": self.map}
+        own["trajectory"] = self.trajectory | {
+            "robot_lengths": entry["trajectory"].get("robot_lengths"),
+            "length": entry["trajectory"].get("length"),
+        }
+        return judge({**entry, **own}, method="the scored method")
 
 
 def score(

@@ -13,5 +13,5 @@ WIDE = 200
 out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else WIDE)
 err = Console(stderr=True)
 
-RUN_FAILED, BAD_INPUT, INTERRUPTED = 3, 2, 130
+RUN_FAILED, BAD_INPUT, GATE_FAILED, INTERRUPTED = 3, 2, 4, 130
 """Exit codes, beside 0 for success."""

@@ -23,6 +23,7 @@ from lirs_validation.metrics import (
 )
 from lirs_validation.metrics.alignment import associated
 from lirs_validation.metrics.real_time_factor import real_time_factor
+from lirs_validation.metrics.scan_support import observed_support
 from lirs_validation.metrics.trajectory import spatial_errors
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.provenance import versions
@@ -32,6 +33,9 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
 from slam_baselines.mapper import Mapper
 from slam_baselines.mapping.known_pose import KnownPoseMapper
+
+COUNTED_SCANS = 300
+"""Scans of a drive, evenly spaced, whose hits on walls are counted."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,7 @@ def evaluate(
     """
     stats = mapper.stats
     trajectory = evaluate_trajectory(log)
+    trajectory["robot_lengths"] = trajectory["length"] / (2 * simulation.config.robot.radius)
     status, reason = evaluate_status(log, trajectory["scan_coverage"])
     return RunRecord(
         config=scenario.config,
@@ -90,6 +95,7 @@ def evaluate(
         trajectory=trajectory,
         map=maps.scores,
         collisions=evaluate_collisions(simulation),
+        scans=evaluate_scans(scenario.world, log),
         mapper=asdict(stats),
         cost=cost | {"scans_dropped": log.scans_dropped(stats.received)},
         versions=versions() | package_versions(scenario.config.mapper),
@@ -232,6 +238,15 @@ def evaluate_collisions(simulation: Simulation) -> dict[str, Any]:
     return asdict(simulation.collisions)
 
 
+def evaluate_scans(world: World, log: DriveLog) -> dict[str, Any]:
+    """Count returns and hits on walls of a planar mapper's scans; empty for a mapper of point clouds."""
+    if log.spatial:
+        return {}
+    chosen = np.unique(np.linspace(0, len(log.truth) - 1, COUNTED_SCANS).round().astype(int)).tolist()
+    scans = [log.observations[k].scan for k in chosen]
+    return observed_support(world, scans, [log.truth[k] for k in chosen])
+
+
 def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]:
     """Describe the world and its contact terrain."""
     world, surface = scenario.world, scenario.world.surface
@@ -244,6 +259,9 @@ def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]
         "relief": surface.relief,
         "nodes": surface.shape,
         "window": scenario.window,
+        "whole_size": scenario.whole_size,
+        "sample_spacing": world.sample_spacing,
+        "robot_length": 2 * simulation.config.robot.radius,
         "files": [asdict(file) for file in scenario.files],
         "contact": evaluate_contact(simulation),
     }

@@ -31,6 +31,7 @@ from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
+from lirs_validation.record.verdict import Verdict
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.option import check_names
@@ -51,6 +52,11 @@ class Run:
     maps: Maps
     world: World
     folder: Path | None
+
+    @property
+    def verdict(self) -> Verdict:
+        """Class, sentence and reasons of the result."""
+        return self.record.verdict
 
     def overview(self) -> Drawing:
         """Draw the run on one page."""

@@ -34,12 +34,14 @@ class Scenario:
         world: of the config.
         window: square that was cut out of a larger one, if any.
         files: that the world was made from; none of a bundled one.
+        whole_size: eastward and northward, meters, of the world that the window was cut out of, if known.
     """
 
     config: RunConfig
     world: World
     window: Window | None
     files: tuple[SourceFile, ...] = ()
+    whole_size: tuple[float, float] | None = None
 
     def simulation(self, robot: Robot) -> Simulation:
         """Put the robot into the world."""
@@ -76,7 +78,7 @@ def build_scenario(config: RunConfig) -> Scenario:
     middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
     window = (middle.x, middle.y, WINDOW)
     cut = build_world(config.source, replace(config.build, window=window))
-    return Scenario(config, cut, window, files)
+    return Scenario(config, cut, window, files, world.surface.size)
 
 
 class ScenarioCache:

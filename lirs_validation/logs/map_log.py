@@ -146,7 +146,12 @@ def _mapped_log(
         reason=lost or lacking or "",
         log=describe_log(log) | {"inertial_readings": sum(reading is not None for reading in readings)},
         map=describe_map(grid),
-        trajectory={"poses": len(trajectory), "scan_coverage": coverage, "contradicted": contradicted},
+        trajectory={
+            "poses": len(trajectory),
+            "length": trajectory.length,
+            "scan_coverage": coverage,
+            "contradicted": contradicted,
+        },
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
         odometry=odometry_accuracy(log.track, relations, reference),

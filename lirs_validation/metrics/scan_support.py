@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
 
 POSES = 300
@@ -107,6 +109,41 @@ def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: 
         ground_p10=float(np.percentile(ground, 10)),
         wall_share=float(wall.sum() / max(1.0, wall.sum() + ground.sum())),
     )
+
+
+def observed_support(
+    world: World, scans: Sequence[LaserScan], poses: Sequence[Pose3]
+) -> dict[str, float | int | None]:
+    """Count returns and hits on walls of recorded scans.
+
+    Args:
+        world: where they were taken.
+        scans: at least one.
+        poses: `T_world_base`, one per scan.
+
+    Returns:
+        beams, range_max (meters), returns_median and walls_median per scan.
+    """
+    points = [_hit_points(scan, pose) for scan, pose in zip(scans, poses, strict=True)]
+    near = near_obstacle(np.concatenate(points), world.surface, world.walls, NEAR)
+    scan = np.repeat(np.arange(len(points)), [len(each) for each in points])
+    walls = np.bincount(scan[near], minlength=len(points))
+    return {
+        "beams": len(scans[0].ranges),
+        "range_max": scans[0].range_max,
+        "returns_median": float(np.median([len(each) for each in points])),
+        "walls_median": float(np.median(walls)),
+    }
+
+
+def _hit_points(scan: LaserScan, T_world_base: Pose3) -> FloatArray:
+    """Return (hits, 2) end points of a scan's beams in the world, meters."""
+    T_world_laser = T_world_base @ scan.T_base_laser
+    hits = scan.hits
+    ranges, angles = scan.ranges[hits].astype(np.float64), scan.angles[hits]
+    flat = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))))
+    points: FloatArray = flat @ T_world_laser.rotation.T + T_world_laser.position
+    return points[:, :2]
 
 
 def standing_on(world: World, robot: Robot, pose: Pose2) -> Pose3:

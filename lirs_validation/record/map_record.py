@@ -14,6 +14,7 @@ from lirs_validation.metrics.verdict import is_worse
 from lirs_validation.record.metric_catalog import WORSE
 from lirs_validation.record.provenance import machine, versions
 from lirs_validation.record.run_record import plain
+from lirs_validation.record.verdict import Verdict, judge_log
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -57,9 +58,15 @@ class MapRecord:
     versions: dict[str, str] = field(default_factory=versions)
     machine: dict[str, Any] = field(default_factory=machine)
 
+    @property
+    def verdict(self) -> Verdict:
+        """Class, sentence and reasons of the result."""
+        return judge_log(asdict(self))
+
     def to_json(self) -> str:
         """Return the record as JSON; values that do not exist are null."""
         entry = {"schema": SCHEMA, "kind": KIND, "seed": self.config.seed} | asdict(self)
+        entry["verdict"] = self.verdict.to_dict()
         return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:

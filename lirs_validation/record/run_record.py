@@ -12,6 +12,7 @@ import numpy as np
 
 from lirs_validation.config import RunConfig, run_name
 from lirs_validation.record.provenance import machine, versions
+from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
@@ -55,6 +56,7 @@ class RunRecord(ShownAsTable):
         trajectory: ate_rmse, ate_unaligned, length, final drift, scan_coverage, ...
         map: f1, f1_aligned, iou, f1_input, false_occupied, ...
         collisions: max_penetration, ...
+        scans: beams, range_max, and medians of returns and of hits on walls per scan (of planar mappers).
         mapper: scans received, used, skipped, milliseconds a scan.
         cost: cpu_seconds of the drive, peak_memory of the process (bytes), compile_seconds, scans_dropped.
         file_sizes: bytes of the other files in the run's folder, by name; empty until they are written.
@@ -70,6 +72,7 @@ class RunRecord(ShownAsTable):
     trajectory: dict[str, Any] = field(default_factory=dict)
     map: dict[str, Any] = field(default_factory=dict)
     collisions: dict[str, Any] = field(default_factory=dict)
+    scans: dict[str, Any] = field(default_factory=dict)
     mapper: dict[str, Any] = field(default_factory=dict)
     cost: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
@@ -84,9 +87,15 @@ class RunRecord(ShownAsTable):
         """Name of the run's folder."""
         return run_name(self.config, self.world["name"])
 
+    @property
+    def verdict(self) -> Verdict:
+        """Class, sentence and reasons of the result."""
+        return judge(asdict(self))
+
     def to_json(self) -> str:
         """Return the record as JSON; values that do not exist are null."""
         entry = {"schema": SCHEMA, "seed": self.config.seed, "name": self.name} | asdict(self)
+        entry["verdict"] = self.verdict.to_dict()
         return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:

@@ -51,6 +51,7 @@ class WorldFile:
         solid: closed mesh of the world.
         overhangs: whether that mesh is more than its heights from above.
         no_ground: (rows, cols) nodes of the surface without ground.
+        sample_spacing: of a terrain's source, meters, where the surface was resampled; None = not resampled.
         export_options: name -> value; those of `TEXTURE_OPTIONS` are paths or None.
         source: file that the world was made from; None = unknown.
         place: on the earth; None = unknown.
@@ -68,6 +69,7 @@ class WorldFile:
     solid: TriangleMesh | None = None
     overhangs: bool = False
     no_ground: BoolArray | None = None
+    sample_spacing: float | None = None
     export_options: Mapping[str, Any] = field(default_factory=dict)
     source: str | None = None
     place: Place | None = None
@@ -93,6 +95,8 @@ def write_world(world: WorldFile, folder: Path) -> Path:
     }
     if world.start is not None:
         entry["start"] = astuple(world.start)
+    if world.sample_spacing is not None:
+        entry["sample_spacing"] = world.sample_spacing
     if world.place is not None:
         entry["place"] = asdict(world.place)
     if world.walls is not None:
@@ -169,6 +173,7 @@ def read_world(folder: Path) -> WorldFile:
                 solid=TriangleMesh(arrays["vertices"], arrays["faces"]) if "faces" in arrays else None,
                 overhangs=bool(entry.get("overhangs", False)),
                 no_ground=arrays.get("bare"),
+                sample_spacing=float(entry["sample_spacing"]) if "sample_spacing" in entry else None,
                 export_options=_export_settings(entry, folder),
                 source=entry.get("source"),
                 place=_place(entry.get("place")),

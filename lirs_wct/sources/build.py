@@ -16,7 +16,7 @@ from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import Source, find_source, warn_of_shape, warn_of_useless
-from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled
+from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled, sample_spacing
 from lirs_wct.world import World
 
 SPAWN_AREA = 200.0
@@ -82,7 +82,8 @@ def _load_world(source: Source, options: BuildOptions) -> World:
 def _cut(ground: Terrain | ClosedMesh, window: Window) -> tuple[Terrain, float]:
     """Return a square of a ground with its lowest point at z = 0, and the height subtracted, meters."""
     surface, lift = leveled(cut_surface(ground.surface, window, level=False))
-    return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface)), lift
+    spacing = sample_spacing(ground.surface, surface)
+    return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface), spacing), lift
 
 
 def _with_spawn_poses(world: World) -> World:

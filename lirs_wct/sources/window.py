@@ -47,6 +47,11 @@ def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> 
     return leveled(part)[0] if level else part
 
 
+def sample_spacing(whole: HeightField, part: HeightField) -> float | None:
+    """Return the spacing of the whole surface's samples, meters; None if the part keeps them."""
+    return max(whole.cell) if part.cell != whole.cell else None
+
+
 def leveled(surface: HeightField) -> tuple[HeightField, float]:
     """Return a surface with its lowest point at z = 0, and the subtracted height, meters."""
     lowest = surface.z.min()

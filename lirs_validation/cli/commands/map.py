@@ -32,6 +32,7 @@ def map_log(log: Log, output: Output = Path("out"), *, given: Annotated[dict[str
         mapped = run_mapping(config, out=output, progress=progress)
     out.print(figures_table(mapped.record))
     out.print(f"{mapped.folder}", soft_wrap=True, highlight=False)
+    out.print(f"verdict: {mapped.record.verdict}", soft_wrap=True, highlight=False, markup=False)
     if mapped.record.status != "ok":
         raise typer.Exit(RUN_FAILED)
 

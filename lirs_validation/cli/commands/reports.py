@@ -149,6 +149,9 @@ def score(
     out.print(score_table(result, recorded.entry))
     write_score(output, result, trajectory, map_yaml)
     out.print(f"{output}", soft_wrap=True, highlight=False)
+    verdict = result.verdict(recorded.entry)
+    if verdict is not None:
+        out.print(f"verdict: {verdict}", soft_wrap=True, highlight=False, markup=False)
     if result.status != "ok":
         raise typer.Exit(RUN_FAILED)
 

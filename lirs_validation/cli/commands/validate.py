@@ -10,13 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lirs_validation.cli.arguments import SOURCE_HELP
-from lirs_validation.cli.console import out
+from lirs_validation.cli.console import GATE_FAILED, out
 from lirs_validation.cli.progress import manifest_of_command, run_sweep
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import RUN_AXES, EngineOptions, RunConfig, SourceOptions
+from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError
 
 if TYPE_CHECKING:
+    from lirs_validation.record.verdict import Verdict
     from lirs_validation.sweep.experiment import Experiment
     from lirs_validation.sweep.slam_experiment import SlamExperiment
     from lirs_validation.sweep.sweep import Sweep
@@ -33,6 +35,13 @@ SuiteName = Annotated[
 ]
 
 
+Gate = Annotated[bool, typer.Option("--gate", help="Exit with code 4 unless every verdict is `works`.")]
+LimitsFile = Annotated[
+    Path | None,
+    typer.Option("--limits", metavar="FILE", help="YAML file with limits of the verdicts for --gate."),
+]
+
+
 @with_options
 def validate(
     sources: Sources = None,
@@ -40,6 +49,8 @@ def validate(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path(
         "out"
     ),
+    gate: Gate = False,
+    limits: LimitsFile = None,
     *,
     run: Annotated[dict[str, Any], RunConfig],
     engine: EngineOptions,
@@ -47,9 +58,16 @@ def validate(
 ) -> None:
     """Drive robots through worlds with SLAM running, and evaluate map, trajectory and speed.
 
-    The same command resumes an interrupted sweep.
+    The same command resumes an interrupted sweep. The last line is the verdict.
     """
-    _run(read_experiments(sources, suite, run, options), engine, output, suite)
+    from lirs_validation.record.verdict import read_limits
+
+    if limits is not None and not gate:
+        raise ConfigError("--limits is for --gate, which is not given")
+    accepted = read_limits(limits) if limits is not None else (LIMITS, frozenset[str]())
+    found = _run(read_experiments(sources, suite, run, options), engine, output, suite, limits=accepted[0])
+    if gate and not all(verdict.kind in {"works", *accepted[1]} for verdict in found):
+        raise typer.Exit(GATE_FAILED)
 
 
 @with_options
@@ -116,13 +134,16 @@ def _run(
     suite: str | None,
     *,
     listed: bool = True,
-) -> None:
-    """Run experiments, and print their tables."""
+    limits: VerdictLimits = LIMITS,
+) -> list[Verdict]:
+    """Run experiments, print their tables and verdicts; return the verdicts."""
     from lirs_validation.sweep.sweep import Sweep
 
     manifest = manifest_of_command(suite)
     sweep = Sweep(experiments, out, manifest=manifest, listed=listed, retry_failed=engine.retry_failed)
-    run_sweep(sweep, engine, lambda: _show(sweep))
+    verdicts: list[Verdict] = []
+    run_sweep(sweep, engine, lambda: verdicts.extend(_show(sweep, limits)))
+    return verdicts
 
 
 def _check_free(folder: Path, experiment: SlamExperiment) -> None:
@@ -146,13 +167,21 @@ def _check_free(folder: Path, experiment: SlamExperiment) -> None:
         raise OutputError(f"{folder}: holds another run, {held}; choose another --output")
 
 
-def _show(sweep: Sweep) -> None:
+def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
+    """Print tables, folders and verdicts of a sweep; return the verdicts."""
+    from lirs_validation.record.run_record import read_record
+    from lirs_validation.record.verdict import judge, verdict_lines
     from lirs_validation.report.run_tables import sweep_tables
 
     if not sweep.outcomes:
-        return
+        return []
     for table in sweep_tables(sweep):
         out.print(table)
     folders = [sweep.out / found.name for found in sweep.experiments if found.name in sweep.outcomes]
     for folder in folders if len(folders) <= FEW else [sweep.out]:
         out.print(f"{folder}", soft_wrap=True, highlight=False)
+    entries = [read_record(folder) for folder in folders if (folder / "record.json").exists()]
+    runs = [entry for entry in entries if "mapper" in entry["config"]]
+    for line in verdict_lines(runs, limits):
+        out.print(line, soft_wrap=True, highlight=False, markup=False)
+    return [judge(entry, limits) for entry in runs]

@@ -30,7 +30,7 @@ from lirs_wct.sources.pictures.elevation import (
 )
 from lirs_wct.sources.pictures.filters import apply_filters, dequantize
 from lirs_wct.sources.source import Source
-from lirs_wct.sources.window import cut_surface, leveled
+from lirs_wct.sources.window import cut_surface, leveled, sample_spacing
 
 GRAY_TOLERANCE = 2
 """Levels of 255 by which the channels of a gray picture may differ (rounding of color conversions)."""
@@ -47,12 +47,14 @@ def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, P
     """
     found = open_picture(source, options.max_pixels)
     surface, scale, place = _to_terrain(source.path, found, options)
+    spacing = None
     if options.window is not None:
-        surface = cut_surface(surface, options.window, level=False)
+        whole, surface = surface, cut_surface(surface, options.window, level=False)
+        spacing = sample_spacing(whole, surface)
         if options.zero is None:
             surface, lift = leveled(surface)
             place = place and place.raised(lift)
-    return Terrain(surface), scale, place
+    return Terrain(surface, sample_spacing=spacing), scale, place
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.records import entry
 
 COUNTS = {
+    "trajectory.robot_lengths",
     "rtf.simulated_seconds", "rtf.timestep", "rtf.wall_seconds", "trajectory.poses",
     "trajectory.rpe_metre.pairs", "trajectory.rpe_second.pairs", "trajectory.relations.relations",
     "map.occupied_cells", "collisions.samples",

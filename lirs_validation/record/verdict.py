@@ -1,0 +1,247 @@
+"""Verdict on a record: class, one sentence for the user, and the figures that decided."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from lirs_validation.config import FRONTIER, driver_parts
+from lirs_validation.metrics.verdict import (
+    LIMITS,
+    Reason,
+    VerdictClass,
+    VerdictFigures,
+    VerdictLimits,
+    classify,
+    is_worse,
+)
+from lirs_validation.record.formatting import Entry, text_at, value_at
+from lirs_wct.errors import ConfigError, reason_of
+
+LEADS: dict[VerdictClass, str] = {
+    "failed": "{who} gives no result on {world}",
+    "no reference": "{who} cannot be judged on {world}: no true trajectory or relations are given",
+    "not evaluated": "{who} was not evaluated on {world}",
+    "loses its way": "{who} loses its way on {world}",
+    "adds nothing": "{who} adds nothing to the odometry on {world}",
+    "path only": "{who} finds its path on {world}, but its map is not usable",
+    "works": "{who} works on {world}",
+}
+"""Beginning of the sentence by class."""
+ACCEPTABLE = ("no reference", "path only")
+"""Classes that a limits file may accept in addition to `works`."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Verdict on a run, a mapped log or a score.
+
+    Attributes:
+        kind: class, from `failed` to `works`.
+        sentence: conclusion for the user, with what was evaluated.
+        reasons: figures that decided; empty if the method works.
+    """
+
+    kind: VerdictClass
+    sentence: str
+    reasons: tuple[Reason, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.sentence}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the verdict as a record stores it."""
+        reasons = [asdict(reason) for reason in self.reasons]
+        return {"class": self.kind, "sentence": self.sentence, "reasons": reasons}
+
+
+def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Verdict:
+    """Return the verdict on a run's record.
+
+    Args:
+        entry: the record as nested dicts.
+        limits: between the classes.
+        method: name in the sentence; empty = the run's mapper and robot.
+    """
+    figures = run_figures(entry)
+    kind, reasons = classify(figures, limits)
+    who = method or f"{entry['config']['mapper'].rpartition(':')[2]} on {entry['config']['robot']}"
+    lead = LEADS[kind].format(who=who, world=entry["world"]["name"])
+    parts = (_lead(lead, kind, entry), _path_sentence(figures), _map_sentence(figures), _extent(entry))
+    told = parts[:1] + parts[3:] if kind in ("failed", "not evaluated") else parts
+    return Verdict(kind, " ".join(part for part in told if part), reasons)
+
+
+def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
+    """Return the verdict on the record of a mapped log, given as nested dicts."""
+    figures = log_figures(entry)
+    kind, reasons = classify(figures, limits)
+    lead = LEADS[kind].format(who=entry["config"]["mapper"].rpartition(":")[2], world=entry["name"])
+    reason = entry["reason"]
+    first = f"{lead}: {reason}." if reason and kind != "no reference" else f"{lead}."
+    told = f"The mapper is lost: {reason}." if reason and kind == "no reference" else ""
+    unmapped = "" if kind == "failed" else "The map was not evaluated."
+    parts = (first, told, _path_sentence(figures), unmapped)
+    return Verdict(kind, " ".join(part for part in parts if part), reasons)
+
+
+def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:
+    """Return the verdict of one run, or the count of each class by world, robot and mapper of more."""
+    if len(entries) == 1:
+        return [f"verdict: {judge(entries[0], limits)}"]
+    classes: dict[str, Counter[str]] = {}
+    for entry in entries:
+        key = ", ".join(text_at(entry, name) for name in ("world.name", "config.robot", "config.mapper"))
+        classes.setdefault(key, Counter())[judge(entry, limits).kind] += 1
+    return [f"verdict, {method}: {class_counts(counts)}" for method, counts in classes.items()]
+
+
+def class_counts(counts: Counter[str]) -> str:
+    """Return the classes of several runs with their numbers, the most frequent first."""
+    total = counts.total()
+    return ", ".join(f"{kind} ({count} of {total})" for kind, count in counts.most_common())
+
+
+def run_figures(entry: Entry) -> VerdictFigures:
+    """Return the figures of a run's record that decide its verdict."""
+    driver = driver_parts(value_at(entry, "config.driver"))[0]
+    robot_lengths = value_at(entry, "trajectory.robot_lengths")
+    return VerdictFigures(
+        status=entry["status"],
+        uses_estimate=driver == FRONTIER,
+        robot_lengths=robot_lengths,
+        error=value_at(entry, "trajectory.ate_rmse"),
+        odometry_error=value_at(entry, "trajectory.odometry_ate_rmse"),
+        distance=value_at(entry, "trajectory.length"),
+        occupied=value_at(entry, "map.occupied_cells"),
+        f1_aligned=value_at(entry, "map.f1_aligned"),
+        false_occupied=value_at(entry, "map.false_occupied_aligned"),
+        reference_false_occupied=value_at(entry, "map.reference_false_occupied"),
+        elevation_rmse=value_at(entry, "map.elevation_rmse_aligned"),
+        reference_elevation_rmse=value_at(entry, "map.reference_elevation_rmse"),
+        elevation_seen=value_at(entry, "map.elevation_seen"),
+    )
+
+
+def log_figures(entry: Entry) -> VerdictFigures:
+    """Return the figures of a mapped log's record: of the reference, else of the relations."""
+    error = value_at(entry, "accuracy.reference.ate_rmse")
+    odometry = value_at(entry, "odometry.reference.ate_rmse")
+    distance = value_at(entry, "log.odometry_length") or value_at(entry, "trajectory.length")
+    if error is None:
+        error = value_at(entry, "accuracy.relations.translation_mean")
+        odometry = value_at(entry, "odometry.relations.translation_mean")
+        distance = None  # relations do not grow with the distance
+    return VerdictFigures(
+        status=entry["status"],
+        error=error,
+        odometry_error=odometry,
+        distance=distance,
+        occupied=value_at(entry, "map.occupied"),
+    )
+
+
+def _lead(lead: str, kind: VerdictClass, entry: Entry) -> str:
+    """Return the first sentence, with the cause where one is known."""
+    cause = ""
+    if kind in ("failed", "not evaluated", "loses its way"):
+        cause = entry["reason"] or ("" if entry["status"] == "ok" else entry["status"])
+    if kind == "not evaluated" and not cause:
+        needed = LIMITS.robot_lengths * value_at(entry, "world.robot_length")
+        cause = f"it drove {value_at(entry, 'trajectory.length'):.1f} m, at least {needed:.1f} m are needed"
+    if kind in ("adds nothing", "loses its way") and not cause:
+        cause = _few_walls(entry)
+    return f"{lead}: {cause.rstrip('.')}." if cause else f"{lead}."
+
+
+def _few_walls(entry: Entry) -> str:
+    """Return a clause on scans without walls; empty if they see some."""
+    walls, beams = value_at(entry, "scans.walls_median"), value_at(entry, "scans.beams")
+    if walls is None or walls > 0:
+        return ""
+    returns = value_at(entry, "scans.returns_median")
+    seen = "no walls" if returns else "nothing"
+    return f"{seen} within {value_at(entry, 'scans.range_max'):g} m ({walls:.0f} of {beams} beams)"
+
+
+def _path_sentence(figures: VerdictFigures) -> str:
+    """Compare the path with the odometry's."""
+    if figures.error is None:
+        return ""
+    driven = "" if figures.distance is None else f" after {figures.distance:.0f} m"
+    error = f"Its path error is {figures.error:.3f} m{driven}"
+    if figures.odometry_error is None:
+        return f"{error}; there is no odometry to compare with."
+    worse = ", worse than" if is_worse(figures.error, figures.odometry_error) else ", the odometry's"
+    if worse.endswith("than"):
+        return f"{error}{worse} the odometry's {figures.odometry_error:.3f} m."
+    return f"{error}{worse} {figures.odometry_error:.3f} m."
+
+
+def _map_sentence(figures: VerdictFigures) -> str:
+    """Return the quality of the map, or that it was not evaluated."""
+    if figures.occupied == 0:
+        return "Its map is empty."
+    if figures.f1_aligned is not None:
+        false, reference = figures.false_occupied, figures.reference_false_occupied
+        ghosts = "" if false is None else f", {100 * false:.0f} % of its occupied cells are false"
+        own = "" if not ghosts or reference is None else f" ({100 * reference:.0f} % at the true poses)"
+        return f"Its map agrees with the true one by F1 {figures.f1_aligned:.2f}{ghosts}{own}."
+    if figures.elevation_rmse is not None:
+        seen = f", {100 * (figures.elevation_seen or 0.0):.0f} % of the visible ground is seen"
+        return f"Its elevation map is {figures.elevation_rmse:.3f} m off{seen}."
+    return "The map was not evaluated."
+
+
+def _extent(entry: Entry) -> str:
+    """Return the evaluated part of a larger world, and samples that do not resolve the robot."""
+    window, whole = value_at(entry, "world.window"), value_at(entry, "world.whole_size")
+    spacing, length = value_at(entry, "world.sample_spacing"), value_at(entry, "world.robot_length")
+    clauses = []
+    if window is not None:
+        of = "" if whole is None else f" of {_meters(max(whole))}"
+        clauses.append(f"Evaluated on a window of {_meters(window[2])}{of}.")
+    if spacing is not None and length is not None and spacing > length:
+        clauses.append(
+            f"The source's samples are {spacing:.3g} m apart: they do not resolve a robot of {length:.2g} m."
+        )
+    if entry["status"] == "wall limit":
+        clauses.append("The wall limit ended the drive early.")
+    return " ".join(clauses)
+
+
+def _meters(length: float) -> str:
+    """Return a length in meters or kilometers."""
+    return f"{length / 1000:.3g} km" if length >= 1000 else f"{length:.3g} m"
+
+
+def read_limits(path: Path) -> tuple[VerdictLimits, frozenset[str]]:
+    """Read limits of verdicts, and the classes that pass in addition to `works`.
+
+    The YAML file has fields of `VerdictLimits`, and `accept`, a list of classes.
+
+    Raises:
+        ConfigError: the file cannot be read, or a name or value is not legal.
+    """
+    try:
+        entry = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: cannot be read as YAML: {reason_of(error)}") from error
+    names = [field.name for field in fields(VerdictLimits)]
+    if not isinstance(entry, dict):
+        raise ConfigError(f"{path}: must have fields ({', '.join((*names, 'accept'))}), got {entry!r}")
+    accept = entry.pop("accept", [])
+    if not isinstance(accept, list) or not set(map(str, accept)) <= set(ACCEPTABLE):
+        raise ConfigError(f"{path}: accept must be a list of {', '.join(ACCEPTABLE)}, got {accept!r}")
+    for name, value in entry.items():
+        if name not in names:
+            raise ConfigError(f"{path}: unknown limit {name!r}; legal: {', '.join((*names, 'accept'))}")
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+            raise ConfigError(f"{path}: {name} must be a finite number, at least 0, got {value!r}")
+    return VerdictLimits(**entry), frozenset(accept)

@@ -1,0 +1,95 @@
+"""Sentence of a verdict, counts of several, and the file of limits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lirs_validation.metrics.verdict import VerdictLimits
+from lirs_validation.record.verdict import judge, judge_log, read_limits, verdict_lines
+from lirs_wct.errors import ConfigError
+
+ENTRY: dict[str, Any] = {
+    "config": {"mapper": "gmapping", "robot": "jackal", "driver": "tour"},
+    "world": {
+        "name": "quarry",
+        "robot_length": 0.64,
+        "window": [0, 0, 50.0],
+        "whole_size": [16000, 16000],
+        "sample_spacing": 62.0,
+    },
+    "status": "ok",
+    "reason": "",
+    "trajectory": {"ate_rmse": 0.205, "odometry_ate_rmse": 0.205, "length": 31.0, "robot_lengths": 48.0},
+    "map": {"occupied_cells": 0, "f1_aligned": None},
+    "scans": {"beams": 541, "range_max": 20.0, "returns_median": 0.0, "walls_median": 0.0},
+}
+
+
+def test_the_sentence_names_cause_errors_map_and_evaluated_part() -> None:
+    verdict = judge(ENTRY)
+    assert verdict.kind == "adds nothing"
+    assert verdict.sentence == (
+        "gmapping on jackal adds nothing to the odometry on quarry: nothing within 20 m (0 of 541 beams). "
+        "Its path error is 0.205 m after 31 m, the odometry's 0.205 m. Its map is empty. "
+        "Evaluated on a window of 50 m of 16 km. "
+        "The source's samples are 62 m apart: they do not resolve a robot of 0.64 m."
+    )
+    assert [reason.figure for reason in verdict.reasons] == ["occupied cells", "trajectory error"]
+
+
+def test_an_error_above_the_odometrys_is_said() -> None:
+    trajectory = ENTRY["trajectory"] | {"ate_rmse": 0.22}
+    assert "worse than the odometry's 0.205 m" in judge(ENTRY | {"trajectory": trajectory}).sentence
+
+
+def test_a_short_drive_says_what_is_needed() -> None:
+    trajectory = ENTRY["trajectory"] | {"robot_lengths": 3.0, "length": 1.9}
+    verdict = judge(ENTRY | {"trajectory": trajectory})
+    assert verdict.kind == "not evaluated"
+    assert "drove 1.9 m, at least 6.4 m are needed" in verdict.sentence
+
+
+def test_a_log_without_truth_has_no_reference_but_says_that_it_is_lost() -> None:
+    accuracy = {"relations": None, "reference": None}
+    config = {"mapper": "hector"}
+    entry = {"config": config, "name": "hall", "status": "lost", "reason": "contradicts itself"}
+    entry |= {"accuracy": accuracy, "map": {"occupied": 3}, "trajectory": {"length": 9.0}, "log": {}}
+    verdict = judge_log(entry)
+    assert verdict.kind == "no reference"
+    assert "The mapper is lost: contradicts itself." in verdict.sentence
+
+
+def test_several_runs_are_counted_by_method() -> None:
+    good = ENTRY | {"trajectory": ENTRY["trajectory"] | {"ate_rmse": 0.02}, "map": {"occupied_cells": 9}}
+    assert verdict_lines([ENTRY, good, good]) == [
+        "verdict, quarry, jackal, gmapping: works (2 of 3), adds nothing (1 of 3)"
+    ]
+
+
+def test_limits_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "limits.yaml"
+    path.write_text("f1_aligned: 0.9\naccept: [path only]\n")
+    assert read_limits(path) == (VerdictLimits(f1_aligned=0.9), frozenset({"path only"}))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("f2: 1\n", "unknown limit 'f2'; legal: robot_lengths"),
+        ("f1_aligned: high\n", "f1_aligned must be a finite number, at least 0, got 'high'"),
+        ("accept: [failed]\n", "accept must be a list of no reference, path only"),
+        ("[1]\n", "must have fields"),
+        ("a: [\n", "cannot be read as YAML"),
+    ],
+)
+def test_unusable_limits_are_one_line(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "limits.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_limits(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
