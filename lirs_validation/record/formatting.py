@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from lirs_validation.record.run_record import RunRecord
+from typing import Any
 
 NOTHING = "-"
 """Text of a value that does not exist."""
@@ -17,11 +14,11 @@ Entry = Mapping[str, Any]
 """A record as nested dicts."""
 
 
-def as_entry(record: RunRecord | Entry) -> Entry:
+def as_entry(record: object) -> Entry:
     """Return a run's or a file's record as nested dicts."""
     if isinstance(record, Mapping):
         return record
-    if not is_dataclass(record):
+    if not is_dataclass(record) or isinstance(record, type):
         raise TypeError(f"a record must be a RunRecord or nested dicts, got {type(record).__name__}")
     return asdict(record)
 
