@@ -24,7 +24,7 @@ from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.imu_csv import HEADER as IMU_HEADER
 from lirs_wct.formats.imu_csv import read_imu
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.rosbag.library import Storage, require_rosbags
+from lirs_wct.formats.rosbag.storage import Storage
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -141,13 +141,11 @@ def export_run(
         slam: whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
 
     Raises:
-        WctError: there is no such format, the run cannot be read, rosbags is absent, or out not writable.
+        WctError: there is no such format, the run cannot be read, or out is not writable.
     """
     for name in formats:
         if name not in FORMATS:
             raise unknown_name("format", name, FORMATS)
-    if "bag" in formats:
-        require_rosbags(out / "bag")
     exporters: Mapping[str, Callable[[RunFolder, Path], Path]] = {
         "bag": partial(_export_bag, storage=storage, slam=slam),
         "csv": _export_csv,

@@ -33,7 +33,6 @@ from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
@@ -125,10 +124,8 @@ def run(
     Raises:
         WctError: see `validate`; a bag is to be recorded, and nothing written.
     """
-    if config.bag is not None:
-        require_rosbags(config.source)
-        if out is None:
-            raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
+    if config.bag is not None and out is None:
+        raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
     ready = prepare(config, progress, scenarios)
     with recording(config, out, ready.simulation.period) as recorded:
         with closing(ready.feeding):

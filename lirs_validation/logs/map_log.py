@@ -27,7 +27,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.formats.rosbag.library import METADATA, require_rosbags
+from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import is_bag_file
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.progress import Progress, no_progress
@@ -173,7 +173,6 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
     if is_bag(path):
         if config.fov is not None or config.range_max is not None:
             raise ConfigError(f"{path}: the messages of a bag say field of view and ranges themselves")
-        require_rosbags(path)
         from lirs_wct.formats.rosbag.reader import read_bag
         from lirs_wct.formats.rosbag.topics import Topics
 

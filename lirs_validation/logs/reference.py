@@ -17,7 +17,6 @@ from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint, 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LineStamps
-from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.sources.source import is_bag
@@ -38,7 +37,6 @@ def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic")
         ConfigError: a topic is given, and it is no bag.
     """
     if is_bag(path):
-        require_rosbags(path)
         from lirs_wct.formats.rosbag.poses import read_poses
 
         return read_poses(path, topic, flag)

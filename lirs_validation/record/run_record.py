@@ -16,7 +16,7 @@ from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.rosbag.library import FILES, METADATA, Storage
+from lirs_wct.formats.rosbag.storage import FILES, METADATA, Storage
 
 SCHEMA = 3
 

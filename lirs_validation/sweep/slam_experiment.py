@@ -24,7 +24,6 @@ from lirs_validation.record.schema import read_whole_record
 from lirs_validation.sweep.experiment import Outcome
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_folder
-from lirs_wct.formats.rosbag.library import require_rosbags
 from lirs_wct.progress import Progress
 from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.source import find_source
@@ -64,8 +63,6 @@ class SlamExperiment:
         c = self.config
         _check_names(c.robot, c.lidar, c.mapper, driver_parts(c.driver)[0] == "frontier")
         check_driver(self.config)
-        if self.config.bag is not None:
-            require_rosbags(self.config.source)
         world_name(self.config)
 
     def perform(

@@ -27,11 +27,11 @@ REQUIRED = (
     "trimesh",
     "opencv-python-headless",
     "matplotlib",
+    "rosbags",
 )
 EXTRAS = {
     "gui": ("viser", "pillow"),
     "mesh": ("coacd", "embreex"),
-    "ros": ("rosbags",),
     "rl": ("stable-baselines3",),
     "dist": ("ray",),
     "notebooks": ("ipykernel", "nbclient"),

@@ -1,1 +1,1 @@
-"""ROS bags without ROS: writing drives, reading logs (extra `[ros]`)."""
+"""ROS bags without ROS: writing drives, reading logs."""

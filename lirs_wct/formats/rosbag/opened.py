@@ -24,9 +24,9 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.compression import decompress_file, decompress_message
-from lirs_wct.formats.rosbag.library import METADATA
-from lirs_wct.formats.rosbag.salvage.files import fault_of, salvage_file
-from lirs_wct.formats.rosbag.salvage.ros1 import MAGIC
+from lirs_wct.formats.rosbag.ros1_records import MAGIC
+from lirs_wct.formats.rosbag.salvage import fault_of, salvage_file
+from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import BAGS, ZSTD, is_bag_file
 
 Reader: TypeAlias = rosbag1.Reader | rosbag2.Reader

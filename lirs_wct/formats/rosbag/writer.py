@@ -29,8 +29,8 @@ from rosbags.typesys import Stores, get_typestore
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.rosbag import messages
-from lirs_wct.formats.rosbag.library import Storage
 from lirs_wct.formats.rosbag.messages import BASE, LASER, MAP, ODOM, nanoseconds
+from lirs_wct.formats.rosbag.storage import Storage
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3

@@ -42,7 +42,6 @@ def test_the_log_is_the_recorded_one(run: RunFolder, tmp_path: Path) -> None:
 
 def test_a_bag_begins_at_the_origin_and_knows_the_sensor(run: RunFolder, tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
-    pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
     (folder,) = export_run(run, tmp_path, ("bag",))
     drive = recorded_drive(run)
     found = [m.ros_msg for m in reader.read_ros2_messages(str(folder / "bag.mcap"), topics=["/ground_truth"])]
@@ -54,7 +53,6 @@ def test_a_bag_begins_at_the_origin_and_knows_the_sensor(run: RunFolder, tmp_pat
 
 def test_sensors_only_leaves_the_mapper_out(run: RunFolder, tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
-    pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
     (folder,) = export_run(run, tmp_path, ("bag",), slam=False)
     found = list(reader.read_ros2_messages(str(folder / "bag.mcap")))
     assert "/map" not in {m.channel.topic for m in found}
@@ -68,7 +66,7 @@ def test_what_cannot_be_exported_is_said(
 ) -> None:
     with pytest.raises(ConfigError, match="unknown format 'ply'; legal: bag, carmen, csv, npz"):
         export_run(run, tmp_path, ("ply",))
-    monkeypatch.setattr("lirs_wct.formats.rosbag.library.find_spec", lambda name: None)
+    monkeypatch.setattr("lirs_wct.formats.rosbag.storage.find_spec", lambda name: None)
     with pytest.raises(SourceError, match=r"bag: .*pip install 'lirs-wct\[ros\]'"):
         export_run(run, tmp_path, ("csv", "bag"))
     assert not list(tmp_path.iterdir())

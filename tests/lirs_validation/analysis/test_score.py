@@ -45,7 +45,6 @@ def foreign(run: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> tuple[P
 
 
 def test_a_bag_scores_as_the_poses_in_it(run: RunFolder, tmp_path: Path) -> None:
-    pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
     export_run(run, tmp_path, ("bag",))
     recorded = run.entry["trajectory"]
     found = score(run, trajectory=tmp_path / "bag")

@@ -7,8 +7,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
-
 from lirs_validation.record.run_record import read_record
 
 

@@ -10,9 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
-
 from rosbags.highlevel import AnyReader
 
 from lirs_validation import Run, validate
@@ -159,7 +156,7 @@ def test_a_bag_needs_a_folder_and_a_storage() -> None:
 
 
 def test_without_the_library_it_is_said_before_anything_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lirs_wct.formats.rosbag.library.find_spec", lambda _: None)
+    monkeypatch.setattr("lirs_wct.formats.rosbag.storage.find_spec", lambda _: None)
     with pytest.raises(SourceError, match=r"pip install 'lirs-wct\[ros\]'"):
         SlamExperiment(RunConfig(source="simple", bag="mcap")).check()
 

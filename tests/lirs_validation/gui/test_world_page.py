@@ -92,7 +92,6 @@ def test_a_map_and_its_picture_are_dropped_together(open_page: Open, tmp_path: P
 
 
 def test_logs_and_compressed_bags_are_dropped(open_page: Open, tmp_path: Path) -> None:
-    pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
     from lirs_wct.formats.rosbag.compression import zstd
     from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
     from tests.lirs_wct.formats.rosbag import drives

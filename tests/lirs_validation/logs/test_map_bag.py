@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
-
 from lirs_validation import map_log, validate
 from lirs_validation.analysis.recorded_run import export_run
 from lirs_validation.analysis.result_folders import read_run

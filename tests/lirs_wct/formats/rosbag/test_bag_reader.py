@@ -11,17 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
-
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.formats.rosbag.library import STORAGES, Storage
 from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.storage import STORAGES, Storage
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
 from lirs_wct.sources.source import is_log

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import yaml
 
-pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
-
 from lirs_wct.formats.rosbag.messages import body_velocity
 from lirs_wct.formats.rosbag.writer import LATCHED, TOPICS, BagDrive, write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3

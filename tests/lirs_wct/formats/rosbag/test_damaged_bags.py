@@ -13,9 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-
-pytest.importorskip("rosbags", reason="the extra [ros] is not installed")
-
 from rosbags.convert.converter import convert
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as Writer1
@@ -130,34 +127,11 @@ def test_the_scans_before_a_crash_are_read(bag: Path, given: BagDrive, tmp_path:
     check(log, given, count)
 
 
-@pytest.fixture
-def database(given: BagDrive, tmp_path: Path) -> bytes:
+def test_a_database_that_is_cut_is_refused(given: BagDrive, tmp_path: Path) -> None:
     write_bag(tmp_path / "whole", BagDrive(ticks=given.ticks), "sqlite3")
-    return (tmp_path / "whole" / "whole.db3").read_bytes()
-
-
-def test_a_database_is_read_up_to_where_it_is_cut(database: bytes, given: BagDrive, tmp_path: Path) -> None:
-    (tmp_path / "cut.db3").write_bytes(database[: round(0.9 * len(database))])
-    with pytest.warns(UserWarning, match=r"cut\.db3: its end is missing\): \d+ scans could be read"):
-        log = read_bag(tmp_path / "cut.db3", IMU)
-    assert len(log.scans) > 0.8 * SCANS
-    check(log, given, len(log.scans))
-
-
-@pytest.mark.parametrize("share", [0.1, 0.33])
-def test_a_database_cut_before_its_tree_of_rows_gives_its_first_scans(
-    database: bytes, given: BagDrive, tmp_path: Path, share: float
-) -> None:
-    (tmp_path / "cut.db3").write_bytes(database[: round(share * len(database))])
-    with pytest.warns(UserWarning, match=r"cut\.db3: its end is missing\): \d+ scans could be read"):
-        log = read_bag(tmp_path / "cut.db3", IMU)
-    assert len(log.scans) > (share - 0.1) * SCANS
-    check(log, given, len(log.scans))
-
-
-def test_of_a_database_cut_before_its_first_row_it_is_said(database: bytes, tmp_path: Path) -> None:
-    (tmp_path / "cut.db3").write_bytes(database[: 7 * 4096])
-    with pytest.raises(SourceError, match=r"holds no message \(damaged: cut\.db3: its end is missing"):
+    data = (tmp_path / "whole" / "whole.db3").read_bytes()
+    (tmp_path / "cut.db3").write_bytes(data[: round(0.9 * len(data))])
+    with pytest.raises(SourceError, match=r"^\S*cut\.db3: .*malformed"):
         read_bag(tmp_path / "cut.db3", IMU)
 
 

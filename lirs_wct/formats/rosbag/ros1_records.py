@@ -6,15 +6,31 @@ import struct
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from lirs_wct.formats.rosbag.compression import decompress_chunk
-from lirs_wct.formats.rosbag.salvage.message import SalvagedMessage, Topic
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, HEADER, CHUNK, CONNECTION = 2, 3, 5, 7
 """Kinds of records, their field `op`."""
 Fields = dict[str, bytes]
+
+
+class Topic(NamedTuple):
+    """A topic: name, type, and the type's definition and digest (empty = unknown)."""
+
+    name: str
+    kind: str
+    definition: str = ""
+    digest: str = ""
+
+
+class SalvagedMessage(NamedTuple):
+    """A message: topic, time of recording in nanoseconds, and bytes."""
+
+    topic: Topic
+    stamp: int
+    data: bytes
 
 
 def index_of(path: Path) -> int | None:

@@ -1,1 +1,0 @@
-"""Salvage of bags that are cut off or have no index: their complete messages."""
