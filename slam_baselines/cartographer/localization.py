@@ -23,7 +23,8 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.mapper import MapperStats, Stopwatch
+from slam_baselines.front_end import ScanMapper
+from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
 from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
@@ -114,15 +115,6 @@ def _dilate(level: OccupancyMap) -> OccupancyMap:
 
 
 @dataclass
-class _Counts:
-    received: int = 0
-    matched: int = 0
-    lost: int = 0
-    searches: int = 0
-    ambiguous: int = 0
-
-
-@dataclass
 class _Track:
     """Poses of all scans; before the first fix they are in the odometry's frame."""
 
@@ -132,13 +124,14 @@ class _Track:
         self.scans = {stamp: T_map_before @ pose for stamp, pose in self.scans.items()}
 
 
-class CartographerLocalizer:
+class CartographerLocalizer(ScanMapper):
     """Localizer in a known map; `T_map_base` is in the frame of that map."""
 
-    requires_odometry = False
+    name = "cartographer"
 
     def __init__(self, config: CartographerConfig, known: KnownMap) -> None:
         """Begin at the configured start; None: anywhere in the map."""
+        super().__init__()
         self.config = c = config.localization
         self._known = known
         registration = config.local.registration
@@ -152,7 +145,8 @@ class CartographerLocalizer:
         self._tracking = TrackingMonitor(c.tracking, map_given=True)
         self._searched: tuple[float, float] | None = None
         self._distance_traveled = 0.0
-        self._track, self._counts, self._stopwatch = _Track(), _Counts(), Stopwatch()
+        self._track = _Track()
+        self._matched = self._searches = self._ambiguous = 0
 
     @property
     def resolution(self) -> float:
@@ -164,13 +158,11 @@ class CartographerLocalizer:
         """The known map as it was given."""
         return self._known.grid
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan to the map, or search for an unknown pose; return `T_map_base`.
 
         While `lost`, this is dead reckoning from the last known pose, at first from the map's origin.
         """
-        started, counts = self._stopwatch.start(), self._counts
-        counts.received += 1
         level = self._leveler.level(scan, imu)
         before = self._estimate.pose
         self._estimate = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
@@ -180,8 +172,6 @@ class CartographerLocalizer:
             self._register(level, before)
         self._distance_traveled += before.distance(self._estimate.pose)
         self._track.scans[scan.stamp] = self._estimate.pose
-        counts.lost += self.lost
-        self._stopwatch.stop(started)
         return self._estimate.pose
 
     def map(self) -> OccupancyGrid:
@@ -198,29 +188,24 @@ class CartographerLocalizer:
         """Whether the robot's pose in the map is unknown."""
         return not self._located
 
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far."""
-        c = self._counts
+    def counts(self) -> MapperStats:
+        """Return used and skipped scans, memory and other counts."""
         return MapperStats(
-            received=c.received,
-            used=c.matched,
-            skipped={"not matched": c.received - c.matched},
-            lost=c.lost,
+            used=self._matched,
+            skipped={"not matched": self.received - self._matched},
             memory=self._known.nbytes,
             counts={
-                "global_searches": c.searches,
-                "global_searches_ambiguous": c.ambiguous,
+                "global_searches": self._searches,
+                "global_searches_ambiguous": self._ambiguous,
                 "searches": self._registration.searches,
             },
-            **self._stopwatch.summary(),
         )
 
     def _register(self, scan: LeveledScan, before: Pose2) -> None:
         self._estimate, match = self._registration.register(
             self._known.pyramid, scan.hits, None, self._estimate, before
         )
-        self._counts.matched += match is not None
+        self._matched += match is not None
         if match is not None:
             self._tracking.observe(match.score, match.known)
         else:
@@ -242,7 +227,7 @@ class CartographerLocalizer:
         sparse = voxel_filter(scan.hits, known.bounds.resolution, c.max_points)
         if len(sparse) < c.min_points:
             return
-        self._counts.searches += 1
+        self._searches += 1
         self._searched = self._distance_traveled, scan.stamp
         start, window = np.array((*known.center, 0.0)), SearchWindow(known.reach, math.pi)
         found = branch_and_bound(known.bounds, sparse, start, window, c.min_score, c.max_search_nodes)
@@ -255,7 +240,7 @@ class CartographerLocalizer:
             best, second = sorted((best, self._refine(scan, other.pose)), key=lambda match: -match.score)
         alike = second is not None and second.score >= c.ambiguity_ratio * best.score
         if alike or not (found.complete and other.complete):
-            self._counts.ambiguous += 1
+            self._ambiguous += 1
             return
         self._locate(Pose2(*best.pose.tolist()))
 

@@ -22,9 +22,9 @@ from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
 from slam_baselines.cartographer.loop_closure import LoopEvent
 from slam_baselines.cartographer.node import Node, NodeMap
-from slam_baselines.mapper import Mapper, MapperStats, Stopwatch, required_odometry
-from slam_baselines.mapping.bootstrap import Bootstrap
-from slam_baselines.mapping.keyframe import KeyframeTrajectory
+from slam_baselines.front_end import FrontEndConfig
+from slam_baselines.mapper import Mapper, MapperStats
+from slam_baselines.scan.leveling import LeveledScan
 
 WARM_UP = {
     "local": LocalConfig(submaps=SubmapConfig(num_range_data=20), sparse_distance=0.1),
@@ -46,94 +46,77 @@ def make_cartographer(config: CartographerConfig) -> Mapper:
     return CartographerLocalizer(c, KnownMap.load(c.map))
 
 
-class CartographerMapper:
+class CartographerMapper(LocalSlam):
     """Local SLAM on submaps; a pose graph corrects their drift at loops."""
 
+    name = "cartographer"
     requires_odometry = True
 
     def __init__(self, config: CartographerConfig | None = None) -> None:
         self.config = c = config or CartographerConfig()
-        self._local = LocalSlam(c.local, c.clear_range, c.max_range)
-        self._graph = GlobalSlam(c.graph, self._local)
+        front_end = FrontEndConfig(
+            tracking=c.local.tracking, localizability=c.local.localizability, bootstrap=c.bootstrap,
+            clear_range=c.clear_range, max_range=c.max_range,
+        )  # fmt: skip
+        super().__init__(c.local, front_end)
+        self._graph = GlobalSlam(c.graph, self)
         self._map = NodeMap(c.map_resolution, c.update, c.local.ground_filter)
-        self._scans = KeyframeTrajectory()
-        self._bootstrap: Bootstrap[Node] = Bootstrap(c.bootstrap)
-        self._stopwatch = Stopwatch()
 
     @property
     def resolution(self) -> float:
         """Edge of a cell of the map, meters."""
         return self.config.map_resolution
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Match the scan to its submap and work on the graph; return `T_map_base`.
-
-        Raises:
-            ConfigError: there is no odometry.
-        """
-        odometry = required_odometry("cartographer", odometry, scan.stamp)
-        started = self._stopwatch.start()
-        node = self._local.add_range_data(scan, odometry, imu)
-        if node is not None:
-            self._graph.add_node(node)
-            if self._bootstrap.add(node, node.distance_traveled) and self._local.localizability.believed:
-                self._refine_start()
-        nodes, pose = self._graph.nodes, self._local.estimate.pose
-        self._scans.add(scan.stamp, len(nodes) - 1, nodes[-1].pose.inverse() @ pose if nodes else pose)
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Match the scan to its submap and work on the graph; return `T_map_base`."""
+        T_local_base = super().process(scan, odometry, imu)
         self._graph.run_work_share()
-        self._stopwatch.stop(started)
-        return self._graph.T_map_local @ self._local.estimate.pose
+        return self._graph.T_map_local @ T_local_base
 
-    def _refine_start(self) -> None:
-        """Rebuild submaps and graph with the present knowledge of the ground, while no submap is finished."""
-        local = self._local
-        if local.ground_filter.match_wall_slope == 0 or local.submaps.all[0].finished:
-            self._bootstrap.close()
-            return
-        self._bootstrap.replace(local.refine(self._bootstrap.keyframes))
-        self._graph = GlobalSlam(self.config.graph, local)
-        for node in self._bootstrap.keyframes:
-            self._graph.add_node(node)
+    def insert(self, scan: LeveledScan, pose: Pose2) -> Node:
+        """Draw a scan into the submaps, and add its node to the graph."""
+        node = super().insert(scan, pose)
+        self._graph.add_node(node)
+        return node
+
+    def refine(self, keyframes: list[Node]) -> list[Node] | None:
+        """Rebuild submaps and graph with the present knowledge of the ground, if possible."""
+        refined = super().refine(keyframes)
+        if refined is not None:
+            self._graph = GlobalSlam(self.config.graph, self)
+            for node in refined:
+                self._graph.add_node(node)
+        return refined
 
     def map(self) -> OccupancyGrid:
         """Return the map of all nodes at their optimized poses (see LocalizabilityMonitor.draws)."""
         poses, _ = self._graph.optimized_poses()
-        draws = self._local.localizability.draws(self._local.ground_filter.distance_traveled)
-        return self._map.render(self._graph.nodes, poses, walls=draws)
+        return self._map.render(self._graph.nodes, poses, walls=self.draws_walls)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
         poses, T_map_local = self._graph.optimized_poses()
-        measured = [node.pose for node in self._graph.nodes]
-        return self._scans.trajectory(poses, measured, None if measured else T_map_local)
+        return self.scans.trajectory(poses, self.path, None if self.path else T_map_local)
 
     @property
     def loops(self) -> list[LoopEvent]:
         """Loops closed so far, in the order of acceptance."""
         return list(self._graph.events)
 
-    @property
-    def lost(self) -> bool:
-        """Whether too many scans in a row contradict the map."""
-        return self._local.lost
-
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far."""
-        local, graph = self._local, self._graph
+    def counts(self) -> MapperStats:
+        """Return used scans, memory and other counts."""
+        graph, submaps = self._graph, self.submaps.all
         counts = graph.builder.counts
         return MapperStats(
-            received=local.received,
-            used=local.matched,
-            lost=local.lost_scans,
-            memory=sum(submap.nbytes for submap in local.submaps.all)
+            used=self.matched,
+            memory=sum(submap.nbytes for submap in submaps)
             + sum(node.nbytes for node in graph.nodes)
-            + local.ground_filter.grid.nbytes
+            + self.ground_filter.grid.nbytes
             + graph.trimmer.nbytes
             + self._map.nbytes,
             counts={
                 "nodes": len(graph.nodes),
-                "submaps": len(local.submaps.all),
+                "submaps": len(submaps),
                 "submaps_trimmed": graph.trimmed,
                 "loops": len(graph.loops),
                 "loop_searches": counts.searched,
@@ -142,9 +125,8 @@ class CartographerMapper:
                 "loop_searches_waiting": len(graph.candidates),
                 "loop_searches_dropped": graph.candidates.dropped,
                 "optimizations": graph.optimizations,
-                "second_looks": self._bootstrap.refinements,
-                "searches": local.registration.searches,
-                "matches_implausible": local.implausible,
+                "second_looks": self.bootstrap.refinements,
+                "searches": self.registration.searches,
+                "matches_implausible": self.implausible,
             },
-            **self._stopwatch.summary(),
         )

@@ -27,7 +27,6 @@ from slam_baselines.cartographer.config import (
     TrimmingConfig,
 )
 from slam_baselines.cartographer.mapper import CartographerMapper
-from slam_baselines.mapper import required_odometry
 from slam_baselines.matching.gauss_newton import MatchConfig
 from slam_baselines.matching.registration import RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
@@ -116,16 +115,14 @@ class CartographerOriginalConfig(CartographerConfig):
 class CartographerOriginalMapper(CartographerMapper):
     """Cartographer in the plane: no attitude, no monitor."""
 
+    name = "cartographer_original"
+
     def __init__(self, config: CartographerOriginalConfig | None = None) -> None:
         super().__init__(config or CartographerOriginalConfig())
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Process a scan as if the base were level; return `T_map_base`.
-
-        Raises:
-            ConfigError: there is no odometry.
-        """
-        return super().update(scan, required_odometry("cartographer_original", odometry, scan.stamp), None)
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Process a scan as if the base were level; return `T_map_base`."""
+        return super().process(scan, odometry, None)
 
     @property
     def lost(self) -> bool:

@@ -13,23 +13,20 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.front_end import FrontEnd, FrontEndConfig
 from slam_baselines.gmapping.bootstrap import BiasedRegistration, GmappingKeyframe, GyroIncrement
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.particle_filter import ParticleFilter
-from slam_baselines.gmapping.proposal import Proposal
 from slam_baselines.gmapping.scan_matching import ScanBeams
-from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
-from slam_baselines.mapping.bootstrap import Bootstrap
+from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.mapping.occupancy_map import NO_WALL
-from slam_baselines.matching.localizability import LocalizabilityMonitor
-from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.gyro_bias import GyroBias
 from slam_baselines.motion.increment import MotionIncrement
 from slam_baselines.scan.interpolation import interpolate_hits
-from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
+from slam_baselines.scan.leveling import LeveledScan
 
 __all__ = ["GmappingConfig", "GmappingMapper"]
 
@@ -37,84 +34,63 @@ WARM_UP = {"sparse_distance": 0.1}
 """Configuration with which a short drive reaches every kernel: the scans are sparse."""
 
 
-class GmappingMapper:
+class GmappingMapper(FrontEnd[GmappingKeyframe]):
     """Particle filter over paths; a loop closes when the fitting particles survive."""
 
+    name = "gmapping"
     requires_odometry = True
 
     def __init__(self, config: GmappingConfig | None = None) -> None:
         self.config = c = config or GmappingConfig()
-        self._leveler = ScanLeveler(c.maxUrange if math.isfinite(c.maxUrange) else 0.0, c.maxUrange)
-        self._ground_filter = GroundFilter(c.ground_filter)
+        front_end = FrontEndConfig(
+            tracking=c.tracking, localizability=c.localizability, bootstrap=c.bootstrap,
+            clear_range=c.maxUrange if math.isfinite(c.maxUrange) else 0.0, max_range=c.maxUrange,
+        )  # fmt: skip
+        super().__init__(front_end, GroundFilter(c.ground_filter))
         self._filter = ParticleFilter(c)
         self._increment = MotionIncrement(c.motion)
-        self._tracking = TrackingMonitor(c.tracking)
-        self._bootstrap: Bootstrap[GmappingKeyframe] = Bootstrap(c.bootstrap)
-        self._registration = BiasedRegistration(self._filter.proposer, self._ground_filter, c.gyro_bias)
+        self._registration = BiasedRegistration(self._filter.proposer, self.ground_filter, c.gyro_bias)
         self._bias = GyroBias.unknown(c.gyro_bias)
-        self._localizability = LocalizabilityMonitor(c.localizability)
-        self._reckoned_yaw = 0.0
-        self._received = self._lost_scans = 0
         self._spacing = 0.0
-        self._stopwatch = Stopwatch()
 
     @property
     def resolution(self) -> float:
         """Edge of a cell of the map, meters."""
         return self.config.delta
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Follow the odometry; process the scan after enough motion. Return `T_map_base`.
-
-        Raises:
-            ConfigError: there is no odometry.
-        """
-        odometry = required_odometry("gmapping", odometry, scan.stamp)
-        started = self._stopwatch.start()
-        self._received += 1
-        level = self._leveler.level(scan, imu)
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Follow the odometry; process the scan after enough motion. Return `T_map_base`."""
+        level = self.leveler.level(scan, imu)
         self._follow(level, odometry, imu)
         if self._filter.tree.generations:
             self._track(level)
         if self._due:
             self._process(level)
         self._filter.tree.add_scan(scan.stamp, self._increment.pose)
-        self._lost_scans += self.lost
-        self._stopwatch.stop(started)
         return self._pose
 
     def map(self) -> OccupancyGrid:
         """Return the best particle's map; without walls if dead reckoning placed most of them."""
-        ground = self._ground_filter
-        drawn = self._localizability.draws(ground.distance_traveled)
-        return self._filter.maps.occupancy_grid(self._filter.best, ground.wall_slope if drawn else NO_WALL)
+        wall_slope = self.ground_filter.wall_slope if self.draws_walls else NO_WALL
+        return self._filter.maps.occupancy_grid(self._filter.best, wall_slope)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan on the path of the best particle."""
         return self._filter.trajectory
 
-    @property
-    def lost(self) -> bool:
-        """Whether too many scans in a row contradict the map."""
-        return self._tracking.lost
-
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far."""
+    def counts(self) -> MapperStats:
+        """Return used and skipped scans, memory and other counts."""
         particles, processed = self._filter, self._filter.tree.generations
         return MapperStats(
-            received=self._received,
             used=processed,
-            skipped={"not moved": self._received - processed},
-            lost=self._lost_scans,
-            memory=particles.maps.nbytes + self._ground_filter.grid.nbytes,
+            skipped={"not moved": self.received - processed},
+            memory=particles.maps.nbytes + self.ground_filter.grid.nbytes,
             counts={
                 "particles": self.config.particles,
                 "resamplings": particles.resamplings,
                 "searches": particles.proposer.searches,
                 "patches": particles.maps.in_use,
             },
-            **self._stopwatch.summary(),
         )
 
     @property
@@ -134,23 +110,23 @@ class GmappingMapper:
     def _sparse(self) -> bool:
         return self._spacing >= self.config.sparse_distance
 
-    def _follow(self, scan: LeveledScan, odometry: Pose2, imu: Imu | None) -> None:
+    def _follow(self, scan: LeveledScan, odometry: Pose2 | None, imu: Imu | None) -> None:
         """Add the odometry to the motion since the last processed scan."""
         delta = self._increment.add_odometry(odometry, imu, scan.stamp)
         self._spacing += (math.hypot(delta.x, delta.y) + abs(delta.yaw) - self._spacing) / min(
-            self._received, self.config.sparse_memory
+            self.received, self.config.sparse_memory
         )
         if scan.leveled:
-            self._ground_filter.move(delta, scan)
+            self.ground_filter.move(delta, scan)
 
     def _track(self, scan: LeveledScan) -> None:
         """Correct the motion by a match to the best particle's map, if localizable.
 
         A sparse scan that is processed at once is matched there, with dead reckoning as its prior.
         """
-        if (self._sparse and self._due) or (scan.leveled and not self._localizability.localizable):
+        if (self._sparse and self._due) or (scan.leveled and not self.localizability.localizable):
             return
-        beams, wall_slope = self._beams(scan), self._ground_filter.match_wall_slope
+        beams, wall_slope = self._beams(scan), self.ground_filter.match_wall_slope
         found = self._filter.match_best(beams, self._increment, wall_slope, wide=self._sparse)
         if found is not None and self._increment.distance_from(found) <= self.config.mahalanobis_gate:
             self._increment.pose = found
@@ -164,7 +140,7 @@ class GmappingMapper:
         come = GyroIncrement(motion.reckoned, motion.seconds)
         motion.begin()
         # Until the start-up refinement is over, every scan is a link of the trajectory.
-        if self._tracking.fits or (scan.leveled and not self._bootstrap.over):
+        if self.tracking.fits or (scan.leveled and not self.bootstrap.over):
             self._enter(scan, come)
         particles.resample()
 
@@ -172,30 +148,22 @@ class GmappingMapper:
         """Draw new poses and weigh them; follow dead reckoning where it is not localizable."""
         particles, motion = self._filter, self._increment
         beams = self._beams(scan)
-        wall_slope = self._ground_filter.match_wall_slope
+        wall_slope = self.ground_filter.match_wall_slope
         proposal = particles.propose(beams, motion, wall_slope, wide=self._sparse)
         hit, known = (float(ratio[particles.best]) for ratio in (proposal.hit_ratio, proposal.known_ratio))
         informative = self._is_informative(beams, known)
         if scan.leveled:
-            self._observe_localizability(proposal, hit if informative else None)
+            self.reckoned_yaw += motion.reckoned.pose.yaw
+            yaw = float(proposal.means[particles.best, 2])
+            self.observe_localizability(hit if informative else None, yaw, motion.seconds)
         if not scan.leveled or (
-            self._localizability.localizable and (informative or self._localizability.steady)
+            self.localizability.localizable and (informative or self.localizability.steady)
         ):
             particles.adopt(proposal)
         else:
             particles.follow(motion)
-        if scan.leveled and not self._localizability.proven:
-            self._tracking.observe(None)
-        else:
-            self._tracking.observe(hit, known)
+        self.observe_fit(hit, known)
         self._learn_bias(motion)
-
-    def _observe_localizability(self, proposal: Proposal, hit_ratio: float | None) -> None:
-        """Update the localizability monitor."""
-        motion = self._increment
-        self._reckoned_yaw += motion.reckoned.pose.yaw
-        yaw = float(proposal.means[self._filter.best, 2])
-        self._localizability.observe(hit_ratio, wrap_angle(yaw - self._reckoned_yaw), motion.seconds)
 
     def _is_informative(self, beams: ScanBeams, known_ratio: float) -> bool:
         """Return whether enough beams at walls end where the map is known."""
@@ -204,33 +172,39 @@ class GmappingMapper:
 
     def _learn_bias(self, motion: MotionIncrement) -> None:
         """Update the gyro's bias once the start is refined; before, too few walls are known."""
-        fits = self._tracking.fits and self._localizability.believed
-        if self._bootstrap.refinements and fits and motion.seconds > 0:
+        fits = self.tracking.fits and self.localizability.believed
+        if self.bootstrap.refinements and fits and motion.seconds > 0:
             turned = self._filter.turned - motion.reckoned.pose.yaw
             self._bias = self._bias.learned(wrap_angle(turned), motion.seconds)
             motion.bias = self._bias.value
 
     def _beams(self, scan: LeveledScan) -> ScanBeams:
         """Return the scan's hits, with weight 1 for known walls and 0 for possible ground."""
-        ground, pose = self._ground_filter, self._pose
+        ground, pose = self.ground_filter, self._pose
         placed = None if ground.flat else scan.transformed(pose, ground.height).hits
         known = None if placed is None else self._filter.known_slopes(placed)
         return ScanBeams(scan.hits, ground.match_walls(scan, pose, known=known))
 
     def _enter(self, scan: LeveledScan, motion: GyroIncrement) -> None:
         """Draw the scan; on uneven ground, refine the start of the trajectory when due."""
-        ground, bootstrap = self._ground_filter, self._bootstrap
+        ground = self.ground_filter
         _, min_slopes = ground.insert(scan, self._pose)
         drawn = scan.transformed(Pose2(), ground.height), min_slopes
         if self._sparse:
             drawn = interpolate_hits(*drawn, self.config.delta, self.config.interpolation)
         self._filter.insert_scan(*drawn, ground.match_wall_slope)
-        if not scan.leveled:
-            return
-        keyframe: GmappingKeyframe = Keyframe(scan, self._pose, ground.height, min_slopes, motion)
-        if bootstrap.add(keyframe, ground.distance_traveled) and not ground.flat:
-            maps = PatchMaps(1, self.config.delta)
-            bootstrap.replace(self._registration.refine(bootstrap.keyframes, maps))
-            self._bias = self._registration.bias
-            self._increment.bias = self._bias.value
-            self._filter.restart([k.pose for k in bootstrap.keyframes], maps)
+        self.refine_start(Keyframe(scan, self._pose, ground.height, min_slopes, motion))
+
+    def refine(self, keyframes: list[GmappingKeyframe]) -> list[GmappingKeyframe] | None:
+        """Register the start again with the gyro's bias; None on a floor.
+
+        All particles are replaced by one.
+        """
+        if self.ground_filter.flat:
+            return None
+        maps = PatchMaps(1, self.config.delta)
+        refined = self._registration.refine(keyframes, maps)
+        self._bias = self._registration.bias
+        self._increment.bias = self._bias.value
+        self._filter.restart([k.pose for k in refined], maps)
+        return refined

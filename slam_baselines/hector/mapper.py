@@ -10,33 +10,36 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_within
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
-from slam_baselines.hector.bootstrap import HectorKeyframe, refine
-from slam_baselines.mapper import MapperStats, Stopwatch
-from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
-from slam_baselines.mapping.keyframe import Keyframe, KeyframeTrajectory
+from slam_baselines.front_end import FrontEndConfig, Registered, ScanToMapFrontEnd
+from slam_baselines.mapper import MapperStats
+from slam_baselines.mapping.bootstrap import BootstrapConfig, register_forwards
+from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor
 from slam_baselines.matching.registration import Registration, RegistrationConfig
-from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
+from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.calibration import CalibrationConfig
-from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryStep, PoseEstimate
-from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
+from slam_baselines.motion.dead_reckoning import (
+    DeadReckoning,
+    MotionConfig,
+    MotionStep,
+    OdometryStep,
+    PoseEstimate,
+)
+from slam_baselines.scan.leveling import LeveledScan
 
 WARM_UP = {"sparse_distance": 0.1}
 """Configuration with which a short drive reaches every kernel: the scans are sparse."""
-
-
 REFINED_SHARE = 0.55
 """Share of the keyframes that must fit for a refined start: the first ones see few known walls."""
+HectorKeyframe = Keyframe[tuple[OdometryStep | None, ...]]
+"""Keyframe whose motion is that by odometry, scan by scan; None without odometry."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,153 +86,132 @@ class HectorConfig(BuilderConfig):
             )
 
 
-class HectorMapper:
+class HectorMapper(ScanToMapFrontEnd[HectorKeyframe]):
     """Scan-to-map matching in one map, without loop closure."""
 
-    requires_odometry = False
+    name = "hector"
 
     def __init__(self, config: HectorConfig | None = None) -> None:
-        self.config = config or HectorConfig()
-        self._leveler = ScanLeveler(self.config.laser_clear_dist, self.config.laser_max_dist)
-        self._reckoning = DeadReckoning(self.config.motion, self.config.calibration)
-        self._registration = Registration(self.config.registration)
-        self._builder = MapBuilder(self.config)
-        self._bootstrap: Bootstrap[HectorKeyframe] = Bootstrap(self.config.bootstrap)
-        self._estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
-        self._keyframes: list[Pose2] = []
-        self._scans = KeyframeTrajectory()
+        self.config = c = config or HectorConfig()
+        self._builder = MapBuilder(c)
+        front_end = FrontEndConfig(
+            tracking=c.tracking, localizability=c.localizability, bootstrap=c.bootstrap,
+            clear_range=c.laser_clear_dist, max_range=c.laser_max_dist,
+        )  # fmt: skip
+        super().__init__(front_end, self._builder.ground_filter, DeadReckoning(c.motion, c.calibration))
+        self._registration = Registration(c.registration)
         self._motion: list[OdometryStep | None] = []
-        self._received = self._matched = self._unmatched = self._lost_scans = 0
-        self._tracking = TrackingMonitor(self.config.tracking)
-        self._localizability = LocalizabilityMonitor(self.config.localizability)
-        self._registered = False
-        self._reckoned_yaw = 0.0
-        self._stamp = -math.inf
         self._earlier: Pose2 | None = None
-        self._stopwatch = Stopwatch()
 
     @property
     def resolution(self) -> float:
         """Edge of a cell of the map, meters."""
         return self.config.map_resolution
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Match the scan to the map, enter it, return `T_map_base`."""
-        started = self._stopwatch.start()
-        level = self._leveler.level(scan, imu)
-        expected = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
-        if level.leveled and not self._bootstrap.over:
-            self._motion.append(self._reckoning.increment)
-        seconds, self._stamp = scan.stamp - self._stamp, scan.stamp
-        match = self._match(level, expected, seconds)
-        self._builder.move_base(level, self._estimate.pose, registered=self._registered)
-        if self._fits(match) and self._builder.due(level, self._estimate.pose):
-            self._enter(level)
-        last = self._keyframes[-1] if self._keyframes else Pose2()
-        self._scans.add(scan.stamp, len(self._keyframes) - 1, last.inverse() @ self._estimate.pose)
-        self._stopwatch.stop(started)
-        return self._estimate.pose
+    def register(self, scan: LeveledScan, prior: PoseEstimate, seconds: float) -> Registered:
+        """Match a scan to the map by Gauss-Newton from coarse to fine."""
+        weights, before = self._builder.match_weights(scan, prior.pose), self.estimate.pose
+        estimate, match = self._registration.register(
+            self._builder.pyramid, scan.hits, weights, prior, before, self._earlier
+        )
+        self._earlier = before
+        return Registered(estimate, match)
+
+    def due(self, scan: LeveledScan) -> bool:
+        """Return whether the robot has moved or tilted enough since the last map update."""
+        return self._builder.due(scan, self.estimate.pose)
+
+    def insert(self, scan: LeveledScan, pose: Pose2) -> HectorKeyframe:
+        """Update all levels of the map by a scan."""
+        min_slopes = self._builder.enter(scan, pose)
+        motion = tuple(self._motion)
+        self._motion.clear()
+        return Keyframe(scan, pose, self.ground_filter.height, min_slopes, motion)
 
     def map(self) -> OccupancyGrid:
-        """Return the finest level of the map; without walls if dead reckoning placed most of them."""
-        driven = self._builder.ground_filter.distance_traveled
-        return self._builder.map(walls=self._localizability.draws(driven))
+        """Return the finest level, without walls if dead reckoning placed most."""
+        return self._builder.map(walls=self.draws_walls)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
-        return self._scans.trajectory(self._keyframes)
+        return self.scans.trajectory(self.path)
 
-    @property
-    def lost(self) -> bool:
-        """Whether too many scans in a row contradict the map."""
-        return self._tracking.lost
-
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far."""
+    def counts(self) -> MapperStats:
+        """Return used and skipped scans, memory and other counts."""
         return MapperStats(
-            received=self._received,
-            used=self._matched,
-            skipped={"too few walls in view to match": self._unmatched} if self._unmatched else {},
-            lost=self._lost_scans,
+            used=self.matched,
+            skipped={"too few walls in view to match": self.unmatched} if self.unmatched else {},
             memory=self._builder.memory,
             counts={
                 "map_updates": self._builder.updates,
                 "searches": self._registration.searches,
-                "second_looks": self._bootstrap.refinements,
+                "second_looks": self.bootstrap.refinements,
             },
-            **self._stopwatch.summary(),
         )
 
-    def _match(self, scan: LeveledScan, expected: PoseEstimate, seconds: float) -> Match | None:
-        """Set the estimate to the registered pose, or to the expected one without a match."""
-        before, self._estimate = self._estimate.pose, expected
-        self._received += 1
-        self._registered = False
-        self._reckoned_yaw += wrap_angle(expected.pose.yaw - before.yaw)
-        if self._builder.updates == 0:
-            return None
-        weights = self._builder.match_weights(scan, expected.pose)
-        found, match = self._registration.register(
-            self._builder.pyramid, scan.hits, weights, expected, before, self._earlier
-        )
-        self._earlier = before
-        if scan.leveled:
-            self._observe_localizability(match, seconds)
-        self._believe(match, found, before)
-        if match is None:
-            self._unmatched += 1
-        else:
-            self._matched += 1
-        return match
+    def add_motion(self, scan: LeveledScan, step: MotionStep | None) -> None:
+        """Keep the odometry's steps for the start-up refinement."""
+        if scan.leveled and not self.bootstrap.over:
+            self._motion.append(self.reckoning.increment)
 
-    def _observe_localizability(self, match: Match | None, seconds: float) -> None:
-        """Update the localizability monitor, and switch the odometry's calibration on or off."""
-        off = 0.0 if match is None else wrap_angle(match.pose[2] - self._reckoned_yaw)
-        self._localizability.observe(None if match is None else match.score, off, seconds)
-        mature = self._reckoning.learned >= self.config.learning_steps
-        self._reckoning.calibrated = self._localizability.steady or mature
+    def observe_localizability(self, score: float | None, yaw: float, seconds: float) -> None:
+        """Update the monitor, and switch the odometry's calibration on or off."""
+        super().observe_localizability(score, yaw, seconds)
+        mature = self.reckoning.learned >= self.config.learning_steps
+        self.reckoning.calibrated = self.localizability.steady or mature
 
-    def _believe(self, match: Match | None, found: PoseEstimate, before: Pose2) -> None:
-        """Accept the registered pose if matches localize the robot; calibrate the odometry."""
-        c, leveled = self.config, self._localizability.scans > 0
-        if match is None or not self._localizability.believed:
-            return
-        self._estimate = found
+    def use_match(self, match: Match | None, before: Pose2) -> bool:
+        """Calibrate the odometry by a good match; return whether it is one."""
+        c, leveled = self.config, self.localizability.scans > 0
         needed = c.localizability.score if leveled else c.registration.search_threshold
-        self._registered = match.score >= needed
-        if self._registered:
-            self._reckoning.learn(before, found.pose)
+        good = match is not None and self.localizability.believed and match.score >= needed
+        if good:
+            self.reckoning.learn(before, self.estimate.pose)
+        return good
 
-    def _fits(self, match: Match | None) -> bool:
-        """Return whether the scan may enter the map.
+    def move_base(self, scan: LeveledScan, step: Pose2, *, registered: bool) -> None:
+        """Update the height of the base by its step."""
+        self._builder.move_base(scan, step, registered=registered)
 
-        Where the attitude is known, a poor match does not count until walls are proven: the earlier scans may
-        show hillsides, and dead reckoning is used.
+    def refine(self, keyframes: list[HectorKeyframe]) -> list[HectorKeyframe]:
+        """Build the map again from keyframes; return them with their new poses.
+
+        Forwards, since the odometry's calibration makes dead reckoning from the start as good as the walls.
+        If too few keyframes fit, no walls are known yet: keyframes and map stay unchanged.
         """
-        poor = match is not None and match.score < self.config.tracking.lost_score
-        if match is None or (poor and self._localizability.scans and not self._localizability.proven):
-            return self._tracking.observe(None)
-        fits = self._tracking.observe(match.score, match.known)
-        self._lost_scans += self.lost
-        return fits
+        builder, before_refinement = self._builder, self._builder.restart()
+        localizability = LocalizabilityMonitor(replace(self.config.localizability, share=REFINED_SHARE))
+        found: list[HectorKeyframe] = []
 
-    def _enter(self, scan: LeveledScan) -> None:
-        """Make the scan a keyframe; refine all keyframes when due."""
-        builder, pose = self._builder, self._estimate.pose
-        min_slopes = builder.enter(scan, pose)
-        self._keyframes.append(pose)
-        if not scan.leveled:
-            return
-        ground, bootstrap = builder.ground_filter, self._bootstrap
-        keyframe: HectorKeyframe = Keyframe(scan, pose, ground.height, min_slopes, tuple(self._motion))
-        self._motion.clear()
-        if bootstrap.add(keyframe, ground.distance_traveled):
-            localizability = LocalizabilityMonitor(replace(self.config.localizability, share=REFINED_SHARE))
-            bootstrap.replace(
-                refine(bootstrap.keyframes, builder, self._registration, self._reckoning, localizability)
-            )
-            self._keyframes[: len(bootstrap.keyframes)] = [k.pose for k in bootstrap.keyframes]
-            T_new_old = self._keyframes[-1] @ pose.inverse()
-            self._estimate = PoseEstimate(T_new_old @ pose, self._estimate.covariance)
-            builder.correct_pose(self._estimate.pose)
+        def register(now: HectorKeyframe, before: HectorKeyframe | None, last: PoseEstimate) -> PoseEstimate:
+            estimate = last if before is None else self._predict(last, before, now)
+            slopes = builder.min_slopes(now.scan, estimate.pose, now.height, now.min_slopes)
+            if before is not None:
+                weights = builder.weights(slopes)
+                estimate, match = self._registration.register(
+                    builder.pyramid, now.scan.hits, weights, estimate, last.pose
+                )
+                score, seconds = None if match is None else match.score, now.scan.stamp - before.scan.stamp
+                localizability.observe(score, 0.0, seconds)
+            builder.enter_again(now.scan, estimate.pose, now.height, slopes)
+            found.append(replace(now, pose=estimate.pose, min_slopes=slopes))
+            return estimate
+
+        register_forwards(keyframes, register)
+        if builder.flat or localizability.localizable:
+            return found
+        builder.pyramid = before_refinement
+        return keyframes
+
+    def _predict(self, last: PoseEstimate, before: HectorKeyframe, now: HectorKeyframe) -> PoseEstimate:
+        """Predict the next keyframe by dead reckoning; without odometry, by their first poses."""
+        motion, calibration = self.reckoning.config, self.reckoning.calibration
+        seconds = now.scan.stamp - before.scan.stamp
+        if not now.motion or None in now.motion:
+            return motion.predict(last, before.pose.inverse() @ now.pose, seconds)
+        steps = [(i.correct(calibration), i.tilt) for i in now.motion if i is not None]
+        return motion.predict_all(last, steps, seconds / len(steps))
+
+    def correct_pose(self, pose: Pose2) -> None:
+        """Correct the pose of the last map update."""
+        self._builder.correct_pose(pose)

@@ -60,7 +60,6 @@ class MapBuilder:
         self.ground_filter = GroundFilter(config.ground_filter)
         self.updates = 0
         self._sparse = False
-        self._last: Pose2 | None = None
         self._entered: tuple[Pose2, tuple[float, float]] | None = None
         self.pyramid = _pyramid(config)
         self._wall_slope = 0
@@ -72,13 +71,11 @@ class MapBuilder:
         self._wall_slope = self.ground_filter.match_wall_slope
         return before
 
-    def move_base(self, scan: LeveledScan, pose: Pose2, *, registered: bool = True) -> None:
-        """Move the base to `pose` and update its height (see GroundFilter.move)."""
-        step = Pose2() if self._last is None else self._last.inverse() @ pose
+    def move_base(self, scan: LeveledScan, step: Pose2, *, registered: bool = True) -> None:
+        """Move the base by `T_before_now` and update its height (see GroundFilter.move)."""
         self._sparse = math.hypot(step.x, step.y) + abs(step.yaw) >= self._config.sparse_distance
         if scan.leveled:
             self.ground_filter.move(step, scan, registered=registered)
-        self._last = pose
 
     def min_slopes(
         self, scan: LeveledScan, pose: Pose2, height: float | None = None, known: ByteArray | None = None
@@ -136,7 +133,6 @@ class MapBuilder:
 
     def correct_pose(self, pose: Pose2) -> None:
         """Correct the last keyframe's pose without a motion of the base."""
-        self._last = pose
         if self._entered is not None:
             self._entered = pose, self._entered[1]
 

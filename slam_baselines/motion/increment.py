@@ -49,7 +49,7 @@ class MotionIncrement:
         self.reckoned = PoseEstimate(Pose2(), self.newest)
         self.distance = self.turn = self.seconds = self._disagreement = 0.0
 
-    def add_odometry(self, odometry: Pose2, imu: Imu | None, stamp: float) -> Pose2:
+    def add_odometry(self, odometry: Pose2 | None, imu: Imu | None, stamp: float) -> Pose2:
         """Add the motion by odometry and gyro up to a stamp; return it, `T_before_now`."""
         exact = PoseEstimate(self.pose, np.zeros((3, 3)))
         now = self._reckoning.predict(exact, odometry, imu, stamp)

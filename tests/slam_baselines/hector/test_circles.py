@@ -27,7 +27,7 @@ def test_five_minutes_of_circles_teach_nothing_wrong(rate: float, speed: float) 
         odometry = odometry @ slip if k else odometry
         found = mapper.update(room_scan(pose, k / rate, rng, beams=181), odometry, None)
         assert (poses[0] @ found).distance(pose) < 0.06
-        calibration = mapper._reckoning.calibration
+        calibration = mapper.reckoning.calibration
         assert max(map(abs, calibration.gain)) < 0.1
         p, q, r = calibration.covariance
         assert p > 0
