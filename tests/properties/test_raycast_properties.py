@@ -38,7 +38,7 @@ def normalized(d: tuple[float, float, float]) -> np.ndarray | None:
 DIRECTIONS = st.tuples(SLOPES, SLOPES, SLOPES).map(normalized).filter(lambda d: d is not None)
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100)
 @given(FIELDS, POINTS, DIRECTIONS)
 def test_a_hit_lies_on_the_surface(surface: HeightField, point, direction) -> None:
     t = float(RayCaster(surface).cast(point, direction[None])[0])
@@ -54,7 +54,7 @@ def test_a_hit_lies_on_the_surface(surface: HeightField, point, direction) -> No
 FLAT = HeightField(np.zeros((2, 2), np.float32), (1.0, 1.0), (0.0, 0.0))
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100)
 @example(FLAT, (0.5, 0.25, -1e-45), np.array((1.0, 0.0, -1e-16)))
 @given(FIELDS, POINTS, DIRECTIONS)
 def test_never_through(surface: HeightField, point, direction) -> None:
@@ -73,7 +73,7 @@ def test_the_oracle_leaves_out_rays_in_the_plane_only() -> None:
         assert found == expected or abs(found - expected) < 1e-12
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100)
 @example(HeightField(np.zeros((2, 8), np.float32), (0.3, 0.25), (0.0, 0.0)), 1.0, 0.0, 1.0, False)
 @given(FIELDS, st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.01, 50.0), st.booleans())
 def test_straight_down_and_up_measure_the_height(surface, fx: float, fy: float, gap: float, above) -> None:
@@ -84,7 +84,7 @@ def test_straight_down_and_up_measure_the_height(surface, fx: float, fy: float, 
     assert abs(t - gap) < 1e-6
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100)
 @given(FIELDS, POINTS, DIRECTIONS, st.floats(0.0, 2.0))
 def test_moving_along_the_ray_shortens_it(surface: HeightField, point, direction, step: float) -> None:
     caster = RayCaster(surface)
@@ -95,7 +95,7 @@ def test_moving_along_the_ray_shortens_it(surface: HeightField, point, direction
         assert after >= before - step - 1e-6 or before == np.inf
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100)
 @given(
     hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12)),
     POINTS,

@@ -45,7 +45,7 @@ def driven(it: Simulation, ticks: int = 12) -> tuple[bytes, bytes]:
     return it.body.state().tobytes(), np.concatenate(scans).tobytes()
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(courses, courses, st.sampled_from(["husky", "quadrotor"]))
 def test_rays_and_physics_are_those_of_a_simulation_made_anew(
     first: GeneratedTerrain, second: GeneratedTerrain, robot: str
@@ -59,7 +59,7 @@ def test_rays_and_physics_are_those_of_a_simulation_made_anew(
     assert replaced.contact == fresh.contact
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=5)
 @given(courses, st.integers(0, 1000))
 def test_mujoco_sees_and_holds_the_heights_that_the_lidar_sees(course: GeneratedTerrain, seed: int) -> None:
     it = simulation(generate("waves", 0.5, np.random.default_rng(0)))

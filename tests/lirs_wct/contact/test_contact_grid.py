@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.contact.contact_grid import ContactBudget, ContactGrid, contact_grid, steep_nodes
@@ -85,7 +85,6 @@ def test_a_post_of_one_pixel_forbids_coarsening() -> None:
     np.testing.assert_array_equal(grid.heights(field(z)).z, field(z).z)
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     rows=st.integers(5, 40),

@@ -22,14 +22,6 @@ def test_a_cells_center_lies_in_that_cell(origin: Pose2, resolution: float, row:
     assert grid.cells(grid.centers((row, col))).tolist() == [row, col]
 
 
-@given(poses)
-def test_moving_a_grid_moves_its_points(T: Pose2) -> None:
-    p = np.full((3, 4), 0.1)
-    p[1, 2] = 0.9
-    grid = OccupancyGrid.from_probability(p, 0.5, Pose2(1, 2, 0.3))
-    np.testing.assert_allclose(grid.moved(T).occupied_points(), T.apply(grid.occupied_points()), atol=1e-9)
-
-
 def test_unknown_is_neither_free_nor_occupied() -> None:
     grid = OccupancyGrid.from_probability([[0.0, 1.0, np.nan, 0.5]], 1.0)
     assert grid.known.tolist() == [[True, True, False, True]]

@@ -24,13 +24,6 @@ def turning(n: int) -> Trajectory:
     )
 
 
-def test_one_pose_is_that_of_the_arrays() -> None:
-    track = turning(50)
-    for i in (*range(50), -1):
-        pose = track.pose2(i)
-        assert (pose.x, pose.y, pose.yaw) == (*track.xy[i].tolist(), float(track.yaw[i]))
-
-
 def test_one_pose_of_a_long_trajectory_costs_no_more_than_of_a_short_one() -> None:
     """All poses one after the other would else cost the square of a log's length."""
 
@@ -58,12 +51,6 @@ def test_arrays_hold_poses_one_by_one(seed: int) -> None:
     np.testing.assert_array_equal(track.xy, [p.position[:2] for p in poses])
     np.testing.assert_allclose(track.yaw, [p.yaw for p in poses], atol=1e-12)
     np.testing.assert_allclose(track.pose2(-2).as_array(), poses[4].to_pose2().as_array(), atol=1e-12)
-    T = Pose2(*rng.uniform(-9, 9, 3).tolist())
-    moved = track.moved(T)
-    lifted = [Pose3.from_pose2(T) @ p for p in poses]
-    np.testing.assert_allclose(moved.positions, [p.position for p in lifted], atol=1e-12)
-    np.testing.assert_allclose(moved.quaternions, [p.quaternion for p in lifted], atol=1e-12)
-    np.testing.assert_array_equal(moved.stamps, track.stamps)
 
 
 @pytest.mark.parametrize("T", [Pose2(1.2, -3.4, 0.7), Pose3.from_rpy(1, 2, 3, 0.1, -0.2, 2.5)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.geometry.heightfield import HeightField
@@ -17,7 +17,6 @@ def hills(rows: int, cols: int, seed: int = 0) -> HeightField:
     return HeightField.centered(z - z.min(), (0.5, 0.25))
 
 
-@settings(max_examples=30, deadline=None)
 @given(st.integers(2, 12), st.integers(2, 12), st.integers(0, 99))
 def test_closed_and_outward(rows: int, cols: int, seed: int) -> None:
     surface = hills(rows, cols, seed)
