@@ -19,7 +19,6 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.sources.window import cut_surface
 
 
 @pytest.fixture
@@ -60,15 +59,6 @@ def same(a: World, b: World) -> bool:
     )
 
 
-def test_a_picture_stands_upright(picture: Path) -> None:
-    world = build_world(picture, BuildOptions(size=12, height=3))
-    assert world.surface.size == pytest.approx((12, 12 * 39 / 59))
-    west, south, east, north = world.surface.bounds
-    assert (west + east, south + north) == pytest.approx((0, 0))
-    assert world.surface.height_at(east, north) == pytest.approx(3)
-    assert world.surface.height_at(west, south) == pytest.approx(0)
-
-
 def test_a_map_keeps_its_own_frame(floor: Path) -> None:
     world = build_world(floor, BuildOptions(wall_height=1.5))
     assert world.kind == "map"
@@ -89,42 +79,6 @@ def test_a_saved_world_comes_back_exactly(
     world = build_world(request.getfixturevalue(source))
     assert same(World.load(world.save(tmp_path / "saved")), world)
     assert same(build_world(tmp_path / "saved"), world)
-
-
-def test_a_map_picture_without_yaml_needs_a_resolution(floor: Path, tmp_path: Path) -> None:
-    image = tmp_path / "alone" / "floor.pgm"
-    image.parent.mkdir()
-    image.write_bytes(floor.with_suffix(".pgm").read_bytes())
-    with pytest.raises(ConfigError, match="--resolution"):
-        build_world(image, BuildOptions(kind="map"))
-    world = build_world(image, BuildOptions(kind="map", resolution=0.05, origin=Pose2(-1.0, -2.0, 0.3)))
-    reference = build_world(floor)
-    assert np.array_equal(world.walls.solid, reference.walls.solid)  # type: ignore[union-attr]
-
-
-def test_a_window_keeps_coordinates(picture: Path) -> None:
-    whole = build_world(picture, BuildOptions(size=12, height=3))
-    part = build_world(picture, BuildOptions(size=12, height=3, window=(2.0, 1.0, 3.0)))
-    west, south, east, north = part.surface.bounds
-    assert west <= 0.5 <= 3.5 <= east
-    assert south <= -0.5 <= 2.5 <= north
-    lift = whole.surface.height_at(2.0, 1.0) - part.surface.height_at(2.0, 1.0)
-    assert whole.surface.height_at(1.0, 0.3) - part.surface.height_at(1.0, 0.3) == pytest.approx(
-        lift, abs=1e-6
-    )
-    assert part.surface.z.min() == 0
-    with pytest.raises(ConfigError, match="outside"):
-        build_world(picture, BuildOptions(size=12, window=(100.0, 0.0, 3.0)))
-
-
-@pytest.mark.parametrize("cell", [0.5, 40.0])
-def test_a_window_has_its_size_however_coarse_the_terrain(cell: float) -> None:
-    z = np.add.outer(np.arange(90.0)[::-1], np.arange(120.0)).astype(np.float32)
-    whole = HeightField.centered(z, (cell, cell))
-    part = cut_surface(whole, (3.0, 2.0, 20.0))
-    assert max(part.size) == pytest.approx(20, abs=2 * 0.5)
-    at = np.array([[-5.0, 0.0], [10.0, 9.0], [3.3, -6.0]]).T
-    np.testing.assert_allclose(np.ptp(whole.height_at(*at) - part.height_at(*at)), 0, atol=1e-3)
 
 
 def test_every_kind_of_ground_reads_back(tmp_path: Path) -> None:

@@ -289,6 +289,7 @@ def test_two_sources_of_one_name_do_not_replace_each_other(
     assert (folder / "out/room/notes.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_info_says_what_the_world_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     wct("info", "hill.png", "--size", "30", "--height", "2", "--max-error", "0.1", "-o", "hill-info.png")
     told = capsys.readouterr().out

@@ -87,6 +87,7 @@ class Shifted:
         return self.driver.command(self.T_map_world @ pose, self.since + time)
 
 
+@pytest.mark.slow
 def test_it_maps_both_rooms_and_stays_clear_of_walls() -> None:
     seer, poses, driver = explored(Pose2())
     known = ~np.isnan(seer.p)

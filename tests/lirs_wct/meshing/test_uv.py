@@ -59,24 +59,26 @@ def test_no_seam_between_ground_and_skirt() -> None:
         np.testing.assert_allclose(textured.uv[i], uv_of[tuple(textured.vertices[i])], atol=1e-12)
 
 
+def areas(mesh: TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Return twice the area of each triangle, in space and in the texture."""
+    assert mesh.uv is not None
+    corners, flat = mesh.vertices[mesh.faces], mesh.uv[mesh.faces]
+    u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return area, np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+
+
 def test_texels_on_the_skirt_are_as_large_as_on_the_ground() -> None:
     textured = cube_uv(solid_mesh(hills()), size=2.0)
-    assert textured.uv is not None
-    corners, flat = textured.vertices[textured.faces], textured.uv[textured.faces]
     skirt = np.abs(textured.face_normals[:, 2]) < 1e-9
-    u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    area_uv = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])[skirt] * 2.0**2
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    np.testing.assert_allclose(area_uv.sum(), area[skirt].sum(), rtol=1e-9)
+    area, area_uv = areas(textured)
+    np.testing.assert_allclose(area_uv[skirt].sum() * 2.0**2, area[skirt].sum(), rtol=1e-9)
 
 
 def test_steep_ground_is_seen_from_the_side() -> None:
     textured = cube_uv(solid_mesh(hills(height=30.0)))
-    assert textured.uv is not None
-    corners, flat = textured.vertices[textured.faces], textured.uv[textured.faces]
-    u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    area_uv = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) * np.ptp(textured.bounds, axis=0).max() ** 2
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area, area_uv = areas(textured)
+    area_uv *= np.ptp(textured.bounds, axis=0).max() ** 2
     ground = textured.face_normals[:, 2] > 1e-6
     steep = textured.face_normals[:, 2] < 0.5
     assert (ground & steep).sum() > 100
@@ -89,11 +91,7 @@ def test_vertical_faces_of_any_outline_are_not_striped() -> None:
     ring = trimesh.creation.annulus(1.0, 2.0, 1.5)
     ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     textured = cube_uv(TriangleMesh(np.asarray(ring.vertices), np.asarray(ring.faces, np.int32)), size=1.0)
-    assert textured.uv is not None
-    corners, flat = textured.vertices[textured.faces], textured.uv[textured.faces]
-    u, v = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
-    area_uv = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area, area_uv = areas(textured)
     caps = np.abs(textured.face_normals[:, 1]) > 0.99
     np.testing.assert_allclose(area_uv[caps], area[caps], rtol=1e-9)
 

@@ -20,15 +20,6 @@ from lirs_wct.meshing.wall_solid import SLAB, wall_mesh
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9))
 
 
-@given(masks, st.floats(-3, 3))
-def test_the_solid_is_closed_and_has_the_volume_of_its_cells(solid: np.ndarray, yaw: float) -> None:
-    walls = WallGrid(solid, 0.5, Pose2(1, 2, yaw), 2.0)
-    mesh = wall_mesh(walls)
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(0.25 * (solid.size * SLAB + solid.sum() * 2.0), rel=0.01)
-    assert (np.linalg.norm(mesh.face_normals, axis=1) > 0.5).all()
-
-
 kinds = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(0, 2))
 
 
