@@ -14,14 +14,16 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
-from lirs_validation.gui.session.playback import MapSnapshot, Moment, ate, scan_points
+from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.gui.session.uploads import PageLimits
 from lirs_validation.record.run_record import maps_clouds, read_record
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError, WctError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World
 
@@ -31,7 +33,7 @@ MAP_FILES = ("map.yaml", "map.pgm")
 """Additional files of planar mappers."""
 
 
-class FinishedRun:
+class FinishedRun(Playback):
     """The drive of a run's folder.
 
     Attributes:
@@ -83,29 +85,28 @@ class FinishedRun:
         """Number of scans."""
         return len(self._scans)
 
-    def scan_at(self, time: float) -> int:
+    def scan_at(self, scan: int) -> tuple[LaserScan, Pose3]:
+        """Return a scan and the true pose at it, world frame."""
+        pose = Pose3.from_arrays(self._truth.positions[scan], self._truth.quaternions[scan])
+        return replace(self._scans[scan], stamp=float(self._truth.stamps[scan])), pose
+
+    def last_scan(self, time: float) -> int:
         """Return the last scan until a time, seconds since the start."""
         return max(0, int(np.searchsorted(self._truth.stamps, time, side="right")) - 1)
 
-    def moment(self, scan: int) -> Moment:
-        """Return the drive at a scan, with the final map; 0 = before the first motion."""
-        stamp = float(self._truth.stamps[scan])
-        T_world_base = Pose3.from_arrays(self._truth.positions[scan], self._truth.quaternions[scan])
-        truth = self._truth.positions[: scan + 1]
-        stamps = self._truth.stamps[: scan + 1]
-        estimate = self._estimate.planar_at(stamps)[:, :2]
-        return Moment(
-            time=stamp,
-            T_world_base=T_world_base,
-            scan=scan_points(self._scans[scan], T_world_base),
-            truth=truth,
-            estimate=estimate,
-            map=self._map,
-            facts=self._facts(stamp, ate(truth[:, :2], estimate)),
-        )
+    def paths_until(self, scan: int) -> tuple[FloatArray, FloatArray]:
+        """Return (k, 3) true and (k, 2) estimated positions until a scan, world frame, meters."""
+        until = slice(scan + 1)
+        return self._truth.positions[until], self._estimate.planar_at(self._truth.stamps[until])[:, :2]
 
-    def _facts(self, stamp: float, error: float) -> Facts:
+    def map_at(self, time: float) -> MapSnapshot | None:
+        """Return the final map."""
+        return self._map
+
+    def facts(self, scan: int, ate: float) -> Facts:
+        """Return the figures until a scan."""
         held: dict[str, Any] = self.record
+        stamp = float(self._truth.stamps[scan])
         series, second = held["rtf"]["series"], int(stamp)
         now = series[min(second, len(series) - 1)] if series else np.nan
         c, final = held["config"], held["trajectory"].get("ate_rmse")
@@ -113,7 +114,7 @@ class FinishedRun:
             ("run", f"{held['world']['name']}, {c['robot']}, {c['mapper']}, seed {held['seed']}"),
             ("time", f"{stamp:.1f} of {self._truth.stamps[-1]:.1f} s"),
             ("RTF", f"{now:.1f} (mean {held['rtf']['mean']:.1f})"),
-            ("ATE", f"{error:.3f} m" + ("" if final is None else f" (in all {final:.3f} m)")),
+            ("ATE", f"{ate:.3f} m" + ("" if final is None else f" (in all {final:.3f} m)")),
             ("map F1", "-" if held["map"].get("f1") is None else f"{held['map']['f1']:.2f}"),
             ("status", held["status"] + (f": {held['reason']}" if held["reason"] else "")),
         )

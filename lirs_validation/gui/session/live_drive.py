@@ -18,10 +18,12 @@ from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 from lirs_validation.experiment.run import Run, conclude, prepare
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
-from lirs_validation.gui.session.playback import MapSnapshot, Moment, ate, latest, scan_points
+from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.progress import Progress, no_progress
+from lirs_wct.world import World
 
 MAP_SECONDS, MAP_WALL_SECONDS = 1.0, 0.5
 """Shortest simulated and wall-clock periods between two kept maps, seconds."""
@@ -78,7 +80,7 @@ class HandOverDriver:
         return self._wanted
 
 
-class LiveDrive:
+class LiveDrive(Playback):
     """One drive of a page, from its first scan on.
 
     Attributes:
@@ -95,6 +97,8 @@ class LiveDrive:
     Raises:
         WctError: the config cannot be run.
     """
+
+    world: World
 
     def __init__(
         self, config: RunConfig, scenarios: ScenarioCache | None = None, progress: Progress = no_progress
@@ -164,22 +168,32 @@ class LiveDrive:
                 self.step()
         return False
 
-    def moment(self, scan: int) -> Moment:
-        """Return the drive at a scan, 0 = before the first motion."""
+    def scan_at(self, scan: int) -> tuple[LaserScan, Pose3]:
+        """Return a scan and the true pose at it, world frame."""
+        return self._drive.log.observations[scan].scan, self._drive.log.truth[scan]
+
+    def paths_until(self, scan: int) -> tuple[FloatArray, FloatArray]:
+        """Return (k, 3) true and (k, 2) estimated positions until a scan, world frame, meters."""
         log, until = self._drive.log, scan + 1
-        observation, T_world_base = log.observations[scan], log.truth[scan]
-        truth = np.array([T.position for T in log.truth[:until]])
         estimates = [log.in_plane(pose) for pose in log.estimates[:until]]
-        estimate = self._T_world_map.apply([(p.x, p.y) for p in estimates])
-        stamp = observation.scan.stamp
-        return Moment(
-            time=stamp,
-            T_world_base=T_world_base,
-            scan=scan_points(observation.scan, T_world_base),
-            truth=truth,
-            estimate=estimate,
-            map=latest(self._maps, stamp),
-            facts=self._facts(scan, truth[:, :2], estimate),
+        truth = np.array([T.position for T in log.truth[:until]])
+        return truth, self._T_world_map.apply([(p.x, p.y) for p in estimates])
+
+    def map_at(self, time: float) -> MapSnapshot | None:
+        """Return the map at a time; None before the first."""
+        return next((found for found in reversed(self._maps) if found.time <= time + 1e-9), None)
+
+    def facts(self, scan: int, ate: float) -> Facts:
+        """Return the figures until a scan."""
+        log = self._drive.log
+        walls = sum(log.walls[:scan])
+        speed = f"{scan * self._ready.simulation.period / walls:.1f}" if walls > 0 else "-"
+        ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "driving"
+        return (
+            ("time", f"{log.observations[scan].scan.stamp:.1f} of {self.config.seconds:g} s"),
+            ("RTF", speed),
+            ("ATE", f"{ate:.3f} m"),
+            ("status", ended),
         )
 
     def save(self, out: Path, progress: Progress = no_progress) -> Run:
@@ -215,15 +229,3 @@ class LiveDrive:
         grid = mapper.map()
         self._maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
         self._drawn_at = time.monotonic()
-
-    def _facts(self, scan: int, truth: FloatArray, estimate: FloatArray) -> Facts:
-        log = self._drive.log
-        walls = sum(log.walls[:scan])
-        speed = f"{scan * self._ready.simulation.period / walls:.1f}" if walls > 0 else "-"
-        ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "driving"
-        return (
-            ("time", f"{log.observations[scan].scan.stamp:.1f} of {self.config.seconds:g} s"),
-            ("RTF", speed),
-            ("ATE", f"{ate(truth, estimate):.3f} m"),
-            ("status", ended),
-        )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import zlib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -102,27 +102,51 @@ class Moment:
     facts: Facts
 
 
-class Playback(Protocol):
-    """Interface of a drive for the page: moments by scan."""
+class Playback(ABC):
+    """A drive for the page: moments by scan.
+
+    Attributes:
+        robot: its name.
+        world: world of the drive; None if it is no longer known.
+    """
+
+    robot: str
+    world: World | None
 
     @property
-    def robot(self) -> str:
-        """Name of the robot."""
-        ...
-
-    @property
-    def world(self) -> World | None:
-        """World of the drive; None if it is no longer known."""
-        ...
-
-    @property
+    @abstractmethod
     def scans(self) -> int:
         """Number of scans."""
-        ...
+
+    @abstractmethod
+    def scan_at(self, scan: int) -> tuple[LaserScan, Pose3]:
+        """Return a scan and the true pose at it, world frame."""
+
+    @abstractmethod
+    def paths_until(self, scan: int) -> tuple[FloatArray, FloatArray]:
+        """Return (k, 3) true and (k, 2) estimated positions until a scan, world frame, meters."""
+
+    @abstractmethod
+    def map_at(self, time: float) -> MapSnapshot | None:
+        """Return the map at a time; None before the first."""
+
+    @abstractmethod
+    def facts(self, scan: int, ate: float) -> Facts:
+        """Return the figures until a scan; `ate` is the error of the estimate, meters."""
 
     def moment(self, scan: int) -> Moment:
         """Return the drive at a scan, 0 = before the first motion."""
-        ...
+        reading, T_world_base = self.scan_at(scan)
+        truth, estimate = self.paths_until(scan)
+        return Moment(
+            time=reading.stamp,
+            T_world_base=T_world_base,
+            scan=scan_points(reading, T_world_base),
+            truth=truth,
+            estimate=estimate,
+            map=self.map_at(reading.stamp),
+            facts=self.facts(scan, ate(truth[:, :2], estimate)),
+        )
 
 
 def scan_points(scan: LaserScan, T_world_base: Pose3) -> Float32Array:
@@ -131,11 +155,6 @@ def scan_points(scan: LaserScan, T_world_base: Pose3) -> Float32Array:
     r, angle = scan.ranges[hits].astype(np.float64), scan.angles[hits]
     points = np.stack((r * np.cos(angle), r * np.sin(angle), np.zeros_like(r)), axis=-1)
     return (T_world_base @ scan.T_base_laser).apply(points).astype(np.float32)
-
-
-def latest(maps: list[MapSnapshot], time: float) -> MapSnapshot | None:
-    """Return the latest map at a time."""
-    return next((found for found in reversed(maps) if found.time <= time + 1e-9), None)
 
 
 def ate(true: FloatArray, estimated: FloatArray) -> float:

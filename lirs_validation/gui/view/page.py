@@ -11,10 +11,8 @@ from viser import _messages
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Shown
 from lirs_validation.gui.session.uploads import PageLimits, Uploads
-from lirs_validation.gui.session.worker import PageWorker
-from lirs_validation.gui.view.drive_tab import DriveTab
-from lirs_validation.gui.view.page_context import Guard, PageContext
-from lirs_validation.gui.view.replay_tab import ReplayTab
+from lirs_validation.gui.view.page_context import Guard, PageContext, PageWorker
+from lirs_validation.gui.view.playback_tabs import DriveTab, ReplayTab
 from lirs_validation.gui.view.scene import Detail, DriveScene, WorldScene
 from lirs_validation.gui.view.world_tab import WorldTab, first_sources
 from lirs_wct.errors import WctError
@@ -125,5 +123,5 @@ class Page:
         self.worker.close(at_end=self._free)
 
     def _free(self) -> None:
-        self.drive.drive = self.replay.run = None
+        self.drive.playback = self.replay.playback = None
         self.uploads.close()

@@ -10,6 +10,7 @@ from typing import Any
 
 import viser
 
+from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.controls import FIRST_PANEL, Control, controls
 from lirs_validation.gui.view.page_context import Guard
 from lirs_validation.gui.view.scene import DriveScene
@@ -242,7 +243,7 @@ class OptionControls:
         guard: of its callbacks.
         options: the class.
         changed: called after a change.
-        keep_file: keeps an keep_upload file and returns its path.
+        keep_file: keeps an uploaded file and returns its path.
         first: names of options above all headings; None = every option stands under its own heading.
     """
 
@@ -373,3 +374,9 @@ def read_stick(text: str) -> tuple[float, float]:
     if not (math.isfinite(forward) and math.isfinite(left)):
         raise ConfigError(f"stick must be two numbers, forward and left, got {text!r}")
     return forward, left
+
+
+def as_table(facts: Facts) -> str:
+    """Return facts as a table in Markdown."""
+    rows = (f"| {name} | {value} |".replace("\n", " ") for name, value in facts)
+    return "\n".join(("| | |", "|---|---|", *rows))

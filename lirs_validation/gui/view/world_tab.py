@@ -12,8 +12,7 @@ from lirs_validation.config import SourceOptions
 from lirs_validation.gui.session.construction import Construction, Facts, Shown, zip_folder
 from lirs_validation.gui.session.controls import read_controls
 from lirs_validation.gui.view.page_context import PageContext
-from lirs_validation.gui.view.player import as_table
-from lirs_validation.gui.view.widgets import OptionControls, ProgressLine, add_drop_zone
+from lirs_validation.gui.view.widgets import OptionControls, ProgressLine, add_drop_zone, as_table
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
 from lirs_wct.sources.bundled import RECIPES

@@ -22,7 +22,7 @@ def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Pat
     page.get_by_role("tab", name="Drive").click()
     page.get_by_role("button", name="Start").click()
     page.get_by_text("driving").wait_for()
-    drive = server.pages[0].drive.drive
+    drive = server.pages[0].drive.playback
     first = drive.moment(0).map
     wait_for(lambda: drive.time > 4.0)
     page.get_by_role("button", name="Pause").click()
@@ -75,7 +75,7 @@ def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Pat
     wait_for(lambda: _time(page) > 1.0)
     page.get_by_role("button", name="Play").wait_for()
     assert abs(_time(page) - driven) < 0.11
-    assert server.pages[0].drive.drive is None
+    assert server.pages[0].drive.playback is None
 
 
 def test_closing_the_page_frees_its_simulation(open_page: Open, server: Any) -> None:
@@ -84,10 +84,10 @@ def test_closing_the_page_frees_its_simulation(open_page: Open, server: Any) -> 
     page.get_by_role("button", name="Start").click()
     page.get_by_text("driving").wait_for()
     served = server.pages[0]
-    assert served.drive.drive is not None
+    assert served.drive.playback is not None
     page.close()
     wait_for(lambda: not server.pages)
     assert served.worker.join(30)
-    assert served.drive.drive is None
+    assert served.drive.playback is None
     assert not served.uploads.folder.exists()
     assert f"page {served.client_id}" not in {thread.name for thread in threading.enumerate()}

@@ -10,7 +10,7 @@ import pytest
 viser = pytest.importorskip("viser")
 
 from lirs_validation.gui.session.playback import Moment  # noqa: E402
-from lirs_validation.gui.view.player import Player  # noqa: E402
+from lirs_validation.gui.view.playback_tabs import Player  # noqa: E402
 from lirs_wct.geometry.pose import Pose3  # noqa: E402
 
 

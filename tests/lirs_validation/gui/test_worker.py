@@ -2,7 +2,10 @@
 
 import threading
 
-from lirs_validation.gui.session.worker import PageWorker
+import pytest
+
+pytest.importorskip("viser")
+from lirs_validation.gui.view.page_context import PageWorker
 
 
 def test_the_newest_of_a_kind_is_done_in_order() -> None:

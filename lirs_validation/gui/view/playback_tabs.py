@@ -1,0 +1,382 @@
+"""Tabs of drives: one that runs while it is shown, and finished runs; both have a player."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import viser
+
+from lirs_validation.config import RunConfig
+from lirs_validation.gui.session.construction import Shown, zip_folder
+from lirs_validation.gui.session.controls import read_run_controls
+from lirs_validation.gui.session.finished_run import FinishedRun, runs_in, unpacked_run
+from lirs_validation.gui.session.live_drive import LiveDrive
+from lirs_validation.gui.session.playback import Playback
+from lirs_validation.gui.view.page_context import Guard, PageContext
+from lirs_validation.gui.view.scene import DriveScene
+from lirs_validation.gui.view.widgets import (
+    SPEEDS,
+    OptionControls,
+    Pace,
+    PlayButton,
+    ProgressLine,
+    Stick,
+    add_drop_zone,
+    add_follow,
+    as_table,
+)
+from lirs_wct.errors import ConfigError
+
+PERIOD = 0.12
+"""Seconds between two pictures."""
+SLICE = 0.05
+"""Wall seconds of driving between two checks of the job queue."""
+FIRST = ("robot", "mapper", "lidar", "driver")
+"""Options of a run above the folded ones."""
+NONE = "choose a run"
+AnyPlayback = TypeVar("AnyPlayback", bound=Playback)
+
+
+class Player:
+    """A timeline with figures below it.
+
+    Attributes:
+        scan: that is shown.
+
+    Args:
+        gui: of the page.
+        guard: of its callbacks.
+        scene: where the drive is shown.
+        moved: called when a person moves the timeline, before that moment is shown.
+        submit: queues work of the page.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        guard: Guard,
+        scene: DriveScene,
+        moved: Callable[[], None],
+        submit: Callable[[str, Callable[[], None]], None],
+    ) -> None:
+        self._scene, self._moved, self._submit = scene, moved, submit
+        self.playback: Playback | None = None
+        self.scan, self._shown_at = 0, 0.0
+        self._slider = gui.add_slider("timeline [s]", 0.0, 1.0, 0.1, 0.0, visible=False)
+        self._slider.on_update(guard(self._go_to_slider))
+        self._facts = gui.add_markdown("")
+
+    def begin(self, playback: Playback, seconds: float) -> None:
+        """Show another drive with a timeline of the given length."""
+        self.playback, self.scan, self._shown_at = None, 0, 0.0
+        self._slider.max = max(0.1, seconds)
+        self._slider.visible = True
+        self.playback = playback
+        self._scene.begin(playback.robot, playback.world)
+        self.show(0)
+
+    def end(self) -> None:
+        """Show no drive."""
+        self.playback = None
+        self._slider.visible = False
+        self._facts.content = ""
+
+    def show(self, scan: int) -> None:
+        """Show a moment, and move the timeline there."""
+        if self.playback is None:
+            return
+        self.scan = max(0, min(scan, self.playback.scans - 1))
+        moment = self.playback.moment(self.scan)
+        self._scene.show(moment)
+        slider: Any = self._slider
+        slider.value = min(round(moment.time, 1), float(self._slider.max))
+        self._facts.content = as_table(moment.facts)
+        self._shown_at = time.monotonic()
+
+    @property
+    def due(self) -> bool:
+        """Whether another picture is due."""
+        return time.monotonic() - self._shown_at >= PERIOD
+
+    def _go_to_slider(self, event: Any) -> None:
+        if event.client_id is None or self.playback is None:
+            return  # moved by `show`
+        wanted = float(self._slider.value)  # now: a moment that is still being shown moves the timeline back
+        self._moved()
+        self._submit("timeline", lambda: self._show_time(wanted))
+
+    def _show_time(self, time: float) -> None:
+        if self.playback is not None and self.playback.scans > 1:
+            period = self.playback.moment(1).time - self.playback.moment(0).time
+            self.show(round(time / period))
+
+
+class PlaybackTab(Generic[AnyPlayback]):
+    """Tab with a player of a drive, and a button that starts and pauses it.
+
+    Attributes:
+        playback: drive of the tab; None = none yet.
+
+    Args:
+        page: page of the tab.
+        begun: called before another drive is shown.
+    """
+
+    _player: Player
+    _play: PlayButton
+    _pace: Pace
+    _follow: Callable[[], None]
+
+    def __init__(self, page: PageContext, begun: Callable[[], None]) -> None:
+        self._page, self._begun = page, begun
+        self.playback: AnyPlayback | None = None
+
+    def _add_player(self, gui: viser.GuiApi) -> Player:
+        return Player(gui, self._page.guard, self._page.drive_scene, self.pause, self._page.worker.submit)
+
+    def pause(self) -> None:
+        """Stop at the shown moment."""
+        self._page.worker.repeat(None)
+        self._show_state(running=False)
+
+    def forget(self) -> None:
+        """Drop the drive, since the page shows something else."""
+        self.pause()
+        self.playback = None
+        self._player.end()
+        self._show_state()
+
+    def _begin(self, playback: AnyPlayback, seconds: float) -> None:
+        """Show another drive with a timeline of the given length."""
+        self.playback = playback
+        self._player.begin(playback, seconds)
+        self._page.drive_scene.approach(playback.moment(0).T_world_base.position)
+        self._show_state()
+
+    def _run(self, slice_of_work: Callable[[], None]) -> None:
+        self._pace.wind()
+        self._show_state(running=True)
+        self._page.worker.repeat(slice_of_work)
+
+    def _show_state(self, *, running: bool = False) -> None:
+        self._play.show(running)
+        self._play.enable(self.playback is not None)
+
+
+class DriveTab(PlaybackTab[LiveDrive]):
+    """Controls of a drive.
+
+    Args:
+        page: whose tab it is.
+        world: returns the world that the page shows.
+        begun: called before another drive starts.
+    """
+
+    def __init__(
+        self, page: PageContext, world: Callable[[], Shown | None], begun: Callable[[], None]
+    ) -> None:
+        super().__init__(page, begun)
+        self._world = world
+        gui = page.client.gui
+        self._controls = OptionControls(gui, page.guard, RunConfig, first=FIRST)
+        self._add_buttons(gui)
+        self._progress = ProgressLine(gui)
+        self._player = self._add_player(gui)
+        self._add_by_hand(gui)
+
+    def _add_buttons(self, gui: viser.GuiApi) -> None:
+        start = gui.add_button(
+            "Start", color="green", icon=viser.Icon.PLAYER_PLAY, hint="From the start pose."
+        )
+        start.on_click(self._page.guard(lambda _: self.start()))
+        self._play = PlayButton(gui, self._page.guard, "Go on", self.go_on, self.pause)
+        self._step = gui.add_button("Step one scan", icon=viser.Icon.PLAYER_SKIP_FORWARD, disabled=True)
+        self._step.on_click(self._page.guard(lambda _: self._step_one()))
+        self._save = gui.add_button("Save the run", icon=viser.Icon.DOWNLOAD, disabled=True)
+        self._save.on_click(self._page.guard(lambda _: self._page.worker.submit("save", self._save_now)))
+
+    def _add_by_hand(self, gui: viser.GuiApi) -> None:
+        self._pace = Pace(gui, self._page.guard, tuple(SPEEDS), "2 x", self._time)
+        self._follow = add_follow(gui, self._page.guard, self._page.drive_scene)
+        self._by_hand = gui.add_checkbox("drive by hand", False)
+        self._by_hand.on_update(self._page.guard(lambda _: self._apply()))
+        self._stick = Stick(gui, self._page.guard, self._steer)
+
+    def start(self) -> None:
+        """Set the robot down at its start, and drive."""
+        self.pause()
+        self._page.worker.submit("start", self._start_now)
+
+    def go_on(self) -> None:
+        """Drive on from where the drive is, wherever the timeline was."""
+        if self.playback is not None and not self.playback.over:
+            self._run(self._drive_slice)
+
+    def _start_now(self) -> None:
+        shown = self._world()
+        if shown is None:
+            raise ConfigError("there is no world to drive in: choose one first")
+        config = read_run_controls(self._controls.values(), shown.source, shown.options)
+        self._begun()
+        self.playback = None
+        with self._progress.show(config.robot) as progress:
+            drive = LiveDrive(config, self._page.scenarios, progress)
+            self._page.scene.show_world(drive.world, coarse=False)
+        self._follow()
+        self._begin(drive, config.seconds)
+        self._apply()
+        self._page.guard.done()
+        self.go_on()
+
+    def _drive_slice(self) -> None:
+        drive = self.playback
+        if drive is None or not self._play.running:
+            return
+        until = time.monotonic() + SLICE
+        ahead = drive.go_on(until, self._pace.time(SLICE))
+        if drive.over or self._player.due:
+            self._player.show(drive.scans - 1)
+        if drive.over:
+            self.pause()
+        elif ahead:
+            time.sleep(max(0.0, min(SLICE, until - time.monotonic())))
+
+    def _step_one(self) -> None:
+        self.pause()
+        self._page.worker.submit("step", self._step_now)
+
+    def _step_now(self) -> None:
+        if self.playback is not None:
+            self.playback.step()
+            self._player.show(self.playback.scans - 1)
+            self._show_state()
+
+    def _save_now(self) -> None:
+        if self.playback is None:
+            return
+        with self._progress.show("run") as progress:
+            folder = self.playback.save(self._page.uploads.folder / "runs", progress).folder
+        if folder is not None:
+            self._page.client.send_file_download(
+                f"{folder.name}.zip", zip_folder(folder), save_immediately=True
+            )
+        self._pace.wind()
+
+    def _steer(self, forward: float, left: float) -> None:
+        if self.playback is not None:
+            self.playback.driver.steer(forward, left)
+
+    def _apply(self) -> None:
+        """Apply the switches to the drive."""
+        self._follow()
+        if self._stick.visible != self._by_hand.value:
+            self._stick.visible = self._by_hand.value
+        if self.playback is not None:
+            self.playback.driver.by_hand = self._by_hand.value
+
+    def _time(self) -> float:
+        return 0.0 if self.playback is None else self.playback.time
+
+    def _show_state(self, *, running: bool = False) -> None:
+        super()._show_state(running=running)
+        idle = self.playback is None or self.playback.over
+        self._play.enable(not idle)
+        self._step.disabled = idle
+        self._save.disabled = self.playback is None
+
+
+class ReplayTab(PlaybackTab[FinishedRun]):
+    """Controls of a replay.
+
+    Args:
+        page: whose tab it is.
+        runs: folder of runs on the server, or of one; None = there is none.
+        begun: called before another run is shown.
+    """
+
+    def __init__(self, page: PageContext, runs: Path | None, begun: Callable[[], None]) -> None:
+        super().__init__(page, begun)
+        self._runs = runs
+        gui = page.client.gui
+        self._add_choice(gui)
+        self._play = PlayButton(gui, page.guard, "Play", self.play, self.pause, color="green")
+        self._pace = Pace(gui, page.guard, tuple(SPEEDS)[:-1], "5 x", self._time)
+        self._follow = add_follow(gui, page.guard, page.drive_scene)
+        self._progress = ProgressLine(gui)
+        self._player = self._add_player(gui)
+
+    def _add_choice(self, gui: viser.GuiApi) -> None:
+        self._choice = gui.add_dropdown("run", (NONE,), hint="Runs in the folder that --runs names.")
+        self._choice.visible = self._runs is not None
+        self._choice.on_update(self._page.guard(self._chosen))
+        refresh = gui.add_button("Look for runs", icon=viser.Icon.REFRESH, visible=self._runs is not None)
+        refresh.on_click(self._page.guard(lambda _: self._look()))
+        upload = gui.add_upload_button(
+            "Open a zipped run ...",
+            icon=viser.Icon.UPLOAD,
+            mime_type=".zip",
+            hint="A run's folder as a zip archive, as Save the run gives it.",
+        )
+        upload.on_upload(self._page.guard(lambda _: self._open_archive(upload.value.content)))
+        add_drop_zone(gui, "Open a zipped run")
+        self._look()
+
+    def _look(self) -> None:
+        found = () if self._runs is None else tuple(runs_in(self._runs))
+        self._choice.options = (NONE, *found)
+
+    def _chosen(self, event: Any) -> None:
+        name = self._choice.value
+        if event.client_id is None or name == NONE or self._runs is None:
+            return
+        folder = runs_in(self._runs)[name]
+        self._page.worker.submit("replay", lambda: self._show(folder, uploaded=False))
+
+    def _open_archive(self, content: bytes) -> None:
+        self._page.worker.submit("replay", lambda: self._unpack(content))
+
+    def _unpack(self, content: bytes) -> None:
+        self._show(
+            unpacked_run(content, self._page.uploads.folder / "replayed", self._page.limits), uploaded=True
+        )
+
+    def _show(self, folder: Path, *, uploaded: bool) -> None:
+        self.pause()
+        self._begun()
+        with self._progress.show("run") as progress:
+            progress("read", 0.0)
+            run = FinishedRun(folder, self._page.scenarios, uploaded=uploaded)
+            if run.world is not None:
+                self._page.scene.show_world(run.world, coarse=False)
+            else:
+                self._page.scene.clear()
+        self._follow()
+        self._begin(run, run.moment(run.scans - 1).time)
+        if run.world is None:
+            self._page.guard.note(f"The run is shown without its world: {run.missing}")
+        self._page.guard.done()
+
+    def play(self) -> None:
+        """Continue from the shown moment; after the last one, from the start."""
+        if self.playback is None:
+            return
+        if self._player.scan >= self.playback.scans - 1:
+            self._player.scan = 0
+        self._run(self._play_slice)
+
+    def _play_slice(self) -> None:
+        run = self.playback
+        if run is None or not self._play.running:
+            return
+        scan = run.last_scan(self._pace.time())
+        self._player.show(scan)
+        if scan >= run.scans - 1:
+            self.pause()
+        else:
+            time.sleep(PERIOD)
+
+    def _time(self) -> float:
+        return 0.0 if self.playback is None else self.playback.moment(self._player.scan).time
