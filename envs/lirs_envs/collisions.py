@@ -56,12 +56,12 @@ class ContactMonitor:
     _touching: bool = False
     _compiled: bool = False
 
-    def record(self, data: mujoco.MjData, dt: float) -> None:
-        """Record the deepest contact, and whether the robot collides."""
+    def record(self, data: mujoco.MjData, dt: float) -> bool:
+        """Record the deepest contact; return whether the robot collides."""
         if data.ncon == 0:
             self.penetrations.append(0.0)
             self._touching = False
-            return
+            return False
         if not self._compiled:
             compile_contact_state()
             self._compiled = True
@@ -71,6 +71,7 @@ class ContactMonitor:
         self.body_contacts += touching and not self._touching
         self.body_seconds += dt * touching
         self._touching = touching
+        return self._touching
 
     def statistics(self) -> Collisions:
         """Return the statistics so far."""

@@ -102,6 +102,19 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
     return Pose3.from_rpy(start.x, start.y, height, *_attitude_on(a, b, start.yaw), start.yaw)
 
 
+def check_settled(robot: Robot, start: Pose2, settled: Pose3, *, tipped: bool) -> None:
+    """Check that a robot came to rest where it was released.
+
+    Raises:
+        SimulationError: it slid or tipped.
+    """
+    if math.hypot(settled.x - start.x, settled.y - start.y) > MAX_SETTLING_DISTANCE or tipped:
+        raise SimulationError(
+            f"{robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
+            f"it slid or tipped to ({settled.x:.2f}, {settled.y:.2f})"
+        )
+
+
 def _attitude_on(a: float, b: float, yaw: float) -> tuple[float, float]:
     """Return roll and pitch, radians, on the plane z = a x + b y."""
     forward = a * math.cos(yaw) + b * math.sin(yaw)

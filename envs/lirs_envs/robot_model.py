@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import mujoco
@@ -62,6 +62,9 @@ class RobotModel:
         right_angles: the same on the right.
         qpos: (nq,) positions, live; the first seven are those of `T_world_base`.
         qvel: (nv,) velocities, live.
+        ctrl: (nu,) controls, to be written: wheel speeds, rad/s, or rotor thrusts, newtons.
+        walker_centers: (m, 3) centers of the walkers with a body, to be written.
+        force: (3,) the accelerometer's true reading along x, y, z of the base, m/s^2, live.
 
     Args:
         world: ground and walls.
@@ -138,13 +141,13 @@ class RobotModel:
         self.qpos: FloatArray = self.data.qpos
         self._base, self._posed = self.qpos[:7], (b"", Pose3())
         self.qvel: FloatArray = self.data.qvel
-        self._ctrl = self.data.ctrl
-        self._force = self.data.sensor("accelerometer").data
-        self._walker_centers = self.data.mocap_pos
+        self.ctrl: FloatArray = self.data.ctrl
+        self.force: FloatArray = self.data.sensor("accelerometer").data
+        self.walker_centers: FloatArray = self.data.mocap_pos
 
     def __getstate__(self) -> dict[str, Any]:
         # The data holds the model, and a copied view would be an array that is no longer updated.
-        left_out = ("model", "qpos", "qvel", "_base", "_ctrl", "_force", "_walker_centers")
+        left_out = ("model", "qpos", "qvel", "_base", "ctrl", "force", "walker_centers")
         return {name: value for name, value in self.__dict__.items() if name not in left_out}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -192,11 +195,6 @@ class RobotModel:
         x, y, z = (self.qvel[:3] @ self.pose().rotation).tolist()
         return x, y, z
 
-    def specific_force(self) -> Vector3:
-        """Return the accelerometer's true reading along x, y, z of the base, m/s^2."""
-        x, y, z = self._force.tolist()
-        return x, y, z
-
     def wheel_angles(self) -> tuple[float, float]:
         """Return the mean angles by which left and right wheels have turned, radians."""
         return self.mean_angles(self.qpos)
@@ -208,39 +206,38 @@ class RobotModel:
         right = sum([angle(i) for i in self.right_angles]) / max(len(self.right_angles), 1)
         return left, right
 
-    def step(self, control: tuple[float, ...], steps: int) -> None:
-        """Step with the speeds of left and right wheels, rad/s, or the rotors' thrusts, newtons."""
-        ctrl = self._ctrl
-        for side, value in zip(self.actuators, control, strict=True):
-            for i in side:
-                ctrl[i] = value
+    def step(self, steps: int) -> None:
+        """Step with the present controls."""
         mujoco.mj_step(self.model, self.data, steps)
 
     def walk(self, walkers: Walkers, dt: float) -> None:
         """Let the walkers walk for `dt` seconds, before the robot's next step."""
         x, y = self.qpos[:2].tolist()
         walkers.advance(dt, x, y)
-        self._walker_centers[:] = walkers.touchable
+        self.walker_centers[:] = walkers.touchable
 
     def settle(
-        self, T_world_base: Pose3, walkers: Walkers | None = None, *, seconds: float = SETTLING_TIME
+        self, T_world_base: Pose3, walkers: FloatArray | None = None, *, seconds: float = SETTLING_TIME
     ) -> None:
         """Release the robot in a pose with its wheels held, and settle.
 
-        The time is 0 afterwards.
+        The time is 0 afterwards. A robot that flies begins in the air, with the thrust that carries it.
 
-        A robot that flies begins in the air, with the thrust that carries it. Walkers stand.
+        Args:
+            T_world_base: the pose.
+            walkers: (m, 3) centers of the walkers within its reach, meters; they stand.
+            seconds: time to settle.
         """
         mujoco.mj_resetData(self.model, self.data)
         if walkers is not None:
-            self._walker_centers[:] = walkers.touchable
+            self.walker_centers[:] = walkers
         self.qpos[:7] = (*T_world_base.position, *T_world_base.quaternion)
         if self._flies:
             weight = float(self.model.body("base_link").subtreemass[0]) * self.gravity
-            self._ctrl[[i for side in self.actuators for i in side]] = weight / len(self.actuators)
+            self.ctrl[:] = weight / len(self.actuators)
             mujoco.mj_forward(self.model, self.data)
         else:
-            self.step((0.0, 0.0), math.ceil(seconds / self.timestep))
+            self.step(math.ceil(seconds / self.timestep))
         self.data.time = 0.0
 
     def state(self) -> FloatArray:
@@ -252,7 +249,7 @@ class RobotModel:
     def replay(
         self,
         initial: FloatArray,
-        controls: Iterable[tuple[float, ...]],
+        controls: FloatArray,
         walkers: Walkers | None = None,
         *,
         reference: bool = False,
@@ -263,7 +260,7 @@ class RobotModel:
 
         Args:
             initial: state to begin in.
-            controls: one each control update.
+            controls: (n, nu) of each control update.
             walkers: walkers around the robot.
             reference: whether to take the reference physics' step; a control then is in force at the steps
                 that begin within its update.
@@ -285,7 +282,8 @@ class RobotModel:
                 steps = substeps[k % len(substeps)]
                 if walkers is not None:
                     self.walk(walkers, steps * timestep)
-                self.step(control, steps)
+                self.ctrl[:] = control
+                self.step(steps)
             seconds = time.perf_counter() - begun
             if reference:
                 check_divergence(self.data)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from array import array
 from collections.abc import Sequence
@@ -10,16 +9,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lirs_envs.collisions import Collisions, ContactMonitor, check_divergence
+from lirs_envs.batch.bodies import SingleBody
+from lirs_envs.batch.robot_group import RobotGroup, make_body, make_walkers
+from lirs_envs.collisions import Collisions, check_divergence
+from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.ray_casting import WalkerCaster, make_caster
-from lirs_envs.placement import MAX_SETTLING_DISTANCE, check_fit, resolve_start, standing_pose
-from lirs_envs.props import footprint
-from lirs_envs.robot_model import RobotModel
+from lirs_envs.placement import check_fit, check_settled, resolve_start, standing_pose
 from lirs_envs.robots.command import Twist, Waypoint, check_command
-from lirs_envs.robots.drive import make_controller
-from lirs_envs.sensing.sensors import Observation, Sensors
+from lirs_envs.sensing.sensors import Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_envs.walkers import TOUCHABLE, WALKER_STREAM, Walkers
+from lirs_envs.walkers import WALKER_STREAM
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.errors import ConfigError, SimulationError
@@ -28,6 +27,9 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
+
+ROW = np.zeros(1, np.int64)
+"""The row of a single robot."""
 
 
 @dataclass
@@ -91,43 +93,33 @@ class Simulation:
         self.robot = config.robot
         self.preset = config.preset
         self.period = self.preset.period
-        self.body = RobotModel(
-            world,
-            config.robot,
-            self.period,
-            props=config.props,
-            contact_geometry=config.contact_geometry,
-            mujoco_rays=config.rays == "mujoco",
-            actors=self._walker_bodies,
-            height_range=config.height_range,
-            longest_timestep=config.longest_timestep,
+        self.body = make_body(
+            world, config, self.period, height_range=config.height_range, contact_sensors=False
         )
+        self._bodies = SingleBody(config.robot, self.body)
+        self._row = RobotGroup(config, range(1), self._bodies, world.surface)
+        self._commands = np.zeros((1, 3))
         self._meet_world()
         self._seed = seed
         self._begin()
 
-    @property
-    def _walker_bodies(self) -> int:
-        """Number of walkers with a MuJoCo body; with MuJoCo's rays, all of them."""
-        actors = self.config.actors
-        return actors if self.config.rays == "mujoco" else min(actors, TOUCHABLE)
-
     def _meet_world(self) -> None:
         """Create walkers and caster, which depend on the world's ground."""
         world, config = self.world, self.config
-        self.walkers: Walkers | None = None
-        if config.actors:
-            props = [footprint(prop) for prop in config.props]
-            self.walkers = Walkers(world, config.actors, self.robot.radius, props, bodies=self._walker_bodies)
+        self.walkers = make_walkers(world, config) if config.actors else None
+        self._row.surfaces[0], self._row.walkers = world.surface, [self.walkers] if self.walkers else []
         self.caster = make_caster(world, config.rays, bool(config.props), self.body.data, self.walkers)
 
     def _begin(self) -> None:
         """Restart records, noise and odometry at the robot's present pose."""
-        body, config = self.body, self.config
-        self._sensors = Sensors(self.robot, body, self.preset, self.caster, config.noise, self._seed)
-        self._controller = make_controller(self.robot, body, self.world.surface)
-        self._contacts = ContactMonitor(body.contact_drops)
-        self._controls: list[tuple[float, ...]] = []
+        config, preset = self.config, self.preset
+        lidar, odometry, imu = sensor_streams(self._seed)
+        noise = config.noise.of_lidar(preset)
+        rolling_scan = config.noise.rolling_scan
+        mount = self.robot.T_base_laser
+        self._lidar = Lidar(preset, self.caster, mount, lidar, noise, rolling_scan=rolling_scan)
+        self._row.begin(0, odometry, imu, self.period)
+        self._bodies.clear()
         self._initial_state: FloatArray | None = None
         self._initial_walkers = None if self.walkers is None else self.walkers.state()
         self.timing = Timing()
@@ -150,13 +142,13 @@ class Simulation:
         T_world_base = standing_pose(self.world, self.robot, start)
         if self.walkers is not None:
             self.walkers.reset(start, np.random.default_rng((seed, WALKER_STREAM)))
-        self.body.settle(T_world_base, self.walkers)
+        self.body.settle(T_world_base, None if self.walkers is None else self.walkers.touchable)
         check_divergence(self.body.data)
-        self._check_settled(start)
+        check_settled(self.robot, start, self.T_world_base, tipped=self.tipped)
         self._seed = seed
         self._begin()
         self._initial_state = self.body.state()
-        return self._sensors.observe(0.0, self.period)
+        return self._observe()
 
     def replace_terrain(self, heights: Float32Array, spawn_poses: Sequence[Pose2] = ()) -> None:
         """Replace the ground of the world; call `reset` next.
@@ -190,26 +182,27 @@ class Simulation:
         if self._initial_state is None:
             raise SimulationError("a simulation must be reset before it is advanced")
         check_command(self.robot, command)
-        body, clock, physics, sensors = self.body, time.perf_counter, 0.0, 0.0
-        for steps in body.substeps:
-            dt = steps * body.timestep
-            control = self._controller.update(command, self._sensors.yaw_rate, dt)
-            self._controls.append(control)
-            begun = clock()
-            if self.walkers is not None:
-                body.walk(self.walkers, dt)
-            body.step(control, steps)
-            physics += clock() - begun
-            self._contacts.record(body.data, dt)
-            begun = clock()
-            self._sensors.integrate_odometry(dt)
-            sensors += clock() - begun
-        check_divergence(body.data)
-        begun = clock()
-        observation = self._sensors.observe(self.time, self.period)
-        self.timing.physics.append(physics)
-        self.timing.sensors.append(sensors + clock() - begun)
+        row = self._row
+        row.waypoints[0] = command if isinstance(command, Waypoint) else None
+        self._commands[0] = (command.v, command.omega, command.climb) if isinstance(command, Twist) else 0.0
+        failed = row.advance(ROW, self._commands)
+        if failed:
+            raise SimulationError(failed[0])
+        begun = time.perf_counter()
+        row.read(ROW, self.period)
+        observation = self._observe()
+        self.timing.physics.append(row.physics_seconds)
+        self.timing.sensors.append(row.sensor_seconds + time.perf_counter() - begun)
         return observation
+
+    def _observe(self) -> Observation:
+        body, lidar, stamp = self.body, self._lidar, self.time
+        velocity = BaseVelocity(body.velocity(), body.rates()) if lidar.time_increment else None
+        odometry, imu = Pose2(*self._row.odometry[0].tolist()), self._row.imu.reading(0, stamp)
+        if self.preset.rings == 1:
+            return Observation(lidar.scan(self.T_world_base, stamp, velocity), odometry, imu)
+        scan, cloud = lidar.sweep(self.T_world_base, stamp, velocity)
+        return Observation(scan, odometry, imu, cloud)
 
     @property
     def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair
@@ -219,7 +212,7 @@ class Simulation:
     @property
     def time(self) -> float:
         """Seconds since the reset."""
-        return len(self._controls) // len(self.body.substeps) * self.period
+        return len(self._bodies.contacts.penetrations) // len(self.body.substeps) * self.period
 
     @property
     def tipped(self) -> bool:
@@ -243,7 +236,7 @@ class Simulation:
         """(n,) mask of the last cloud's points on a walker. None without walkers or cloud."""
         if not isinstance(self.caster, WalkerCaster) or self.preset.rings == 1:
             return None
-        return self.caster.met[self._sensors.returned]
+        return self.caster.met[self._lidar.returned]
 
     @property
     def contact(self) -> ContactGrid:
@@ -253,7 +246,7 @@ class Simulation:
     @property
     def collisions(self) -> Collisions:
         """Contacts since the reset."""
-        return self._contacts.statistics()
+        return self._bodies.contacts.statistics()
 
     @property
     def controls(self) -> FloatArray:
@@ -261,7 +254,7 @@ class Simulation:
 
         There is one row per control update.
         """
-        return np.array(self._controls, dtype=np.float64).reshape(-1, len(self.robot.rotors) or 2)
+        return self._bodies.controls[:, [side[0] for side in self.body.actuators]]
 
     def replay(self, *, reference: bool = False) -> PhysicsReplay:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
@@ -273,7 +266,7 @@ class Simulation:
         Raises:
             SimulationError: nothing was driven since the reset, or the reference physics diverged.
         """
-        if self._initial_state is None or not self._controls:
+        if self._initial_state is None or not self._bodies.contacts.penetrations:
             raise SimulationError("nothing was driven since the reset: there is nothing to replay")
         walkers = self.walkers
         present = None if walkers is None else walkers.state()
@@ -281,17 +274,9 @@ class Simulation:
             walkers.restore(self._initial_walkers)
         try:
             seconds, pose = self.body.replay(
-                self._initial_state, self._controls, walkers, reference=reference
+                self._initial_state, self._bodies.controls, walkers, reference=reference
             )
         finally:
             if walkers is not None and present is not None:
                 walkers.restore(present)
         return PhysicsReplay(seconds, self.time, pose)
-
-    def _check_settled(self, start: Pose2) -> None:
-        there = self.body.pose()
-        if math.hypot(there.x - start.x, there.y - start.y) > MAX_SETTLING_DISTANCE or self.tipped:
-            raise SimulationError(
-                f"{self.robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
-                f"it slid or tipped to ({there.x:.2f}, {there.y:.2f})"
-            )

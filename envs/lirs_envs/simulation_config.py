@@ -11,6 +11,7 @@ from lirs_envs.placement import check_start
 from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.walkers import TOUCHABLE
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import is_finite, require_above, require_type
@@ -83,6 +84,11 @@ class SimulationConfig:
             raise ConfigError(
                 f"a terrain can be replaced with contact geometry hfield alone, got {self.contact_geometry}"
             )
+
+    @property
+    def walker_bodies(self) -> int:
+        """Number of walkers with a MuJoCo body; with MuJoCo's rays, all of them."""
+        return self.actors if self.rays == "mujoco" else min(self.actors, TOUCHABLE)
 
     @property
     def preset_name(self) -> str:

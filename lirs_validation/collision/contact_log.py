@@ -82,8 +82,8 @@ class ContactRecorder:
         self._rows: list[tuple[FloatArray | float, ...]] = []
         self._deep: list[DeepContact] = []
 
-    def step(self, control: tuple[float, ...]) -> None:
-        """Make one step with wheel speeds or thrusts (see `RobotModel.step`)."""
+    def step(self) -> None:
+        """Make one step with the present controls."""
         body, data = self.body, self.body.data
         pose = body.pose()
         rotation = pose.rotation
@@ -93,7 +93,7 @@ class ContactRecorder:
             data.qvel[:3].copy(),
             rotation @ data.qvel[3:6],
         )
-        body.step(control, 1)
+        body.step(1)
         potential, kinetic = data.energy.tolist()
         contacts = self._contacts() if data.ncon else (0.0, 0.0, 0.0)
         self._rows.append(

@@ -17,8 +17,9 @@ from lirs_envs.collisions import check_divergence
 from lirs_envs.placement import standing_pose
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist
-from lirs_envs.robots.drive import make_controller
+from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import Robot
+from lirs_envs.simulation import ROW
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_validation.driving.room import no_room
 from lirs_wct.errors import SimulationError
@@ -117,7 +118,8 @@ def _stands(world: World, robot: Robot, start: Pose2) -> bool:
 
 
 def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.random.Generator) -> Leg:
-    controller = make_controller(robot, body, world.surface)
+    controllers = make_controllers(robot, body.actuators, [body], [world.surface], [None])
+    controllers.begin(0)
     recorder, commanded = ContactRecorder(body), list[float]()
     every, tipped, diverged = round(HELD / body.timestep), False, ""
     command, rest = Twist(), steps
@@ -125,9 +127,10 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
         for piece in body.substeps:
             if len(commanded) % every < piece:
                 command = _command(robot, rng)
-            control = controller.update(command, body.rates()[2], piece * body.timestep)
+            twists, rates = np.array(((command.v, command.omega, command.climb),)), np.array((body.rates(),))
+            controllers.update(ROW, twists, rates, piece * body.timestep, body.ctrl[None])
             for _ in range(piece):
-                recorder.step(control)
+                recorder.step()
             commanded += [command.v] * piece
             rest -= piece
         try:

@@ -9,9 +9,9 @@ import numpy as np
 
 from lirs_envs.placement import standing_pose
 from lirs_envs.robot_model import RobotModel
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.drive import DifferentialDrive
+from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import Robot
+from lirs_envs.simulation import ROW
 from lirs_validation.collision.random_drive import MARGIN
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2
@@ -64,7 +64,8 @@ def _slid(body: RobotModel, robot: Robot) -> float:
     A wheel's servo has no integral part: it turns at torque / kv, which says nothing of the contact.
     """
     before, angles = body.pose(), body.wheel_angles()
-    body.step((0.0, 0.0), round(HELD / body.timestep))
+    body.ctrl[:] = 0.0
+    body.step(round(HELD / body.timestep))
     rolled = robot.wheel_radius * float(np.mean(np.subtract(body.wheel_angles(), angles)))
     moved = body.pose().position - before.position
     return float(np.linalg.norm(moved - rolled * before.rotation[:, 0]))
@@ -75,14 +76,16 @@ def _climb_share(body: RobotModel, robot: Robot, uphill: float) -> float:
 
     Both are counted once the robot is up to speed.
     """
-    drive, (v, ramp, distance) = DifferentialDrive(robot), _course(robot)
+    controllers, (v, ramp, distance) = make_controllers(robot, body.actuators, [body]), _course(robot)
+    controllers.begin(0)
     axis = np.array((math.cos(uphill), math.sin(uphill)))
-    before, time = body.pose().position, 0.0
+    before, time, twists = body.pose().position, 0.0, np.array(((v, 0.0, 0.0),))
     began: float | None = None
     while time < ramp + distance / v:
         for piece in body.substeps:
             dt = piece * body.timestep
-            body.step(drive.update(Twist(v), body.rates()[2], dt), piece)
+            controllers.update(ROW, twists, np.array((body.rates(),)), dt, body.ctrl[None])
+            body.step(piece)
             time += dt
         if began is None and time >= ramp:
             before, began = body.pose().position, time

@@ -13,7 +13,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.odometry import OdometryConfig, WheelOdometry
+from lirs_envs.sensing.odometry import OdometryConfig, WheelJoints, WheelOdometries
 from lirs_envs.sensing.sensors import Observation, SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
@@ -257,13 +257,14 @@ def test_imu_noise_is_what_it_claims(plane: World, husky: Robot) -> None:
         assert abs(array.mean()) < 4 * math.hypot(bias / math.sqrt(40), white / math.sqrt(1000))
 
 
-def test_odometry_scale_is_what_it_claims(plane: World, husky: Robot) -> None:
-    config = OdometryConfig()
-    lengths = []
-    for seed in range(400):
-        odometry = WheelOdometry(husky, config, np.random.default_rng(seed))
-        odometry.update(0.1 / husky.wheel_radius, (0.0, 0.0, 0.0), 0.0, 0.0, 0.1)
-        lengths.append(odometry.pose.x / 0.1 - 1)
+def test_odometry_scale_is_what_it_claims(husky: Robot) -> None:
+    config, robots = OdometryConfig(), np.arange(400)
+    joints = WheelJoints(np.array((0,)), np.array((1,)), husky.wheel_radius)
+    odometry, wheels, still = WheelOdometries(joints, config, 400), np.zeros((400, 2)), np.zeros((400, 3))
+    for seed in robots.tolist():
+        odometry.begin(seed, wheels, np.random.default_rng(seed))
+    odometry.integrate(robots, wheels + 0.1 / husky.wheel_radius, still, still[:, :2], 0.1)
+    lengths = odometry.pose[:, 0] / 0.1 - 1
     assert np.std(lengths) == pytest.approx(config.scale_sigma, rel=0.1)
 
 

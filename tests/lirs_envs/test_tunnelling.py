@@ -91,7 +91,7 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
         )
         deepest = 0.0
         for _ in range(1500):
-            sim.body.step((0.0, 0.0), 1)
+            sim.body.step(1)
             contact = sim.body.data.contact
             deepest = max(deepest, -min(contact.dist.tolist(), default=0.0))
             T = sim.T_world_base

@@ -16,8 +16,8 @@ from lirs_envs.placement import standing_pose
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_envs.robots.command import Twist
-from lirs_envs.robots.drive import DifferentialDrive
-from lirs_envs.simulation import Simulation
+from lirs_envs.robots.drive import make_controllers
+from lirs_envs.simulation import ROW, Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.tasks.site import make_site
 from lirs_envs.vector_env import RobotVectorEnv
@@ -98,19 +98,18 @@ def test_ground_that_can_be_driven_is_none(where: str, name: str) -> None:
     driven = 0.0
     for _ in range(8):
         body.settle(standing_pose(world, robot, site.draw_start(rng)))
-        drive, monitor, turn = (
-            DifferentialDrive(robot),
-            ContactMonitor(body.contact_drops),
-            rng.uniform(-1, 1),
-        )
+        monitor, turn = ContactMonitor(body.contact_drops), rng.uniform(-1, 1)
+        drive = make_controllers(robot, body.actuators, [body])
+        drive.begin(0)
+        command = np.array(((robot.max_speed, turn * robot.max_turn_rate, 0.0),))
         for _ in range(20):
             before = body.pose()
             if not site.area(before.x, before.y):
                 break
             for steps in body.substeps:
                 dt = steps * body.timestep
-                command = Twist(robot.max_speed, turn * robot.max_turn_rate)
-                body.step(drive.update(command, body.rates()[2], dt), steps)
+                drive.update(ROW, command, np.array((body.rates(),)), dt, body.ctrl[None])
+                body.step(steps)
                 monitor.record(body.data, dt)
             here = body.pose()
             driven += math.hypot(here.x - before.x, here.y - before.y)

@@ -1,12 +1,13 @@
-"""Physics of N robots through `mujoco.batch`, each alone in its world.
+"""Physics of N robots, each alone in its world: through `mujoco.batch`, or of one through `mj_step`.
 
-A simulation is one row of MuJoCo's state. Its results equal those of a single simulation at any thread count.
+A simulation is one row of MuJoCo's state. The results of both are equal at any thread count.
 """
 
 from __future__ import annotations
 
 import copy
 import math
+from array import array
 from typing import Any
 
 import mujoco
@@ -14,7 +15,7 @@ import numpy as np
 from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 
-from lirs_envs.collisions import DIVERGENCE_WARNINGS, KINDS, is_sound
+from lirs_envs.collisions import DIVERGENCE_WARNINGS, KINDS, ContactMonitor, check_divergence, is_sound
 from lirs_envs.robot_model import (
     CENTER_SENSOR,
     CONTACT_SENSOR,
@@ -25,6 +26,7 @@ from lirs_envs.robot_model import (
 )
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
+from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.kernels import njit
 
@@ -88,6 +90,11 @@ class Bodies:
         """Let the physics read the models again after one was edited."""
         self._batch.set_models(self.models)
 
+    @property
+    def views(self) -> list[BodyView]:
+        """Each robot, for its sensors and control."""
+        return [BodyView(self, i) for i in range(self.count)]
+
     def step(self, ids: Int32Array | None, steps: int) -> dict[int, str]:
         """Step robots with their controls; return the errors of those that MuJoCo could not step."""
         try:
@@ -118,7 +125,7 @@ class Bodies:
             self.step(row, math.ceil(SETTLING_TIME / self.body.timestep))
         self._batch.bind("time")[i] = 0.0
 
-    def add_touching(self, touched: BoolArray) -> None:
+    def add_touching(self, touched: BoolArray, dt: float) -> None:
         """Mark in (N,) which robots collide, at the beginning of the last step."""
         _add_touching(self._sensordata, self._touch, self._wheels, self._drops, touched)
 
@@ -233,3 +240,78 @@ class BodyView:
     def wheel_angles(self) -> tuple[float, float]:
         """Return the mean angles by which left and right wheels have turned, radians."""
         return self._bodies.body.mean_angles(self._bodies.qpos[self._i])
+
+
+class SingleBody:
+    """One robot stepped by `mujoco.mj_step`, with the interface of `Bodies` and records of each step.
+
+    Attributes:
+        robot: the robot's figures.
+        body: its compiled model and state.
+        count: 1.
+        contacts: statistics of the contacts since `clear`.
+        qpos: (1, nq) positions, live.
+        qvel: (1, nv) velocities, live.
+        ctrl: (1, nu) controls, to be written.
+        mocap_pos: (1, m, 3) centers of the walkers with a body, to be written.
+    """
+
+    def __init__(self, robot: Robot, body: RobotModel) -> None:
+        self.robot, self.body, self.count = robot, body, 1
+        self.clear()
+        self._bind()
+
+    def clear(self) -> None:
+        """Clear the records."""
+        self.contacts = ContactMonitor(self.body.contact_drops)
+        self._controls = array("d")
+
+    def _bind(self) -> None:
+        body = self.body
+        self.qpos, self.qvel, self.ctrl = body.qpos[None], body.qvel[None], body.ctrl[None]
+        self.mocap_pos, self._force = body.walker_centers[None], body.force[None]
+
+    def __getstate__(self) -> dict[str, Any]:
+        live = ("qpos", "qvel", "ctrl", "mocap_pos", "_force")
+        return {name: value for name, value in self.__dict__.items() if name not in live}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._bind()
+
+    @property
+    def views(self) -> list[RobotModel]:
+        """The model, for sensors and control."""
+        return [self.body]
+
+    @property
+    def controls(self) -> FloatArray:
+        """(n, nu) controls of each step since `clear`."""
+        return np.array(self._controls).reshape(-1, self.ctrl.shape[1])
+
+    def step(self, ids: Int32Array | None, steps: int) -> dict[int, str]:
+        """Step the robot with its controls."""
+        self._controls.frombytes(self.body.ctrl.tobytes())
+        self.body.step(steps)
+        return {}
+
+    def add_touching(self, touched: BoolArray, dt: float) -> None:
+        """Record the contacts, which last for `dt` seconds; mark in (1,) whether the robot collides."""
+        touched[0] |= self.contacts.record(self.body.data, dt)
+
+    def specific_force(self) -> FloatArray:
+        """Return (1, 3) the true reading of the accelerometer along the base's axes, m/s^2."""
+        return self._force
+
+    def find_diverged(self) -> BoolArray:
+        """Return (1,) whether the robot has diverged."""
+        data = self.body.data
+        return np.array((not is_sound(data.warning.number, KINDS, data.qpos, data.qvel),))
+
+    def divergence(self, i: int) -> str:
+        """Return how the robot has diverged; empty = it has not."""
+        try:
+            check_divergence(self.body.data)
+        except SimulationError as error:
+            return str(error)
+        return ""

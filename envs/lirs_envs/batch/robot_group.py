@@ -5,25 +5,31 @@ A group holds physics, control, gyro and odometry.
 
 from __future__ import annotations
 
+from time import perf_counter as clock
+from typing import Generic, TypeVar
+
 import numpy as np
 
-from lirs_envs.batch.bodies import Bodies
-from lirs_envs.batch.control import DifferentialDrives, WheelActuators
-from lirs_envs.batch.imu import ImuReadings
-from lirs_envs.batch.odometry import WheelJoints, WheelOdometries
-from lirs_envs.batch.per_robot import FlightControllers, Odometries
+from lirs_envs.batch.bodies import Bodies, SingleBody
+from lirs_envs.props import footprint
 from lirs_envs.robot_model import RobotModel
+from lirs_envs.robots.command import Waypoint
+from lirs_envs.robots.drive import make_controllers
+from lirs_envs.sensing.imu import ImuSensors
+from lirs_envs.sensing.odometry import WheelJoints, WheelOdometries
+from lirs_envs.sensing.sensors import Odometries
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import Walkers
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
+B = TypeVar("B", bound=Bodies | SingleBody)
 LEAST = 4
 """Least number of robots in a group: the calls per group cost as much as half a robot's step."""
 
 
-class RobotGroup:
+class RobotGroup(Generic[B]):
     """Robots `rows` of a batch; row k of every array is its k-th robot.
 
     Attributes:
@@ -32,7 +38,10 @@ class RobotGroup:
         imu: inertial readings.
         surfaces: ground of each robot; replaceable.
         walkers: walkers around each robot; empty = none; replaceable.
+        waypoints: pose that each quadrotor flies to instead of its command; None = the command.
         touched: (n,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
+        physics_seconds: wall-clock seconds of the last `advance` in MuJoCo's step.
+        sensor_seconds: wall-clock seconds of the last `advance` in gyro and odometry.
 
     Args:
         config: robot and sensors.
@@ -41,22 +50,22 @@ class RobotGroup:
         surface: ground of all robots.
     """
 
-    def __init__(self, config: SimulationConfig, rows: range, bodies: Bodies, surface: HeightField) -> None:
+    def __init__(self, config: SimulationConfig, rows: range, bodies: B, surface: HeightField) -> None:
         robot, noise, body, count = config.robot, config.noise, bodies.body, len(rows)
         self.rows, self.bodies = rows, bodies
         self.surfaces, self.walkers = [surface] * count, list[Walkers]()
         self.touched: BoolArray = np.zeros(count, np.bool_)
-        self.imu = ImuReadings(noise.imu, count)
-        self._control: DifferentialDrives | FlightControllers
+        self.physics_seconds = self.sensor_seconds = 0.0
+        self.imu = ImuSensors(noise.imu, count)
+        self.waypoints: list[Waypoint | None] = [None] * count
+        views = bodies.views
+        self._control = make_controllers(robot, body.actuators, views, self.surfaces, self.waypoints)
         self._odometry: WheelOdometries | Odometries
-        if robot.flies:
-            self._control = FlightControllers(bodies, self.surfaces)
-        else:
-            self._control = DifferentialDrives(robot, WheelActuators(*map(_indices, body.actuators)), count)
         if robot.flies or noise.odometry.method == "ekf":
-            self._odometry = Odometries(bodies, noise)
+            self._odometry = Odometries(robot, noise, views)
         else:
-            joints = WheelJoints(_indices(body.left_angles), _indices(body.right_angles), robot.wheel_radius)
+            left, right = (np.array(joints, np.int64) for joints in (body.left_angles, body.right_angles))
+            joints = WheelJoints(left, right, robot.wheel_radius)
             self._odometry = WheelOdometries(joints, noise.odometry, count)
 
     @property
@@ -86,14 +95,19 @@ class RobotGroup:
         touched, odometry = np.zeros(bodies.count, np.bool_), self.odometry.copy()
         some = ids.astype(np.int32) if len(ids) < bodies.count else None
         failed: dict[int, str] = {}
+        self.physics_seconds = self.sensor_seconds = 0.0
         for steps in bodies.body.substeps:
             dt = steps * bodies.body.timestep
             self._control.update(ids, commands, imu.rates, dt, bodies.ctrl)
+            begun = clock()
             self._walk(ids, dt)
             failed |= bodies.step(some, steps)
-            bodies.add_touching(touched)
+            self.physics_seconds += clock() - begun
+            bodies.add_touching(touched, dt)
+            begun = clock()
             imu.read_rates(ids, bodies.qvel)
             self._odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
+            self.sensor_seconds += clock() - begun
         self.touched[ids] = touched[ids]
         stopped = {*failed, *ids[bodies.find_diverged()[ids]].tolist()}
         for k in stopped:
@@ -115,7 +129,7 @@ class RobotGroup:
 
 def make_groups(
     config: SimulationConfig, body: RobotModel, world: World, count: int, *, threads: int, own_models: bool
-) -> list[RobotGroup]:
+) -> list[RobotGroup[Bodies]]:
     """Return `count` robots in groups of at least `LEAST` robots, one group per thread.
 
     Threads without a group step the physics of the groups.
@@ -129,5 +143,34 @@ def make_groups(
     return groups
 
 
-def _indices(values: list[int]) -> IntArray:
-    return np.array(values, np.int64)
+def make_body(
+    world: World,
+    config: SimulationConfig,
+    period: float,
+    *,
+    height_range: tuple[float, float] | None,
+    contact_sensors: bool,
+) -> RobotModel:
+    """Return the compiled model of a config's robot, props and walkers in a world (see `RobotModel`)."""
+    return RobotModel(
+        world,
+        config.robot,
+        period,
+        props=config.props,
+        contact_geometry=config.contact_geometry,
+        mujoco_rays=config.rays == "mujoco",
+        actors=config.walker_bodies,
+        height_range=height_range,
+        contact_sensors=contact_sensors,
+        longest_timestep=config.longest_timestep,
+    )
+
+
+def make_walkers(world: World, config: SimulationConfig) -> Walkers:
+    """Return the walkers of a config in a world.
+
+    Raises:
+        SimulationError: the world has no free ground.
+    """
+    props = [footprint(prop) for prop in config.props]
+    return Walkers(world, config.actors, config.robot.radius, props, bodies=config.walker_bodies)

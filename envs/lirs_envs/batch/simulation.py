@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from functools import partial
 
 import mujoco
 import numpy as np
 
+from lirs_envs.batch.bodies import Bodies
 from lirs_envs.batch.lidars import Lidars
-from lirs_envs.batch.robot_group import RobotGroup, make_groups
+from lirs_envs.batch.robot_group import RobotGroup, make_body, make_groups, make_walkers
 from lirs_envs.batch.work_threads import Work, WorkThreads
 from lirs_envs.lidar.lidar import BaseVelocity
-from lirs_envs.lidar.noise import LidarNoise, lidar_noise
 from lirs_envs.lidar.ray_casting import Caster, make_caster
-from lirs_envs.placement import MAX_SETTLING_DISTANCE, standing_pose
-from lirs_envs.props import footprint
-from lirs_envs.robot_model import TIPPED, RobotModel, is_tipped
-from lirs_envs.sensing.sensors import IMU_STREAM, LIDAR_STREAM, ODOMETRY_STREAM, Observation
+from lirs_envs.placement import check_settled, standing_pose
+from lirs_envs.robot_model import TIPPED, is_tipped
+from lirs_envs.sensing.sensors import Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_envs.walkers import TOUCHABLE, WALKER_STREAM, Walkers
+from lirs_envs.walkers import WALKER_STREAM
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.export.mjcf import write_heights
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
 
 PARTS = 4
@@ -77,18 +75,7 @@ class BatchSimulation:
     ) -> None:
         self.config, self.period, self.threads = config, period, threads
         self.worlds = [world] * count
-        self.body = RobotModel(
-            world,
-            config.robot,
-            period,
-            props=config.props,
-            contact_geometry=config.contact_geometry,
-            mujoco_rays=config.rays == "mujoco",
-            actors=self._walker_bodies,
-            height_range=height_range,
-            contact_sensors=True,
-            longest_timestep=config.longest_timestep,
-        )
+        self.body = make_body(world, config, period, height_range=height_range, contact_sensors=True)
         self._height_range = height_range
         self.groups = make_groups(
             config,
@@ -99,7 +86,7 @@ class BatchSimulation:
             own_models=own_models or height_range is not None,
         )
         for group in self.groups if config.actors else ():
-            group.walkers = [self._make_walkers(world) for _ in group.rows]
+            group.walkers = [make_walkers(world, self.config) for _ in group.rows]
         self._places = [(group, k) for group in self.groups for k in range(len(group.rows))]
         self._ray_data: list[mujoco.MjData] = []
         if config.props or config.rays == "mujoco":
@@ -111,11 +98,9 @@ class BatchSimulation:
         self._threads = WorkThreads(threads)
 
     def _make_rows(self, count: int) -> None:
-        config, noise = self.config, self.config.noise.lidar
+        config = self.config
         self._bounds = np.array([world.surface.bounds for world in self.worlds])
-        self.lidar_noise: list[LidarNoise] = [
-            noise if isinstance(noise, LidarNoise) else lidar_noise(config.preset, noise)
-        ] * count
+        self.lidar_noise = [config.noise.of_lidar(config.preset)] * count
         self._lidars = Lidars(config, count)
         self._stamps = np.zeros(count)
         self._ticks = np.zeros(count, np.int64)
@@ -145,17 +130,6 @@ class BatchSimulation:
         """Return the velocities (nv,) of robot `i`, live."""
         group, k = self._places[i]
         return np.asarray(group.bodies.qvel[k])
-
-    @property
-    def _walker_bodies(self) -> int:
-        """Number of walkers with a MuJoCo body; with MuJoCo's rays, all of them."""
-        actors = self.config.actors
-        return actors if self.config.rays == "mujoco" else min(actors, TOUCHABLE)
-
-    def _make_walkers(self, world: World) -> Walkers:
-        config = self.config
-        props = [footprint(prop) for prop in config.props]
-        return Walkers(world, config.actors, config.robot.radius, props, bodies=self._walker_bodies)
 
     def _make_caster(self, i: int) -> Caster:
         data = self._ray_data[i] if self._ray_data else self.body.data
@@ -200,7 +174,7 @@ class BatchSimulation:
         group, k = self._places[i]
         self.worlds[i], group.surfaces[k], self._bounds[i] = world, world.surface, world.surface.bounds
         if group.walkers:
-            group.walkers[k] = self._make_walkers(world)
+            group.walkers[k] = make_walkers(world, self.config)
         self.casters[i] = self._make_caster(i)
 
     def reset(self, i: int, start: Pose2, seed: int) -> None:
@@ -221,18 +195,12 @@ class BatchSimulation:
             raise SimulationError(divergence)
         self._read_poses(group, np.array((k,)))
         there = self.pose(i)
-        if math.hypot(there.x - start.x, there.y - start.y) > MAX_SETTLING_DISTANCE or is_tipped(there):
-            raise SimulationError(
-                f"{robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "
-                f"it slid or tipped to ({there.x:.2f}, {there.y:.2f})"
-            )
+        check_settled(robot, start, there, tipped=is_tipped(there))
         self._begin(i, seed)
 
     def _begin(self, i: int, seed: int) -> None:
         group, k = self._places[i]
-        lidar, odometry, imu = (
-            np.random.default_rng((seed, stream)) for stream in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM)
-        )
+        lidar, odometry, imu = sensor_streams(seed)
         self._lidars.begin(i, self.casters[i], self.lidar_noise[i], lidar)
         group.begin(k, odometry, imu, self.period)
         self._ticks[i], self._stamps[i], self.errors[i] = 0, 0.0, ""
@@ -260,13 +228,13 @@ class BatchSimulation:
                 after_scan(rows)
             return ()
 
-        def drive(group: RobotGroup) -> list[Work]:
+        def drive(group: RobotGroup[Bodies]) -> list[Work]:
             due = self._drive(group, ids, commands)
             return [partial(scan, due[k : k + share]) for k in range(0, len(due), share)]
 
         self._threads.run([partial(drive, group) for group in self.groups])
 
-    def _drive(self, group: RobotGroup, ids: IntArray, commands: FloatArray) -> IntArray:
+    def _drive(self, group: RobotGroup[Bodies], ids: IntArray, commands: FloatArray) -> IntArray:
         """Drive the robots of a group that are among `ids`; return rows due for scans."""
         rows = group.rows
         local = ids[(ids >= rows.start) & (ids < rows.stop)] - rows.start
@@ -281,7 +249,7 @@ class BatchSimulation:
         self._ticks[going] += 1
         return going[self._scan_is_due(going)]
 
-    def _read_poses(self, group: RobotGroup, ids: IntArray) -> None:
+    def _read_poses(self, group: RobotGroup[Bodies], ids: IntArray) -> None:
         group.bodies.read_poses(ids, self.T_world_base[group.rows.start : group.rows.stop])
 
     def _scan_is_due(self, rows: IntArray) -> BoolArray:
@@ -345,8 +313,4 @@ class BatchSimulation:
             self.config.robot.T_base_laser,
             self._lidars.time_increment,
         )
-        roll, pitch = group.imu.attitude[k].tolist()
-        rates, force = tuple(group.imu.rates[k].tolist()), tuple(group.imu.force[k].tolist())
-        return Observation(
-            scan, Pose2(*group.odometry[k].tolist()), Imu(roll, pitch, rates, force, self.time(i))
-        )
+        return Observation(scan, Pose2(*group.odometry[k].tolist()), group.imu.reading(k, self.time(i)))

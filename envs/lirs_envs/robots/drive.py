@@ -1,16 +1,17 @@
-"""Controllers of robots; control of driven wheels from a commanded twist."""
+"""Control of N robots: driven wheels, or rotors, from commanded twists."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.flight import FlyingBody, QuadrotorController
 from lirs_envs.robots.robot import Robot
-from lirs_wct.arrays import FloatArray, RecordArray
+from lirs_wct.arrays import FloatArray, IntArray, RecordArray
 from lirs_wct.field_validators import require_at_least
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.kernels import njit
@@ -59,26 +60,55 @@ def drive_parameters(robot: Robot, config: DriveConfig) -> RecordArray:
     return np.array([(*limits, *gains)], DRIVE)
 
 
-class DifferentialDrive:
-    """Wheel speeds of a robot with driven wheels on both sides.
+class WheelActuators(NamedTuple):
+    """Indices of the driven wheels' actuators."""
+
+    left: IntArray
+    right: IntArray
+
+
+class DifferentialDrives:
+    """Wheel speeds of N robots with driven wheels on both sides.
 
     The command is limited in speed and acceleration. A skid-steered robot turns slower than its wheels imply,
     by a factor that depends on slope and load. `Robot.skid_factor` is fed forward, and a PI loop on the gyro
     corrects the remaining error.
     """
 
-    def __init__(self, robot: Robot, config: DriveConfig | None = None) -> None:
-        self.robot = robot
-        self.config = config or DriveConfig()
-        self._parameters = drive_parameters(robot, self.config)
-        self._state = np.zeros(3)
+    def __init__(self, robot: Robot, actuators: WheelActuators, count: int) -> None:
+        self._actuators = actuators
+        self._parameters = drive_parameters(robot, DriveConfig())
+        self._state = np.zeros((count, 3))
 
-    def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
-        """Return the speeds of left and right wheels, rad/s (see `robots.controller.Controller`)."""
-        assert isinstance(command, Twist), "a waypoint is for robots that fly"
-        v, omega = float(command.v), float(command.omega)
-        speeds: tuple[float, float] = wheel_speeds(self._state, v, omega, yaw_rate, dt, self._parameters)
-        return speeds
+    def begin(self, i: int) -> None:
+        """Reset the control of robot `i` at rest."""
+        self._state[i] = 0.0
+
+    def update(
+        self, ids: IntArray, commands: FloatArray, rates: FloatArray, dt: float, ctrl: FloatArray
+    ) -> None:
+        """Fill the wheel speeds, rad/s (see `Controllers`)."""
+        _drive(ids, commands, rates, dt, self._parameters, self._actuators, self._state, ctrl)
+
+
+@njit(cache=True, nogil=True)
+def _drive(
+    ids: IntArray,
+    commands: FloatArray,
+    rates: FloatArray,
+    dt: float,
+    parameters: RecordArray,
+    actuators: WheelActuators,
+    state: FloatArray,
+    ctrl: FloatArray,
+) -> None:
+    for n in range(len(ids)):
+        i = ids[n]
+        left, right = wheel_speeds(state[i], commands[i, 0], commands[i, 1], rates[i, 2], dt, parameters)
+        for a in actuators.left:
+            ctrl[i, a] = left
+        for a in actuators.right:
+            ctrl[i, a] = right
 
 
 @njit(cache=True, nogil=True)
@@ -114,19 +144,74 @@ def _limit(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 
 
-class Controller(Protocol):
-    """Actuator controls from commands."""
+class FlightControllers:
+    """Rotor thrusts of N quadrotors.
 
-    def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
-        """Return the controls to hold for `dt` seconds: wheel speeds, rad/s, or rotor thrusts, newtons.
+    Args:
+        robot: the robot's figures.
+        bodies: the true state of each quadrotor.
+        surfaces: the ground of each quadrotor; replaceable.
+        waypoints: the pose that each quadrotor flies to instead of its command; None = the command.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        bodies: Sequence[FlyingBody],
+        surfaces: Sequence[HeightField],
+        waypoints: Sequence[Waypoint | None],
+    ) -> None:
+        self._robot, self._bodies, self._surfaces, self._waypoints = robot, bodies, surfaces, waypoints
+        self._controllers: list[QuadrotorController | None] = [None] * len(bodies)
+
+    def begin(self, i: int) -> None:
+        """Create the controller of quadrotor `i` at its present pose."""
+        self._controllers[i] = QuadrotorController(self._robot, self._bodies[i], self._surfaces[i])
+
+    def update(
+        self, ids: IntArray, commands: FloatArray, rates: FloatArray, dt: float, ctrl: FloatArray
+    ) -> None:
+        """Fill the thrusts, newtons (see `Controllers`)."""
+        for i in ids.tolist():
+            controller = self._controllers[i]
+            assert controller is not None, "begin comes first"
+            command = self._waypoints[i] or Twist(*commands[i].tolist())
+            ctrl[i] = controller.update(command, dt)
+
+
+class Controllers(Protocol):
+    """Actuator controls of N robots."""
+
+    def begin(self, i: int) -> None:
+        """Reset the control of robot `i` at its present pose."""
+
+    def update(
+        self, ids: IntArray, commands: FloatArray, rates: FloatArray, dt: float, ctrl: FloatArray
+    ) -> None:
+        """Fill the controls to hold for `dt` seconds: wheel speeds, rad/s, or rotor thrusts, newtons.
 
         Args:
-            command: beyond the robot's limits it is clipped.
-            yaw_rate: measured by the gyro, rad/s.
+            ids: rows of the robots.
+            commands: (N, 3) speeds, m/s, turn rates, rad/s, climbs, m/s; clipped to the robot's limits.
+            rates: (N, 3) measured by the gyro, rad/s.
             dt: seconds.
+            ctrl: (N, nu) controls.
         """
 
 
-def make_controller(robot: Robot, body: FlyingBody, surface: HeightField) -> Controller:
-    """Return the controller of a robot; `body` and `surface` serve flying robots."""
-    return QuadrotorController(robot, body, surface) if robot.flies else DifferentialDrive(robot)
+def make_controllers(
+    robot: Robot,
+    actuators: Sequence[Sequence[int]],
+    bodies: Sequence[FlyingBody],
+    surfaces: Sequence[HeightField] = (),
+    waypoints: Sequence[Waypoint | None] = (),
+) -> Controllers:
+    """Return the controllers of robots (see `DifferentialDrives` and `FlightControllers`).
+
+    `actuators` are those of the wheels on the left and on the right. Only flying robots need surfaces and
+    waypoints.
+    """
+    if robot.flies:
+        return FlightControllers(robot, bodies, surfaces, waypoints)
+    left, right = (np.array(side, np.int64) for side in actuators)
+    return DifferentialDrives(robot, WheelActuators(left, right), len(bodies))

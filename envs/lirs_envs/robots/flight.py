@@ -135,8 +135,8 @@ class QuadrotorController:
         self._v = self._omega = 0.0
         self._altitude = self.config.altitude
 
-    def update(self, command: Twist | Waypoint, yaw_rate: float, dt: float) -> tuple[float, ...]:
-        """Return the thrust of each rotor, newtons (see `robots.controller.Controller`)."""
+    def update(self, command: Twist | Waypoint, dt: float) -> FloatArray:
+        """Return the thrust (rotors,) of each rotor for `dt` seconds, newtons."""
         T = self._body.pose()
         R = T.rotation
         velocity = R @ np.array(self._body.velocity())
@@ -145,7 +145,8 @@ class QuadrotorController:
         torque = self._torque(R, force, wanted_yaw_rate, np.array(self._body.rates()))
         thrust = self._airframe.mass * float(force @ R[:, 2])
         thrusts = self._allocation @ np.array((max(thrust, 0.0), *torque))
-        return tuple(np.clip(thrusts, 0.0, self._airframe.max_thrust / len(thrusts)).tolist())
+        limited: FloatArray = np.clip(thrusts, 0.0, self._airframe.max_thrust / len(thrusts))
+        return limited
 
     def _specific_force(self, velocity_error: FloatArray) -> FloatArray:
         """Return the wanted force (3,) per mass in the world, m/s^2, limited.

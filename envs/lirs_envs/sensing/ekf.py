@@ -19,8 +19,9 @@ import numpy as np
 
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.odometry import OdometryConfig, OdometryIncrement, WheelOdometry, integrate_motion
+from lirs_envs.sensing.odometry import Odometry, OdometryConfig, OdometryIncrement, integrate_motion
 from lirs_wct.arrays import FloatArray, Vector3
+from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_at_least
 from lirs_wct.geometry.pose import Pose2
 
@@ -66,7 +67,7 @@ class EkfConfig:
         require_at_least(self, 0, *names, of="the odometry filter", finite=True)
 
 
-class EkfOdometry(WheelOdometry):
+class EkfOdometry(Odometry):
     """Odometry whose pose comes from the filter.
 
     Args:
@@ -75,6 +76,9 @@ class EkfOdometry(WheelOdometry):
         rng: random generator of the noise; the filter itself draws nothing.
         imu: noise of the gyro.
         filter_config: errors that the filter expects beyond those.
+
+    Raises:
+        ConfigError: the robot has no wheels.
     """
 
     def __init__(
@@ -88,7 +92,10 @@ class EkfOdometry(WheelOdometry):
         # Its package needs all of SciPy's statistics, 20 MB, and other odometry does not.
         from filterpy.kalman import ExtendedKalmanFilter
 
-        super().__init__(robot, config, rng)
+        super().__init__(config, rng)
+        if robot.flies:
+            raise ConfigError(f"wheel odometry needs a robot with wheels, got {robot.name!r}")
+        self.robot = robot
         self.filter_config = filter_config or EkfConfig()
         self._imu = imu
         # Slip of a wheel a radian of turn: along the wheel by the skid factor's surplus, across by the base.
@@ -128,7 +135,16 @@ class EkfOdometry(WheelOdometry):
     def update(
         self, turned: float, rates: Vector3, roll: float, pitch: float, dt: float, difference: float = 0.0
     ) -> None:
-        """Add the motion since the last update (see `WheelOdometry.update`)."""
+        """Add the motion since the last update.
+
+        Args:
+            turned: mean angle by which the wheels have turned, radians.
+            rates: measured rates about x, y, z of the base, rad/s.
+            roll: measured attitude, radians.
+            pitch: measured attitude, radians.
+            dt: seconds.
+            difference: angle by which the right wheels have turned more than the left ones, radians.
+        """
         robot = self.robot
         distance = self.noise.measure(turned * robot.wheel_radius)
         wheel_turn = difference * robot.wheel_radius / (robot.track * robot.skid_factor)

@@ -13,7 +13,6 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.field_validators import require_above, require_at_least
-from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.kernels import njit
 
@@ -65,97 +64,74 @@ class ImuParameters(NamedTuple):
 class ImuSensors:
     """N inertial units, each with its own biases and random stream.
 
-    They turn true motion into readings.
-
     Attributes:
+        rates: (N, 3) last reading of the gyro about x, y, z of the base, rad/s.
+        attitude: (N, 2) roll and pitch, radians.
+        force: (N, 3) specific force along x, y, z of the base, m/s^2.
         rate_bias: (N, 3) constant errors of the rates, rad/s.
-        rate_errors: (N, RATE_BLOCK, 3) errors of the coming gyro readings, the last row first, rad/s.
-        rates_left: (N,) rows of them that are not used up.
-        bias: (N, 5) slowly varying errors of roll and pitch, radians, constant ones of the acceleration.
-        normals: (N, 7) numbers for the next reading.
     """
 
     def __init__(self, config: ImuConfig, count: int) -> None:
         self.config = config
         c = config
-        self.parameters = ImuParameters(
+        self._parameters = ImuParameters(
             *map(float, (c.attitude_sigma, c.attitude_bias, c.attitude_time, c.acceleration_sigma))
         )
         self._rngs = [np.random.default_rng(0) for _ in range(count)]
+        self.rates, self.force = np.zeros((count, 3)), np.zeros((count, 3))
+        self.attitude = np.zeros((count, 2))
         self.rate_bias = np.zeros((count, 3))
-        self.bias = np.zeros((count, 5))
-        self.rate_errors = np.zeros((count, RATE_BLOCK, 3))
-        self.rates_left = np.zeros(count, np.int64)
-        self.normals = np.zeros((count, 7))
+        # Slowly varying errors of roll and pitch, radians, constant ones of the acceleration.
+        self._bias = np.zeros((count, 5))
+        # Errors of the coming gyro readings, the last row first, rad/s, and the number of unused rows.
+        self._rate_errors, self._rates_left = np.zeros((count, RATE_BLOCK, 3)), np.zeros(count, np.int64)
+        self._used_up = True
+        self._normals = np.zeros((count, 7))
 
-    def begin(self, i: int, rng: np.random.Generator) -> None:
-        """Draw new biases of unit `i`; `rng` is its random stream from now on."""
+    def begin(self, i: int, qpos: FloatArray, qvel: FloatArray, rng: np.random.Generator) -> None:
+        """Draw new biases of unit `i`, at rest with a known attitude; `rng` is its random stream."""
         config, self._rngs[i] = self.config, rng
         bias = rng.standard_normal(8)
         self.rate_bias[i] = bias[:3] * config.rate_bias
-        self.bias[i, :2], self.bias[i, 2:] = (
+        self._bias[i, :2], self._bias[i, 2:] = (
             bias[6:] * config.attitude_bias,
             bias[3:6] * config.acceleration_bias,
         )
-        self.rates_left[i] = 0
+        self._rates_left[i], self._used_up = 0, True
+        self.read_rates(np.array((i,)), qvel)
+        self.attitude[i] = _attitude(qpos[i])
 
-    def draw_rate_errors(self) -> None:
+    def read_rates(self, ids: IntArray, qvel: FloatArray) -> None:
+        """Read the gyros from true velocities (N, nv)."""
+        if self._used_up:
+            self._draw_rate_errors()
+        self._used_up = _read_rates(ids, qvel, self._rate_errors, self._rates_left, self.rates)
+
+    def _draw_rate_errors(self) -> None:
         """Draw a new block of errors where one is used up. Single draws would cost more than the reading."""
-        for i in np.flatnonzero(self.rates_left == 0).tolist():
+        for i in np.flatnonzero(self._rates_left == 0).tolist():
             noise = self._rngs[i].standard_normal((RATE_BLOCK, 3))
-            self.rate_errors[i] = self.rate_bias[i] + self.config.rate_sigma * noise
-            self.rates_left[i] = RATE_BLOCK
+            self._rate_errors[i] = self.rate_bias[i] + self.config.rate_sigma * noise
+            self._rates_left[i] = RATE_BLOCK
 
-    def draw_reading(self, i: int) -> None:
-        """Draw the numbers for the next reading of unit `i`."""
-        self._rngs[i].standard_normal(out=self.normals[i])
-
-
-class ImuSensor:
-    """One inertial unit. Its biases are drawn when it is made.
-
-    Attributes:
-        units: the same as a group of one.
-    """
-
-    def __init__(self, config: ImuConfig, rng: np.random.Generator) -> None:
-        self.config = config
-        self.units = ImuSensors(config, 1)
-        self.units.begin(0, rng)
-
-    @property
-    def rate_bias(self) -> FloatArray:
-        """(3,) constant error of the rates, rad/s."""
-        bias: FloatArray = self.units.rate_bias[0]
-        return bias
-
-    def rates(self, true_rates: Vector3) -> Vector3:
-        """Return the measured rates about x, y, z of the base, rad/s."""
-        units = self.units
-        if units.rates_left[0] == 0:
-            units.draw_rate_errors()
-        x, y, z = next_rates(units.rate_errors[0], units.rates_left, true_rates)
-        return x, y, z
-
-    def read(
-        self, T_world_base: Pose3, rates: Vector3, specific_force: Vector3, stamp: float, dt: float
-    ) -> Imu:
-        """Return a reading.
+    def read(self, ids: IntArray, qpos: FloatArray, force: FloatArray, dt: float) -> None:
+        """Read attitude and specific force, `dt` seconds after the last reading.
 
         Args:
-            T_world_base: true pose of the base.
-            rates: as `rates` returned them, rad/s.
-            specific_force: true, along x, y, z of the base, m/s^2.
-            stamp: seconds.
-            dt: seconds since the last reading.
+            ids: rows of the units.
+            qpos: (N, nq) true positions.
+            force: (N, 3) true specific force, m/s^2.
+            dt: seconds.
         """
-        units = self.units
-        units.draw_reading(0)
-        attitude = (T_world_base.roll, T_world_base.pitch)
-        roll, pitch, x, y, z = read_imu(
-            units.bias[0], units.normals[0], attitude, specific_force, dt, units.parameters
-        )
-        return Imu(roll, pitch, rates, (x, y, z), stamp)
+        for i in ids.tolist():
+            self._rngs[i].standard_normal(out=self._normals[i])
+        noise = self._bias, self._normals
+        _read(ids, (qpos, force), noise, dt, self._parameters, self.attitude, self.force)
+
+    def reading(self, i: int, stamp: float) -> Imu:
+        """Return the last reading of unit `i`."""
+        roll, pitch = self.attitude[i].tolist()
+        return Imu(roll, pitch, tuple(self.rates[i].tolist()), tuple(self.force[i].tolist()), stamp)
 
 
 @njit(cache=True, nogil=True)
@@ -191,3 +167,46 @@ def read_imu(
         force[1] + (bias[3] + p.acceleration_sigma * normal[5]),
         force[2] + (bias[4] + p.acceleration_sigma * normal[6]),
     )
+
+
+@njit(cache=True, nogil=True)
+def _read_rates(
+    ids: IntArray, qvel: FloatArray, errors: FloatArray, left: IntArray, rates: FloatArray
+) -> bool:
+    """Fill rows of `rates`; return whether the errors of one are used up."""
+    used_up = False
+    for n in range(len(ids)):
+        i = ids[n]
+        true = (qvel[i, 3], qvel[i, 4], qvel[i, 5])
+        rates[i, 0], rates[i, 1], rates[i, 2] = next_rates(errors[i], left[i : i + 1], true)
+        used_up |= left[i] == 0
+    return used_up
+
+
+@njit(cache=True, nogil=True)
+def _read(
+    ids: IntArray,
+    true: tuple[FloatArray, FloatArray],
+    noise: tuple[FloatArray, FloatArray],
+    dt: float,
+    parameters: ImuParameters,
+    attitude: FloatArray,
+    force: FloatArray,
+) -> None:
+    qpos, true_force = true
+    bias, normals = noise
+    for n in range(len(ids)):
+        i = ids[n]
+        f = (true_force[i, 0], true_force[i, 1], true_force[i, 2])
+        roll, pitch, x, y, z = read_imu(bias[i], normals[i], _attitude(qpos[i]), f, dt, parameters)
+        attitude[i, 0], attitude[i, 1] = roll, pitch
+        force[i, 0], force[i, 1], force[i, 2] = x, y, z
+
+
+@njit(cache=True, nogil=True)
+def _attitude(qpos: FloatArray) -> tuple[float, float]:
+    """Return roll and pitch of a free body, radians."""
+    norm = math.sqrt(qpos[3] * qpos[3] + qpos[4] * qpos[4] + qpos[5] * qpos[5] + qpos[6] * qpos[6])
+    w, x, y, z = qpos[3] / norm, qpos[4] / norm, qpos[5] / norm, qpos[6] / norm
+    pitch = math.asin(max(-1.0, min(1.0, 2 * (w * y - z * x))))
+    return math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)), pitch

@@ -8,9 +8,8 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import unknown_name
 from lirs_wct.field_validators import require_above, require_within
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.kernels import njit
@@ -206,8 +205,100 @@ def reckoned_pose(
     return reckoned
 
 
+class WheelJoints(NamedTuple):
+    """Addresses of the driven wheels' angles in `qpos`, and the wheel radius, meters."""
+
+    left: IntArray
+    right: IntArray
+    radius: float
+
+
+class WheelOdometries:
+    """Odometry `T_odom_base` of N robots that drive: distance from the wheels, heading from the gyro.
+
+    The yaw of skid-steered wheels is useless (they slip by design), which is why robots of this kind fuse the
+    gyro; its noise and bias are the IMU's. The distance is projected into the plane by the IMU's attitude.
+
+    Attributes:
+        pose: (N, 3) x, y, yaw, meters and radians.
+    """
+
+    def __init__(self, joints: WheelJoints, config: OdometryConfig, count: int) -> None:
+        self._joints = joints
+        self._noises = DistanceNoises(config, count)
+        self._angles = np.zeros((count, 2))
+        self.pose = np.zeros((count, 3))
+        self._used_up = False
+
+    def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
+        """Begin the odometry of robot `i` where it stands."""
+        self._noises.begin(i, rng)
+        self._angles[i] = mean_angle(qpos[i], self._joints.left), mean_angle(qpos[i], self._joints.right)
+        self.pose[i] = 0.0
+
+    def integrate(
+        self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float
+    ) -> None:
+        """Add the motion of the last `dt` seconds. `rates` (N, 3) and `attitude` (N, 2) are measured."""
+        noises = self._noises
+        if self._used_up:
+            noises.draw()
+        self._used_up = _integrate_wheels(
+            ids,
+            (qpos, rates, attitude),
+            self._joints,
+            (noises.scale, noises.normals, noises.used),
+            noises.parameters,
+            dt,
+            self._angles,
+            self.pose,
+        )
+
+    def read(self, ids: IntArray) -> None:
+        """Do nothing: the pose is always up to date."""
+
+
+@njit(cache=True, nogil=True)
+def _integrate_wheels(
+    ids: IntArray,
+    motion: tuple[FloatArray, FloatArray, FloatArray],
+    joints: WheelJoints,
+    noise: tuple[FloatArray, FloatArray, IntArray],
+    parameters: tuple[float, float],
+    dt: float,
+    angles: FloatArray,
+    pose: FloatArray,
+) -> bool:
+    """Add the motion since the last update to `pose` (N, 3).
+
+    The wheel `angles` (N, 2) are updated.
+
+    Return whether the normal numbers of one robot are used up.
+    """
+    used_up = False
+    qpos, rates, attitude = motion
+    scale, normals, used = noise
+    for n in range(len(ids)):
+        i = ids[n]
+        left, right = mean_angle(qpos[i], joints.left), mean_angle(qpos[i], joints.right)
+        turned = ((left - angles[i, 0]) + (right - angles[i, 1])) / 2
+        measured = ((rates[i, 0], rates[i, 1], rates[i, 2]), attitude[i, 0], attitude[i, 1])
+        at: Vector3 = (pose[i, 0], pose[i, 1], pose[i, 2])
+        pose[i, 0], pose[i, 1], pose[i, 2] = reckoned_pose(
+            at,
+            (scale[i : i + 1], normals[i], used[i : i + 1]),
+            parameters,
+            turned * joints.radius,
+            measured,
+            dt,
+        )
+        angles[i, 0], angles[i, 1] = left, right
+        used_up |= used[i] == normals.shape[1]
+    return used_up
+
+
 class Odometry:
-    """Odometry `T_odom_base` as published; its frame is the base's pose at creation."""
+    """Odometry `T_odom_base` of one robot; its frame is the base's pose at creation."""
 
     def __init__(self, config: OdometryConfig, rng: np.random.Generator) -> None:
         self.config = config
@@ -217,46 +308,6 @@ class Odometry:
     def read(self) -> Pose2:
         """Return `T_odom_base` after all updates."""
         return self.pose
-
-
-class WheelOdometry(Odometry):
-    """Odometry of a robot that drives: distance from its wheels, heading from its gyro.
-
-    The yaw of skid-steered wheels is useless (they slip by design), which is why robots of this kind fuse the
-    gyro; its noise and bias are the IMU's. The distance is projected into the plane by the IMU's attitude.
-
-    Raises:
-        ConfigError: the robot has no wheels.
-    """
-
-    def __init__(self, robot: Robot, config: OdometryConfig, rng: np.random.Generator) -> None:
-        super().__init__(config, rng)
-        if robot.flies:
-            raise ConfigError(f"wheel odometry needs a robot with wheels, got {robot.name!r}")
-        self.robot = robot
-
-    def update(
-        self,
-        turned: float,
-        rates: Vector3,
-        roll: float,
-        pitch: float,
-        dt: float,
-        difference: float = 0.0,
-    ) -> None:
-        """Add the motion since the last update.
-
-        Args:
-            turned: mean angle by which the wheels have turned, radians.
-            rates: measured rates about x, y, z of the base, rad/s.
-            roll: measured attitude, radians.
-            pitch: measured attitude, radians.
-            dt: seconds.
-            difference: angle by which the right wheels have turned more than the left ones, radians.
-        """
-        before, noise, readings = self.pose, self.noise, (rates, roll, pitch)
-        at, distance = (before.x, before.y, before.yaw), turned * self.robot.wheel_radius
-        self.pose = Pose2(*reckoned_pose(at, noise.coming, noise.parameters, distance, readings, dt))
 
 
 class FlowOdometry(Odometry):

@@ -1,25 +1,23 @@
-"""Sensors of a robot: lidar, inertial unit and odometry, each with its own noise."""
+"""Sensor readings, their noise, and odometry with one object per robot."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
-from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.noise import LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.lidar.presets import LidarPreset
-from lirs_envs.lidar.ray_casting import Caster
-from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
-from lirs_envs.sensing.imu import ImuConfig, ImuSensor
-from lirs_envs.sensing.motion_sensors import motion_sensors
-from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig, WheelOdometry
-from lirs_wct.arrays import BoolArray
+from lirs_envs.sensing.imu import ImuConfig
+from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
+from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.field_validators import require_type
 from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 
 LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM = 11, 12, 13
@@ -68,63 +66,73 @@ class SensorNoise:
         require_type(self, LidarNoise | str, "lidar", of="the sensor noise")
         require_type(self, bool, "rolling_scan", of="the sensor noise")
 
+    def of_lidar(self, preset: LidarPreset) -> LidarNoise:
+        """Return the noise of a lidar."""
+        return self.lidar if isinstance(self.lidar, LidarNoise) else lidar_noise(preset, self.lidar)
 
-class Sensors:
-    """The sensors of a robot that stands still; odometry begins here."""
 
-    def __init__(
-        self,
-        robot: Robot,
-        body: RobotModel,
-        preset: LidarPreset,
-        caster: Caster,
-        noise: SensorNoise,
-        seed: int,
+def sensor_streams(seed: int) -> tuple[np.random.Generator, ...]:
+    """Return the random generators of lidar, odometry and inertial unit."""
+    return tuple(np.random.default_rng((seed, k)) for k in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM))
+
+
+class MovingBody(Protocol):
+    """True state that odometry measures."""
+
+    def pose(self) -> Pose3:
+        """Return `T_world_base`."""
+
+    def velocity(self) -> Vector3:
+        """Return the velocity along the body's axes, m/s."""
+
+    def wheel_angles(self) -> tuple[float, float]:
+        """Return the mean angles by which left and right wheels have turned, radians."""
+
+
+class Odometries:
+    """Odometry `T_odom_base` of N robots with one object each: optical flow, or the Kalman filter.
+
+    Attributes:
+        pose: (N, 3) x, y, yaw, meters and radians.
+        of: odometry of each robot; None before it begins.
+    """
+
+    def __init__(self, robot: Robot, noise: SensorNoise, bodies: Sequence[MovingBody]) -> None:
+        self._robot, self._noise, self._bodies = robot, noise, bodies
+        self.of: list[EkfOdometry | FlowOdometry | None] = [None] * len(bodies)
+        self._angles = [(0.0, 0.0)] * len(bodies)
+        self.pose = np.zeros((len(bodies), 3))
+
+    def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
+        """Begin the odometry of robot `i` where it stands."""
+        noise = self._noise
+        if self._robot.flies:
+            self.of[i] = FlowOdometry(noise.odometry, rng)
+        else:
+            self.of[i] = EkfOdometry(self._robot, noise.odometry, rng, noise.imu)
+        self._angles[i] = self._bodies[i].wheel_angles()
+        self.pose[i] = 0.0
+
+    def integrate(
+        self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float
     ) -> None:
-        lidar, odometry, imu = (
-            np.random.default_rng((seed, stream)) for stream in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM)
-        )
-        self._body = body
-        ranges = noise.lidar if isinstance(noise.lidar, LidarNoise) else lidar_noise(preset, noise.lidar)
-        self._lidar = Lidar(
-            preset, caster, robot.T_base_laser, lidar, ranges, rolling_scan=noise.rolling_scan
-        )
-        self._imu = ImuSensor(noise.imu, imu)
-        self._motion = motion_sensors(body, self._imu, make_odometry(robot, noise, odometry))
-        pose = body.pose()
-        self._attitude = (pose.roll, pose.pitch)
+        """Add the motion of the last `dt` seconds. `rates` (N, 3) and `attitude` (N, 2) are measured."""
+        for i in ids.tolist():
+            odometry, body = self.of[i], self._bodies[i]
+            x, y, z = rates[i].tolist()
+            roll, pitch = attitude[i].tolist()
+            readings = ((x, y, z), roll, pitch, dt)
+            if isinstance(odometry, FlowOdometry):
+                odometry.update(body.pose(), body.velocity(), *readings)
+            elif odometry is not None:
+                left, right = body.wheel_angles()
+                left_turned, right_turned = left - self._angles[i][0], right - self._angles[i][1]
+                self._angles[i] = left, right
+                odometry.update((left_turned + right_turned) / 2, *readings, right_turned - left_turned)
 
-    @property
-    def yaw_rate(self) -> float:
-        """The gyro's last reading about z, rad/s."""
-        return self._motion.yaw_rate
-
-    @property
-    def returned(self) -> BoolArray:
-        """(rings * beams,) which beams have a point in the last cloud."""
-        return self._lidar.returned
-
-    def integrate_odometry(self, dt: float) -> None:
-        """Read gyro and wheels, or gyro and optical flow, after `dt` seconds."""
-        self._motion.update(self._attitude, dt)
-
-    def observe(self, stamp: float, dt: float) -> Observation:
-        """Read all sensors; `dt` is the time since the last observation, seconds."""
-        body = self._body
-        T_world_base = body.pose()
-        imu = self._imu.read(T_world_base, self._motion.rates, body.specific_force(), stamp, dt)
-        self._attitude = (imu.roll, imu.pitch)
-        velocity = BaseVelocity(body.velocity(), body.rates()) if self._lidar.time_increment else None
-        if self._lidar.preset.rings == 1:
-            return Observation(self._lidar.scan(T_world_base, stamp, velocity), self._motion.read(), imu)
-        scan, cloud = self._lidar.sweep(T_world_base, stamp, velocity)
-        return Observation(scan, self._motion.read(), imu, cloud)
-
-
-def make_odometry(robot: Robot, noise: SensorNoise, rng: np.random.Generator) -> WheelOdometry | FlowOdometry:
-    """Return the odometry of a robot."""
-    if robot.flies:
-        return FlowOdometry(noise.odometry, rng)
-    if noise.odometry.method == "ekf":
-        return EkfOdometry(robot, noise.odometry, rng, noise.imu)
-    return WheelOdometry(robot, noise.odometry, rng)
+    def read(self, ids: IntArray) -> None:
+        """Update the poses of robots `ids`."""
+        for i in ids.tolist():
+            odometry = self.of[i]
+            assert odometry is not None, "begin comes first"
+            self.pose[i] = odometry.read().as_array()

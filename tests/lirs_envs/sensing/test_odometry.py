@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +14,10 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfConfig, EkfOdometry
-from lirs_envs.sensing.imu import ImuConfig, ImuSensor
-from lirs_envs.sensing.odometry import DistanceNoise, FlowOdometry, Odometry, OdometryConfig, WheelOdometry
+from lirs_envs.sensing.imu import ImuConfig, ImuSensors
+from lirs_envs.sensing.odometry import DistanceNoise, FlowOdometry, OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
-from lirs_envs.simulation import Simulation
+from lirs_envs.simulation import ROW, Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -25,6 +26,25 @@ from lirs_wct.world import World
 EKF = OdometryConfig(method="ekf")
 EXACT_WHEELS = EkfConfig(slip_forward=0, slip_lateral=0, slip_turning=0, tilt=0)
 DT, TICK = 0.008, 5
+
+
+def imu_of(config: ImuConfig, seed: int | tuple[int, int]) -> ImuSensors:
+    imu = ImuSensors(config, 1)
+    imu.begin(
+        0, np.array(((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),)), np.zeros((1, 6)), np.random.default_rng(seed)
+    )
+    return imu
+
+
+def read_roll(imu: ImuSensors) -> float:
+    imu.read(ROW, np.array(((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),)), np.array(((0.0, 0.0, 9.81),)), 0.2)
+    return float(imu.attitude[0, 0])
+
+
+def read_rates(imu: ImuSensors, true: tuple[float, float, float]) -> tuple[float, float, float]:
+    imu.read_rates(ROW, np.array(((0.0, 0.0, 0.0, *true),)))
+    x, y, z = imu.rates[0].tolist()
+    return x, y, z
 
 
 def test_the_scale_error_wanders_over_its_length() -> None:
@@ -48,8 +68,8 @@ def test_the_attitude_s_bias_wanders_over_its_time() -> None:
     config = ImuConfig(attitude_sigma=0.0)
     rolls = []
     for seed in range(400):
-        imu = ImuSensor(config, np.random.default_rng(seed))
-        rolls.append([imu.read(Pose3(), (0, 0, 0), (0, 0, 9.81), 0.2 * k, 0.2).roll for k in range(100)])
+        imu = imu_of(config, seed)
+        rolls.append([read_roll(imu) for _ in range(100)])
     errors = np.array(rolls)
     assert errors.std() == pytest.approx(config.attitude_bias, rel=0.1)
     kept = np.mean(errors[:, :-50] * errors[:, 50:]) / errors.var()
@@ -58,15 +78,15 @@ def test_the_attitude_s_bias_wanders_over_its_time() -> None:
 
 def test_gyro_and_accelerometer_noise_is_white_and_gaussian() -> None:
     config = ImuConfig(rate_bias=0.0, acceleration_bias=0.0)
-    imu = ImuSensor(config, np.random.default_rng(3))
-    z = np.array([imu.rates((0.1, 0.2, 0.3)) for _ in range(16_667)]) - (0.1, 0.2, 0.3)
+    imu = imu_of(config, 3)
+    z = np.array([read_rates(imu, (0.1, 0.2, 0.3)) for _ in range(16_667)]) - (0.1, 0.2, 0.3)
     z = z.ravel() / config.rate_sigma
     assert 1e-4 < stats.chi2.cdf(z @ z, len(z)) < 1 - 1e-4
     assert stats.kstest(z, "norm").pvalue > 1e-4
     assert abs(np.mean(z[3:] * z[:-3])) < 4 / math.sqrt(len(z))
 
 
-def blind_drive(odometry: WheelOdometry, imu: ImuSensor, seed: int, ticks: int, stops: bool) -> Pose2:
+def blind_drive(odometry: EkfOdometry, imu: ImuSensors, seed: int, ticks: int, stops: bool) -> Pose2:
     """Drive on a plane by the book; return the true pose."""
     rng, truth = np.random.default_rng(1000 + seed), Pose2()
     radius, v, omega = odometry.robot.wheel_radius, 0.0, 0.0
@@ -83,13 +103,12 @@ def blind_drive(odometry: WheelOdometry, imu: ImuSensor, seed: int, ticks: int, 
                 truth.yaw + omega * DT,
             )
             turn = omega * DT * odometry.robot.track * odometry.robot.skid_factor / radius
-            odometry.update(v * DT / radius, imu.rates((0.0, 0.0, omega)), 0.0, 0.0, DT, turn)
+            odometry.update(v * DT / radius, read_rates(imu, (0.0, 0.0, omega)), 0.0, 0.0, DT, turn)
         odometry.read()
     return truth
 
 
-def error_of(odometry: Odometry, truth: Pose2) -> np.ndarray:
-    p = odometry.read()
+def error_of(p: Pose2, truth: Pose2) -> np.ndarray:
     return np.array((p.x - truth.x, p.y - truth.y, math.remainder(p.yaw - truth.yaw, math.tau)))
 
 
@@ -99,10 +118,10 @@ def test_the_filter_is_consistent(name: str, stops: bool) -> None:
     robot, config, nees, n = make_robot(name), ImuConfig(), [], 60
     for seed in range(n):
         rng = np.random.default_rng(seed)
-        imu = ImuSensor(config, np.random.default_rng((seed, 1)))
+        imu = imu_of(config, (seed, 1))
         odometry = EkfOdometry(robot, EKF, rng, config, EXACT_WHEELS)
         truth = blind_drive(odometry, imu, seed, 200, stops)
-        e = error_of(odometry, truth)
+        e = error_of(odometry.read(), truth)
         nees.append(e @ np.linalg.solve(odometry.covariance[:3, :3], e))
     low, high = stats.chi2.ppf((1e-4, 1 - 1e-4), 3 * n) / n
     # Where the wheels of one axle tell the turn exactly, the filter is told that they might not.
@@ -111,13 +130,13 @@ def test_the_filter_is_consistent(name: str, stops: bool) -> None:
 
 def test_standing_teaches_the_bias(husky: Robot) -> None:
     config = ImuConfig(rate_bias=math.radians(0.5))
-    imu = ImuSensor(config, np.random.default_rng(5))
+    imu = imu_of(config, 5)
     odometry = EkfOdometry(husky, EKF, np.random.default_rng(0), config)
     for _ in range(250):
         for _ in range(TICK):
-            odometry.update(0.0, imu.rates((0, 0, 0)), 0.0, 0.0, DT, 0.0)
+            odometry.update(0.0, read_rates(imu, (0.0, 0.0, 0.0)), 0.0, 0.0, DT, 0.0)
         odometry.read()
-    true = float(imu.rate_bias[2])
+    true = float(imu.rate_bias[0, 2])
     assert odometry.state[3] == pytest.approx(true, abs=4 * config.rate_sigma / math.sqrt(1250))
     assert math.sqrt(odometry.covariance[3, 3]) < 0.01 * config.rate_bias * 10
 
@@ -135,7 +154,7 @@ def test_spinning_wheels_do_not_teach_the_bias() -> None:
 
 def simulated(
     world: World, robot: Robot, method: str, seed: int, stops: bool
-) -> tuple[Odometry, np.ndarray, bytes]:
+) -> tuple[Any, np.ndarray, bytes]:
     noise = SensorNoise(odometry=OdometryConfig(method=method))  # type: ignore[arg-type]
     sim = Simulation(world, SimulationConfig(robot=robot, noise=noise, lidar="lms111"), seed=seed)
     sim.reset()
@@ -144,10 +163,9 @@ def simulated(
         if k % 50 == 0:
             moves = not (stops and k % 100 == 50)
             command = Twist(moves * rng.uniform(0.2, 0.5), moves * rng.uniform(-0.6, 0.6))
-        seen.append(repr(sim.advance(command).odometry).encode())
+        seen.append(sim.advance(command).odometry)
     truth = T_world_odom.inverse() @ sim.T_world_base.to_pose2()
-    odometry = sim._sensors._motion.odometry
-    return odometry, error_of(odometry, truth), b"".join(seen)
+    return sim._row._odometry, error_of(seen[-1], truth), repr(seen).encode()
 
 
 @pytest.mark.parametrize("name", ["husky", "turtlebot2"])
@@ -155,7 +173,8 @@ def test_in_the_simulation_the_filter_knows_how_wrong_it_is(name: str, make_worl
     world = make_world(lambda x, y: 0.1 * np.sin(x / 2) * np.cos(y / 2))
     nees = []
     for seed in range(8):
-        odometry, e, _ = simulated(world, make_robot(name), "ekf", seed, stops=True)
+        odometries, e, _ = simulated(world, make_robot(name), "ekf", seed, stops=True)
+        odometry = odometries.of[0]
         assert isinstance(odometry, EkfOdometry)
         nees.append(float(e @ np.linalg.solve(odometry.covariance[:3, :3], e)))
     # Slip is no Gaussian: within a factor of two and a half of three degrees of freedom.
@@ -196,4 +215,4 @@ def test_wheel_odometry_needs_wheels() -> None:
     quadrotor = make_robot("quadrotor")
     assert quadrotor.skid_factor == 1.0
     with pytest.raises(ConfigError, match="wheel odometry needs a robot with wheels, got 'quadrotor'"):
-        WheelOdometry(quadrotor, OdometryConfig(), np.random.default_rng(0))
+        EkfOdometry(quadrotor, EKF, np.random.default_rng(0), ImuConfig())

@@ -62,9 +62,10 @@ def body_in(world: World, name: str, kind: ContactGeometry = "hfield") -> RobotM
 def left_alone(body: RobotModel, pose: Pose3, seconds: float) -> Leg:
     """Let a robot fall with its wheels held, every step noted."""
     body.settle(pose, seconds=0.0)
+    body.ctrl[:] = 0.0
     recorder = ContactRecorder(body)
     for _ in range(round(seconds / body.timestep)):
-        recorder.step((0.0, 0.0))
+        recorder.step()
     log = recorder.log()
     return Leg(log, (0.0,) * len(log.depth), False, "")
 
@@ -177,7 +178,8 @@ def test_motors_work_is_what_the_robot_gains() -> None:
     recorder = ContactRecorder(body)
     for k in range(150):
         speed = min(1.0, k / 100) / robot.wheel_radius
-        recorder.step((speed, speed))
+        body.ctrl[:] = speed
+        recorder.step()
     log = recorder.log()
     work, gained = float(log.work.sum()), float(log.energy[-1] - log.energy[0])
     assert gained > 0.5 * mass_of(body) * 0.9
