@@ -1,6 +1,7 @@
-"""Physics of N robots, each alone in its world: through `mujoco.batch`, or of one through `mj_step`.
+"""Physics of N robots through `mujoco.batch`, or of one through `mj_step`.
 
-A simulation is one row of MuJoCo's state. The results of both are equal at any thread count.
+Each robot is alone in its world, and is one row of MuJoCo's state. The results of both are equal at any
+thread count.
 """
 
 from __future__ import annotations

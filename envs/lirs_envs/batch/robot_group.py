@@ -151,7 +151,7 @@ def make_body(
     height_range: tuple[float, float] | None,
     contact_sensors: bool,
 ) -> RobotModel:
-    """Return the compiled model of a config's robot, props and walkers in a world (see `RobotModel`)."""
+    """Return the compiled model of a config's robot, props and walkers (see `RobotModel`)."""
     return RobotModel(
         world,
         config.robot,

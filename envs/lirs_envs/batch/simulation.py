@@ -32,10 +32,11 @@ PARTS = 4
 
 
 class BatchSimulation:
-    """N robots of one kind, each alone in its world; array row i is robot i.
+    """N robots of one kind, each alone in its world.
 
-    A robot's results do not depend on the other robots, their number or the threads. Each thread drives a
-    group of robots through the whole period, and then computes scans of any group that are due.
+    Array row i is robot i. A robot's results do not depend on the other robots, their number or the
+    threads. Each thread drives a group of robots through the whole period, and then computes scans of any
+    group that are due.
 
     Attributes:
         worlds: the world of each robot.

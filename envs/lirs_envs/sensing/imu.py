@@ -89,7 +89,7 @@ class ImuSensors:
         self._normals = np.zeros((count, 7))
 
     def begin(self, i: int, qpos: FloatArray, qvel: FloatArray, rng: np.random.Generator) -> None:
-        """Draw new biases of unit `i`, at rest with a known attitude; `rng` is its random stream."""
+        """Draw new biases of unit `i`, which stands still with a known attitude."""
         config, self._rngs[i] = self.config, rng
         bias = rng.standard_normal(8)
         self.rate_bias[i] = bias[:3] * config.rate_bias

@@ -94,7 +94,7 @@ class DistanceNoises:
         self.scale = np.zeros(count)
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
-        """Draw a new scale error of robot `i`; `rng` is its random stream from now on."""
+        """Draw a new scale error of robot `i` from its random stream."""
         self._rngs[i], self.used[i] = rng, BLOCK
         self.draw()
         self.scale[i], self.used[i] = self.parameters[0] * self.normals[i, 0], 1
