@@ -211,7 +211,7 @@ def reads_clouds(mapper: object) -> TypeGuard[CloudMapper]:
     return bool(getattr(mapper, "reads_clouds", False))
 
 
-def requires_odometry(mapper: PoseEstimator) -> bool:
+def requires_odometry(mapper: object) -> bool:
     """Return whether a mapper refuses scans without odometry; False without the attribute."""
     return bool(getattr(mapper, "requires_odometry", False))
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.experiment.cloud_elevation import CloudSample
-from lirs_validation.experiment.feeding.feeding import Place
 from lirs_validation.record.run_record import Status
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.trajectory import Trajectory
+
+Place = Literal["drive", "process"]
+"""Location of a mapper: the drive's own process or another one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +98,6 @@ class DriveLog:
             self.walker_beams.append(tick.walker_beams)
         self.truth.append(tick.T_world_base)
         self.estimates.append(estimate)
-
-    def forget_times(self) -> None:
-        """Discard the times of the ticks so far."""
-        self.walls, self.mapper_seconds, self.waiting = [], [], []
 
     @property
     def stamps(self) -> FloatArray:

@@ -10,8 +10,8 @@ import numpy as np
 from lirs_envs.simulation import Simulation
 from lirs_validation.experiment.cloud_elevation import Elevations, evaluate_elevation
 from lirs_validation.experiment.drive_log import DriveLog
-from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, imu_copy, scan_copy
 from lirs_validation.experiment.mapper_loading import RESOLUTION, package_versions
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics import (
     MapScores,
@@ -31,7 +31,6 @@ from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
-from slam_baselines.mapper import Mapper
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 COUNTED_SCANS = 300
@@ -67,7 +66,7 @@ class Maps:
 def evaluate(
     scenario: Scenario,
     simulation: Simulation,
-    mapper: Mapper | GuardedCloudMapper,
+    mapper: MapperUnderTest,
     log: DriveLog,
     maps: Maps,
     cost: dict[str, Any],
@@ -113,7 +112,7 @@ def evaluate_status(log: DriveLog, coverage: float) -> tuple[Status, str]:
     return "incomplete", lacking
 
 
-def evaluate_maps(world: World, log: DriveLog, mapper: Mapper | GuardedCloudMapper) -> Maps:
+def evaluate_maps(world: World, log: DriveLog, mapper: MapperUnderTest) -> Maps:
     """Compare the mapper's map with the map at the true poses.
 
     A built map is moved by the true start pose alone; the aligned metrics by the trajectory's alignment as
@@ -121,7 +120,7 @@ def evaluate_maps(world: World, log: DriveLog, mapper: Mapper | GuardedCloudMapp
     """
     truth, estimate = log.trajectories()[:2]
     alignment = start_alignment(truth, estimate)
-    if isinstance(mapper, GuardedCloudMapper):
+    if mapper.reads_clouds:
         elevation, found = evaluate_elevation(world, log.clouds, truth, estimate)
         no_scores = dict.fromkeys(field.name for field in fields(MapScores))
         return Maps(None, true_pose_map(log, RESOLUTION), no_scores | asdict(found), alignment, elevation)
@@ -148,10 +147,10 @@ def true_pose_map(log: DriveLog, resolution: float) -> OccupancyGrid:
     reference = KnownPoseMapper(resolution=resolution)
     for k, (observation, T_world_base) in enumerate(zip(log.observations, log.truth, strict=True)):
         T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
-        scan = scan_copy(observation.scan, observation.scan.T_base_laser)
+        scan = observation.scan
         if log.walker_beams:
             scan = replace(scan, ranges=np.where(log.walker_beams[k], np.float32(np.nan), scan.ranges))
-        reference.update(scan, T_map_base, imu_copy(observation.imu))
+        reference.update(scan, T_map_base, observation.imu)
     return reference.map().moved(T_world_map)
 
 

@@ -42,19 +42,6 @@ class MapperSpec:
     attitude: Attitude
 
 
-@dataclass(frozen=True, slots=True)
-class MapperTraits:
-    """Properties of a mapper that its run depends on.
-
-    Attributes:
-        reads_clouds: whether it reads point clouds.
-        requires_odometry: whether it needs odometry.
-    """
-
-    reads_clouds: bool
-    requires_odometry: bool
-
-
 def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
     """Create a mapper by its name, or by a `module:name`.
 

@@ -15,17 +15,9 @@ from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
-from lirs_validation.experiment.feeding.feeding import DirectFeeding, Feeding
-from lirs_validation.experiment.feeding.process import MapperProcess, start_mapper
 from lirs_validation.experiment.loop import Recorder, drive
-from lirs_validation.experiment.mapper_guard import (
-    GuardedCloudMapper,
-    GuardedMapper,
-    check_sensors,
-    guard_mapper,
-    occupancy_map,
-)
-from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.mapper_process import MapperProcess, start_mapper
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
@@ -128,7 +120,7 @@ def run(
         raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
     ready = prepare(config, progress, scenarios)
     with recording(config, out, ready.simulation.period) as recorded:
-        with closing(ready.feeding):
+        with closing(ready.mapper):
             log, cost = _timed_drive(ready, progress, recorded.add)
             log.concurrent = log.concurrent or concurrent
             evaluated = _evaluate(ready, log, cost, progress)
@@ -143,22 +135,19 @@ class ReadyRun:
         scenario: where it takes place.
         simulation: of the robot there.
         driver: that will drive.
-        mapper: that will map, guarded.
-        feeding: gives it its scans.
+        mapper: that will map.
         compile_seconds: wall seconds that the compiler took, in all processes.
     """
 
     scenario: Scenario
     simulation: Simulation
     driver: Driver
-    mapper: GuardedMapper | GuardedCloudMapper
-    feeding: Feeding
+    mapper: MapperUnderTest
     compile_seconds: float
 
     def cost(self, meter: CostMeter) -> dict[str, Any]:
         """Return the cost of the drive so far: `cpu_seconds`, `peak_memory`."""
-        cost = meter.cost()
-        return asdict(cost + self.feeding.cost() if isinstance(self.feeding, MapperProcess) else cost)
+        return asdict(meter.cost() + self.mapper.cost())
 
 
 def prepare(
@@ -171,25 +160,21 @@ def prepare(
     """
     robot = make_robot(config.robot)
     with ExitStack() as started:
-        process = start_mapper(config)
-        if process is not None:
-            started.callback(process.close)
-        made = process or mapper_named(config.mapper, config.seed)
-        check_sensors(made, config)
-        mapper = guard_mapper(made, config)
+        mapper = start_mapper(config)
+        started.callback(mapper.close)
+        check_sensors(mapper, config)
         progress("build", 0.0)
         scenario = (scenarios or ScenarioCache()).scenario(config)
         with compile_timer() as compile_seconds:
             progress("plan", 0.0)
-            driver = make_driver(scenario.world, robot, config, occupancy_map(mapper))
+            driver = make_driver(scenario.world, robot, config, mapper.map)
             progress("compile", 0.0)
-            if process is not None:
-                process.wait_until_ready()
-            warm_up(scenario, robot, process)
+            if isinstance(mapper, MapperProcess):
+                mapper.wait_until_ready()
+            warm_up(scenario, robot, mapper)
         simulation = scenario.simulation(robot)
         started.pop_all()
-    feeding: Feeding = process or DirectFeeding(mapper)
-    return ReadyRun(scenario, simulation, driver, mapper, feeding, compile_seconds())
+    return ReadyRun(scenario, simulation, driver, mapper, compile_seconds())
 
 
 def conclude(
@@ -256,7 +241,6 @@ def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tup
             progress,
             wall_limit=config.wall_limit,
             recorder=recorder,
-            feeding=ready.feeding,
         )
         cost = ready.cost(meter)
     log.concurrent = others.found

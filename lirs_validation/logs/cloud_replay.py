@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
 from lirs_validation.metrics.alignment import associated
 from lirs_validation.metrics.verdict import LostRule
 from lirs_wct.errors import SourceError
@@ -28,7 +28,7 @@ RESOLUTION = 0.05
 
 def replay_clouds(
     path: str,
-    mapper: GuardedCloudMapper,
+    mapper: MapperUnderTest,
     clouds: Iterable[PointCloud],
     readings: Sequence[Imu | None],
     progress: Progress,
@@ -41,8 +41,8 @@ def replay_clouds(
     """
     tracking, scans, points = LostRule(), list[LaserScan](), 0
     for cloud, imu in zip(clouds, readings, strict=True):
-        mapper.update(cloud, imu)
-        tracking.observe(cloud.stamp, mapper.lost)
+        estimate = mapper.observe(SensorReadings(imu=imu, cloud=cloud))
+        tracking.observe(cloud.stamp, estimate.lost)
         points += len(cloud)
         scans.append(horizontal_scan(cloud))
         progress("map", len(scans) / len(readings))

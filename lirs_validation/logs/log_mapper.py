@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import MapConfig
-from lirs_validation.experiment.feeding.process import MapperProcess, needs_process
-from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, GuardedMapper, guard_mapper
+from lirs_validation.experiment.mapper_process import MapperProcess, needs_process
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.sources.source import is_bag
@@ -19,8 +20,6 @@ from slam_baselines.mapper import (
     Mapper,
     make_mapper,
     parameters,
-    reads_clouds,
-    requires_odometry,
 )
 from slam_baselines.warm_up import warm_up
 
@@ -29,27 +28,31 @@ WARM_UP_CONFIG = {"gmapping": {"particles": 4}}
 
 
 @contextmanager
-def log_mapper(config: MapConfig) -> Iterator[GuardedMapper | GuardedCloudMapper]:
-    """Give the guarded mapper of a log; foreign code works in its own process, which ends with the block.
+def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
+    """Give the mapper of a log.
+
+    Foreign code works in its own process, which ends with the block.
 
     Raises:
         ConfigError: there is no such mapper or parameter, or it reads point clouds and the log is no bag.
         MapperError: the process cannot be started.
     """
-    with ExitStack() as started:
-        if needs_process(config.mapper):
-            _check_parameters(config)
-            made: Any = MapperProcess(config, concurrent=False)
-            started.callback(made.close)
-            made.wait_until_ready()
-        else:
-            made = _make(config)
-        if reads_clouds(made) and not is_bag(Path(config.log)):
+    with closing(_start(config)) as mapper:
+        if mapper.reads_clouds and not is_bag(Path(config.log)):
             raise ConfigError(
                 f"{config.log}: mapper {config.mapper} reads point clouds, a CARMEN log holds planar scans; "
                 f"legal: {', '.join(MAPPERS)}"
             )
-        yield guard_mapper(made, config)
+        yield mapper
+
+
+def _start(config: MapConfig) -> MapperUnderTest:
+    if not needs_process(config.mapper):
+        return MapperUnderTest(partial(_make, config), config.mapper, config.attitude)
+    _check_parameters(config)
+    process = MapperProcess(config)
+    process.wait_until_ready()
+    return process
 
 
 def _check_parameters(config: MapConfig) -> None:
@@ -69,17 +72,17 @@ def _make(config: MapConfig) -> Mapper:
     return make_mapper(config.mapper, seed=config.seed, **given)
 
 
-def check_log(config: MapConfig, mapper: GuardedMapper | GuardedCloudMapper, log: LaserLog) -> None:
+def check_log(config: MapConfig, mapper: MapperUnderTest, log: LaserLog) -> None:
     """Check that a log holds the data that the mapper needs.
 
     Raises:
         SourceError: nothing was seen in it, or it holds no odometry and the mapper needs it.
     """
-    if isinstance(mapper, GuardedCloudMapper):
+    if mapper.reads_clouds:
         return
     if not any(scan.hits.any() for scan in log.scans):
         raise SourceError(f"{config.log}: none of its {len(log.scans)} scans met anything within range")
-    if requires_odometry(mapper) and log.odometry[0] is None:
+    if mapper.requires_odometry and log.odometry[0] is None:
         raise SourceError(
             f"{config.log}: holds no odometry (or one that never changes), {config.mapper} needs it; "
             "hector maps without"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from lirs_validation.config import Attitude, MapConfig
 from lirs_validation.experiment.cost import CostMeter, compile_timer
-from lirs_validation.experiment.mapper_guard import GuardedCloudMapper, GuardedMapper
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
 from lirs_validation.logs.cloud_replay import horizontal_map, replay_clouds
 from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, log_mapper, warm_up_log_mapper
@@ -33,7 +33,7 @@ from lirs_wct.geometry.scan import Imu
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source, is_bag
-from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS, Mapper
+from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
 
 
 def map_log(
@@ -107,15 +107,13 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
 
 
-def _mapped_log(
-    config: MapConfig, mapper: GuardedMapper | GuardedCloudMapper, progress: Progress
-) -> MappedLog:
+def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) -> MappedLog:
     """Read, map and evaluate a log."""
     meter, seconds = CostMeter(), dict[str, float]()
     relations, reference = read_truth(config)
     progress("read", 0.0)
     with _measure_time(seconds, "read_seconds"):
-        name, log = folder_name(config), read_log(config, clouds=isinstance(mapper, GuardedCloudMapper))
+        name, log = folder_name(config), read_log(config, clouds=mapper.reads_clouds)
         check_log(config, mapper, log)
         readings = inertial_readings(config, log)
         log = log if config.imu is None or is_bag(Path(config.log)) else with_recorded_mount(config, log)
@@ -124,7 +122,7 @@ def _mapped_log(
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with _measure_time(seconds, "map_seconds"):
-        if isinstance(mapper, GuardedCloudMapper):
+        if mapper.reads_clouds:
             tracking, level = replay_clouds(config.log, mapper, log.clouds or (), readings, progress)
             trajectory = mapper.trajectory()
             grid = horizontal_map(level, trajectory, config.resolution)
@@ -213,7 +211,7 @@ def _digests(folder: Path) -> bytes:
 
 def replay(
     config: MapConfig,
-    mapper: Mapper,
+    mapper: MapperUnderTest,
     log: LaserLog,
     readings: Sequence[Imu | None],
     progress: Progress,
@@ -222,16 +220,16 @@ def replay(
 
     Raises:
         SourceError: the log lacks data that the mapper needs.
-        MapperError: it failed (see `GuardedMapper`).
+        MapperError: it failed.
     """
     scans, tracking = len(log.scans), LostRule()
     fed = zip(log.scans, log.odometry, readings, strict=True)
     for k, (scan, odometry, imu) in enumerate(fed):
         try:
-            mapper.update(scan, odometry, imu)
+            estimate = mapper.observe(SensorReadings(scan, odometry, imu))
         except ConfigError as error:
             raise SourceError(f"{config.log}: {error}") from error
-        tracking.observe(scan.stamp, mapper.lost)
+        tracking.observe(scan.stamp, estimate.lost)
         progress("map", (k + 1) / scans)
     return tracking
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
@@ -13,9 +14,9 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
-from lirs_validation.experiment.feeding.process import start_mapper
-from lirs_validation.experiment.mapper_guard import check_sensors
-from lirs_validation.experiment.mapper_loading import mapper_named, package_versions, source_file
+from lirs_validation.experiment.mapper_loading import package_versions, source_file
+from lirs_validation.experiment.mapper_process import start_mapper
+from lirs_validation.experiment.mapper_under_test import check_sensors
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import is_stale, same_source, versions, world_files
@@ -133,12 +134,8 @@ def _check_names(robot: str, lidar: str | None, mapper: str, frontier: bool) -> 
     asked = RunConfig(
         source="", robot=robot, lidar=lidar, mapper=mapper, driver="frontier" if frontier else TOUR
     )
-    process = start_mapper(asked)
-    try:
-        check_sensors(process or mapper_named(mapper, 0), asked)
-    finally:
-        if process is not None:
-            process.close()
+    with closing(start_mapper(asked)) as made:
+        check_sensors(made, asked)
 
 
 def world_name(config: RunConfig) -> str:

@@ -14,7 +14,6 @@ from lirs_validation.config import MANUAL, RunConfig
 from lirs_validation.driving.driver import Driver, Frame
 from lirs_validation.experiment.cost import CostMeter, cpu_contention
 from lirs_validation.experiment.loop import Drive
-from lirs_validation.experiment.mapper_guard import GuardedCloudMapper
 from lirs_validation.experiment.run import Run, conclude, prepare
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
@@ -115,8 +114,8 @@ class LiveDrive(Playback):
             ready.mapper,
             config.seconds,
             wall_limit=config.wall_limit,
-            feeding=ready.feeding,
         )
+        self._steps = iter(self._drive)
         self._T_world_map = self._drive.log.truth[0].to_pose2()
         self._maps: list[MapSnapshot] = []
         self._drawn_at = 0.0
@@ -145,7 +144,8 @@ class LiveDrive(Playback):
         """
         if self.over:
             return
-        self._drive.step(ahead=not self.driver.by_hand)  # a person's commands take effect at once
+        self._drive.look_ahead = not self.driver.by_hand  # a person's commands take effect at once
+        next(self._steps, None)
         apart = self.time - (self._maps[-1].time if self._maps else 0.0)
         waited = time.monotonic() - self._drawn_at
         if self.over or (apart >= MAP_SECONDS and waited >= MAP_WALL_SECONDS):
@@ -205,7 +205,7 @@ class LiveDrive(Playback):
         Raises:
             WctError: nothing was driven yet, or the folder cannot be written.
         """
-        self._drive.catch_up()
+        self._catch_up()
         log = self._drive.log
         status, reason, concurrent = log.status, log.reason, log.concurrent
         if not self.over:
@@ -221,11 +221,17 @@ class LiveDrive(Playback):
         finally:
             log.status, log.reason, log.concurrent, log.final = status, reason, concurrent, None
 
+    def _catch_up(self) -> None:
+        """Let the log come to where the simulation is."""
+        self._drive.look_ahead = False
+        while not self._drive.caught_up and next(self._steps, None) is not None:
+            pass
+
     def _keep_map(self) -> None:
         mapper = self._ready.mapper
-        if isinstance(mapper, GuardedCloudMapper):  # has no occupancy map
+        if mapper.reads_clouds:  # has no occupancy map
             return
-        self._drive.catch_up()
+        self._catch_up()
         grid = mapper.map()
         self._maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
         self._drawn_at = time.monotonic()

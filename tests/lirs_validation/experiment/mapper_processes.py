@@ -13,5 +13,5 @@ def mapper_processes(parent: int | None = None) -> list[int]:
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == (parent or os.getpid()):
-                started += [int(folder.name)] * (b"feeding.server" in (folder / "cmdline").read_bytes())
+                started += [int(folder.name)] * (b"import serve" in (folder / "cmdline").read_bytes())
     return started

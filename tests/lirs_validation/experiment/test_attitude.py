@@ -9,10 +9,8 @@ import pytest
 
 from lirs_validation import validate
 from lirs_validation.config import ATTITUDES, Attitude, RunConfig
-from lirs_validation.experiment.mapper_guard import with_attitude
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.imu_csv import read_imu
-from slam_baselines.mapper import make_mapper, requires_odometry
 
 NOTING = r"""
 from lirs_wct.geometry.trajectory import Trajectory
@@ -68,13 +66,6 @@ def test_only_the_mapper_loses_the_attitude() -> None:
     np.testing.assert_array_equal(*truths)
     np.testing.assert_array_equal(*(run.maps.true_pose.log_odds for run in runs))
     assert not np.array_equal(*estimates)
-
-
-def test_a_mapper_without_attitude_still_says_what_it_requires() -> None:
-    for name in ("gmapping", "hector"):
-        mapper = make_mapper(name)
-        assert requires_odometry(with_attitude(mapper, "none")) == requires_odometry(mapper)
-        assert with_attitude(mapper, "imu") is mapper
 
 
 def test_an_attitude_that_is_none_is_refused() -> None:

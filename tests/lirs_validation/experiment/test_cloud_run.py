@@ -15,13 +15,8 @@ from lirs_validation import Run, validate
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing.run_overview import FULL, error_picture
-from lirs_validation.experiment.mapper_guard import (
-    GuardedCloudMapper,
-    GuardedMapper,
-    check_sensors,
-    guard_mapper,
-)
 from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings, check_sensors
 from lirs_validation.gui.session.finished_run import FinishedRun
 from lirs_validation.metrics.elevation import ElevationMap, read_elevation
 from lirs_validation.record.run_record import damaged_files, read_record
@@ -194,8 +189,8 @@ def test_what_cannot_work_is_refused_before_the_world_is_built(change: dict[str,
 @pytest.mark.usefixtures("here")
 def test_any_lidar_suits_a_planar_mapper() -> None:
     for lidar in (None, "vlp16", "lds01"):
-        check_sensors(make_mapper("hector"), RunConfig(source="medium", lidar=lidar))
-    assert isinstance(guard_mapper(make_mapper("hector"), RunConfig(source="medium")), GuardedMapper)
+        planar = MapperUnderTest(lambda: make_mapper("hector"), "hector")
+        check_sensors(planar, RunConfig(source="medium", lidar=lidar))
 
 
 @pytest.mark.usefixtures("here")
@@ -203,8 +198,8 @@ def test_without_attitude_there_is_no_inertial_reading() -> None:
     readings = []
     for attitude in ("imu", "none"):
         mapper = mapper_named("still_slam:Still", 1)
-        config = RunConfig(source="medium", mapper="still_slam:Still", attitude=attitude)  # type: ignore[arg-type]
-        guard_mapper(mapper, config).update(a_cloud(), Imu(stamp=1.0))  # type: ignore[call-arg, arg-type]
+        guarded = MapperUnderTest(lambda: mapper, "still", attitude)  # type: ignore[arg-type] # noqa: B023
+        guarded.observe(SensorReadings(imu=Imu(stamp=1.0), cloud=a_cloud()))
         readings += mapper.imus  # type: ignore[union-attr]
     assert readings == [Imu(stamp=1.0), None]
 
@@ -242,10 +237,10 @@ class Wrong:
 def test_a_wrong_answer_costs_the_run_and_names_the_scan(answer: Any, message: str) -> None:
     cloud = a_cloud()
     with pytest.raises(MapperError, match=message):
-        GuardedCloudMapper(Wrong(answer), "wrong").update(cloud, Imu())
+        MapperUnderTest(lambda: Wrong(answer), "wrong").observe(SensorReadings(imu=Imu(), cloud=cloud))
     assert (cloud.xyz == 1).all()
     with pytest.raises(MapperError, match=r"trajectory\(\) is not finite"):
-        GuardedCloudMapper(Wrong(None), "wrong").trajectory()
+        MapperUnderTest(lambda: Wrong(None), "wrong").trajectory()
 
 
 def test_heights_that_are_off_stand_out_in_color(still: Run) -> None:

@@ -12,6 +12,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.loop import Drive
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -36,13 +37,15 @@ def medium_drive(seconds: float, lidar: str | None = None) -> Drive:
     config = RunConfig(source="medium", seconds=seconds, seed=2, lidar=lidar)
     scenario, robot = build_scenario(config), make_robot("husky")
     driver = make_driver(scenario.world, robot, config, lambda: None)  # type: ignore[arg-type, return-value]
-    return Drive(scenario.simulation(robot), driver, DeadReckoning(), seconds)  # type: ignore[arg-type]
+    mapper = MapperUnderTest(DeadReckoning, "dead reckoning")  # type: ignore[arg-type]
+    return Drive(scenario.simulation(robot), driver, mapper, seconds)
 
 
 def go_on(drive: Drive, until: float) -> int:
     """Drive to a time; return the bytes that Python then holds of what was allocated since tracing began."""
-    while drive.time < until:
-        drive.step()
+    for time in drive:
+        if time >= until:
+            break
     return tracemalloc.get_traced_memory()[0]
 
 
@@ -63,8 +66,8 @@ def test_the_log_holds_the_observations() -> None:
     seen = []
     advance = drive._simulation.advance
     drive._simulation.advance = lambda command: seen.append(advance(command)) or seen[-1]  # type: ignore
-    while not drive.over:
-        drive.step()
+    for _ in drive:
+        pass
     assert len(seen) == len(drive.log.observations) - 1 == 40
     for kept, given in zip(drive.log.observations[1:], seen, strict=True):
         np.testing.assert_array_equal(kept.scan.ranges, given.scan.ranges)

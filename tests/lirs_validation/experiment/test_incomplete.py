@@ -10,6 +10,7 @@ import pytest
 
 from lirs_validation import cli, map_log, validate
 from lirs_validation.analysis.result_folders import read_run
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.record.run_record import damaged_files
 from lirs_validation.report.pictures import Painter
 from lirs_wct.geometry.trajectory import Trajectory
@@ -30,6 +31,12 @@ class FewPoses(HectorMapper):
         return Trajectory(whole.stamps[kept], whole.positions[kept], whole.quaternions[kept])
 
 
+def few(kept: slice | tuple[int, ...]) -> FewPoses:
+    mapper = FewPoses()
+    mapper.kept = kept
+    return mapper
+
+
 @pytest.mark.parametrize(
     ("kept", "coverage", "ate"),
     [((0, -1), 2 / 76, True), ((0,), 1 / 76, False), ((), 0.0, False), (slice(None, None, 2), 38 / 76, True)],
@@ -38,9 +45,9 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
     kept: slice | tuple[int, ...], coverage: float, ate: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Two poses earned an ATE of 0.000 and `ok`."""
-    mapper = FewPoses()
-    mapper.kept = kept
-    monkeypatch.setattr("lirs_validation.experiment.run.mapper_named", lambda name, seed: mapper)
+    monkeypatch.setattr(
+        "lirs_validation.experiment.mapper_process.mapper_named", lambda name, seed: few(kept)
+    )
     run = validate("simple", seconds=3, out=tmp_path)
     assert run.folder is not None
     record = read_run(run.folder).entry
@@ -57,7 +64,10 @@ def test_a_log_whose_trajectory_leaves_out_scans_is_incomplete(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = str(ROOT / "examples" / "data" / "office.clf.gz")
-    monkeypatch.setattr("lirs_validation.logs.map_log.log_mapper", lambda config: nullcontext(FewPoses()))
+    monkeypatch.setattr(
+        "lirs_validation.logs.map_log.log_mapper",
+        lambda config: nullcontext(MapperUnderTest(FewPoses, "few")),
+    )
     record = map_log(log, mapper="hector").record
     assert record.status == "incomplete"
     assert record.trajectory["poses"] == 2
@@ -78,7 +88,8 @@ def test_a_log_during_which_the_place_was_lost_is_lost(monkeypatch: pytest.Monke
             return 20 <= self.stats.received < 60
 
     monkeypatch.setattr(
-        "lirs_validation.logs.map_log.log_mapper", lambda config: nullcontext(LostInBetween())
+        "lirs_validation.logs.map_log.log_mapper",
+        lambda config: nullcontext(MapperUnderTest(LostInBetween, "lost")),
     )
     record = map_log(ROOT / "examples" / "data" / "office.clf.gz", mapper="hector").record
     assert record.status == "lost"

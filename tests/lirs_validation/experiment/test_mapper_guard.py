@@ -12,7 +12,7 @@ import pytest
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import cli, map_log, validate
-from lirs_validation.experiment.mapper_guard import GuardedMapper
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.record.run_record import read_record
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2, Pose3
@@ -244,6 +244,7 @@ class Wrong:
 
 
 SCAN = LaserScan(np.ones(3, np.float32), 0.0, 0.1, 0.1, 9.0, 1.5, Pose3(0.1, 0.0, 0.3))
+SEEN = Observation(SCAN, Pose2(1.0, 2.0, 0.3), Imu(pitch=0.02))
 
 
 def test_ctrl_c_and_our_own_errors_pass_the_guard() -> None:
@@ -256,14 +257,12 @@ def test_ctrl_c_and_our_own_errors_pass_the_guard() -> None:
         (SystemError("odd"), MapperError),
     ):
         with pytest.raises(expected):
-            GuardedMapper(Wrong(error), "wrong").update(SCAN, Pose2(), Imu())  # type: ignore[arg-type]
+            MapperUnderTest(lambda: Wrong(error), "wrong").observe(SEEN)  # type: ignore[arg-type, return-value] # noqa: B023
 
 
 def test_the_guard_changes_no_answer() -> None:
-    plain, guarded = make_mapper("hector"), GuardedMapper(make_mapper("hector"), "hector")
-    seen = Observation(SCAN, Pose2(1.0, 2.0, 0.3), Imu(pitch=0.02))
-    for mapper in (plain, guarded):
-        mapper.update(seen.scan, seen.odometry, seen.imu)
+    plain, guarded = make_mapper("hector"), MapperUnderTest(lambda: make_mapper("hector"), "hector")
+    assert plain.update(SCAN, SEEN.odometry, SEEN.imu) == guarded.observe(SEEN).pose
     assert SCAN.ranges.flags.writeable
     assert guarded.stats.received == 1
     assert np.array_equal(plain.map().log_odds, guarded.map().log_odds, equal_nan=True)

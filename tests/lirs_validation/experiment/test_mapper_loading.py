@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from lirs_validation import validate
-from lirs_validation.experiment import mapper_guard
 from lirs_validation.experiment.mapper_loading import RESOLUTION, mapper_named, source_file
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_pose
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
@@ -104,8 +104,8 @@ def test_what_is_no_mapper_is_said_in_one_line(name: str, message: str) -> None:
 
 @pytest.mark.parametrize("wrong", [Pose2(math.nan, 0, 0), Pose2(0, math.inf, 0), Pose2(0, 0, math.nan)])
 def test_a_pose_that_is_not_finite_is_named_by_its_scan(wrong: Pose2) -> None:
-    with pytest.raises(MapperError, match=r"finite pose, got x .* for the scan at 1\.240 s"):
-        mapper_guard.check_pose(wrong, 1.24)
+    with pytest.raises(MapperError, match=r"finite pose, got .* for the scan at 1\.240 s"):
+        check_pose(wrong, Pose2, 1.24)
 
 
 def test_what_a_mapper_hands_over_is_looked_at() -> None:
@@ -118,15 +118,15 @@ def test_what_a_mapper_hands_over_is_looked_at() -> None:
         def trajectory(self) -> object:
             return Trajectory.from_poses([0.0, 0.5], [Pose2(), Pose2(math.nan, 0, 0)])
 
-    for look, message in (
-        (mapper_guard.final_map, "OccupancyGrid, got ndarray"),
-        (mapper_guard.final_stats, "MapperStats, got dict"),
-        (mapper_guard.final_trajectory, r"not finite at 0\.500 s"),
-    ):
-        with pytest.raises(MapperError, match=message):
-            look(Wrong())  # type: ignore[arg-type]
+    mapper = MapperUnderTest(Wrong, "wrong")  # type: ignore[arg-type]
+    with pytest.raises(MapperError, match="OccupancyGrid, got ndarray"):
+        mapper.map()
+    with pytest.raises(MapperError, match="MapperStats, got dict"):
+        _ = mapper.stats
+    with pytest.raises(MapperError, match=r"not finite at 0\.500 s"):
+        mapper.trajectory()
     with pytest.raises(MapperError, match="Pose2, got tuple"):
-        mapper_guard.check_pose((0, 0, 0), 0.0)
+        check_pose((0, 0, 0), Pose2, 0.0)
 
 
 def test_the_documented_mapper_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,17 +19,14 @@ import pytest
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.experiment.feeding.packing import pack_pose, pack_updates, unpack_pose, unpack_updates
-from lirs_validation.experiment.feeding.process import BATCH, MapperProcess
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_guard import guard_mapper
 from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.mapper_process import BATCH, MapperProcess
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.run import prepare
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, MapperError, SourceError
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.pose import Pose2
 from tests.lirs_validation.experiment.mapper_processes import mapper_processes
 
 OWN = """
@@ -108,17 +105,17 @@ def test_a_process_that_dies_is_told_in_a_line(mapper: str, how: str) -> None:
 
 def test_a_process_that_dies_before_a_batch_is_sent_keeps_nobody_waiting() -> None:
     (observation,) = validate("simple", seconds=1).log.observations[:1]
-    process = MapperProcess(RunConfig(source="simple"), concurrent=True)
+    process = MapperProcess(RunConfig(source="simple"), look_ahead=True)
     process.wait_until_ready()
     process._process.kill()
     process._process.wait()
     for _ in range(BATCH - 1):
-        process.give(observation)
+        process._give(observation)
     with pytest.raises(MapperError, match="its process ended"):
-        process.give(observation)
-    assert process.ready
+        process._give(observation)
+    assert process._answered
     with pytest.raises(MapperError, match="its process ended"):
-        process.answer()
+        process._answer()
 
 
 def test_a_process_that_cannot_be_started_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +126,7 @@ def test_a_process_that_cannot_be_started_is_told(monkeypatch: pytest.MonkeyPatc
 
 def test_nothing_is_left_of_a_mapper_that_cannot_be_made() -> None:
     with pytest.raises(ConfigError, match="no class 'Missing'") as kept:
-        MapperProcess(RunConfig(source="simple", mapper="own_slam:Missing"), concurrent=False)
+        MapperProcess(RunConfig(source="simple", mapper="own_slam:Missing"))
     assert kept.tb is not None
     assert not mapper_processes()
 
@@ -164,11 +161,10 @@ def test_memory_and_processor_time_are_of_both_processes() -> None:
     config = RunConfig(source="simple", seconds=3)
     one, two = (validate("simple", mapper="hector", seconds=3, threads=n).record.cost for n in (1, 2))
     ready = prepare(replace(config, threads=2))
-    with closing(ready.feeding):
-        assert isinstance(ready.feeding, MapperProcess)
-        before = ready.feeding.cost()
-        log = drive(ready.simulation, ready.driver, ready.mapper, 3.0, feeding=ready.feeding)
-        after = ready.feeding.cost()
+    with closing(ready.mapper):
+        before = ready.mapper.cost()
+        log = drive(ready.simulation, ready.driver, ready.mapper, 3.0)
+        after = ready.mapper.cost()
     assert before.peak_memory is not None
     assert before.peak_memory > 50e6
     assert two["peak_memory"] > one["peak_memory"] + 50e6
@@ -180,41 +176,17 @@ def test_a_process_answers_as_the_mapper_does_and_begins_anew() -> None:
     simulation = build_scenario(config).simulation(make_robot("husky"))
     observations = [simulation.reset(Pose2())]
     observations += [simulation.advance(Twist(0.5, 0.2)) for _ in range(20)]
-    updates = [(o.scan, o.odometry, o.imu) for o in observations]
-    here = guard_mapper(mapper_named("gmapping", config.seed), config)
-    expected = [here.update(*update) for update in updates]
-    with closing(MapperProcess(config, concurrent=False)) as process:
+    here = MapperUnderTest(lambda: mapper_named("gmapping", config.seed), "gmapping")
+    expected = [here.observe(observation).pose for observation in observations]
+    with closing(MapperProcess(config)) as process:
         process.wait_until_ready()
         for _ in range(2):
-            process.begin()
-            assert [process.update(*update) for update in updates] == expected
+            process.restart()
+            assert [process.observe(observation).pose for observation in observations] == expected
             assert process.lost is here.lost
             np.testing.assert_array_equal(process.map().log_odds, here.map().log_odds)
             np.testing.assert_array_equal(process.trajectory().positions, here.trajectory().positions)
             assert process.stats.counts == here.stats.counts
-
-
-def test_what_is_sent_comes_out_to_the_bit() -> None:
-    rng = np.random.default_rng(3)
-    mount = Pose3(0.2, 0.1, 0.3, *(0.5, 0.5, -0.5, 0.5))
-    scans, clouds = [], []
-    for k in range(5):
-        ranges = rng.uniform(0, 30, 7).astype(np.float32)
-        ranges[k], ranges[k + 1] = np.nan, np.inf
-        scan = LaserScan(ranges, -1.1, 0.3, 0.1, 29.0, rng.uniform(), mount, 0.001)
-        rates, force = (tuple(rng.normal(size=3).tolist()) for _ in range(2))
-        imu = Imu(rng.normal(), rng.normal(), rates, force, rng.uniform())
-        scans.append((scan, Pose2(*rng.normal(size=3).tolist()), imu))
-        xyz = rng.normal(size=(4, 3)).astype(np.float32)
-        cloud = PointCloud(xyz, np.arange(4, dtype=np.uint16), xyz[:, 0].copy(), rng.uniform(), mount)
-        clouds.append((cloud, imu))
-    for (scan, *rest), (sent, *others) in zip(scans, unpack_updates(pack_updates(scans)), strict=True):
-        np.testing.assert_array_equal(scan.ranges, sent.ranges)
-        assert replace(scan, ranges=sent.ranges) == sent
-        assert rest == others
-    assert list(unpack_updates(pack_updates(clouds))) == clouds
-    for pose in (Pose2(1.0, 2.0, 0.3), mount):
-        assert unpack_pose(pack_pose(pose)) == pose
 
 
 def test_two_processes_at_a_time_in_one_program() -> None:

@@ -14,7 +14,7 @@ from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_guard import GuardedMapper
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.metrics.real_time_factor import per_second
@@ -153,11 +153,15 @@ class Puppet:
     def update(self, *_: object) -> Pose2:
         return Pose2()
 
+    @property
+    def under_test(self) -> MapperUnderTest:
+        return MapperUnderTest(lambda: self, "puppet")  # type: ignore[arg-type, return-value]
+
 
 @pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "lost"])
 def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
     puppet = Puppet(fails, 10)
-    log = drive(puppet, puppet, puppet, 20.0)  # type: ignore[arg-type]
+    log = drive(puppet, puppet, puppet.under_test, 20.0)  # type: ignore[arg-type]
     assert log.status == fails
     assert log.reason
     assert puppet.ticks <= 12 + (LOST_SECONDS / puppet.period if fails == "lost" else 0)
@@ -166,14 +170,14 @@ def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
 
 def test_a_run_without_failure_lasts_its_time() -> None:
     puppet = Puppet("nothing", 0)
-    assert drive(puppet, puppet, puppet, 2.0).status == "ok"  # type: ignore[arg-type]
+    assert drive(puppet, puppet, puppet.under_test, 2.0).status == "ok"  # type: ignore[arg-type]
     assert puppet.ticks == 1 + 50
 
 
 def test_a_driver_with_nothing_left_to_drive_ends_the_run() -> None:
     puppet = Puppet("nothing", 0)
     puppet.finished = "the last waypoint is reached"  # type: ignore[misc]
-    log = drive(puppet, puppet, puppet, 20.0)  # type: ignore[arg-type]
+    log = drive(puppet, puppet, puppet.under_test, 20.0)  # type: ignore[arg-type]
     assert (log.status, log.reason) == ("ok", "the last waypoint is reached at 0.1 s")
     assert len(log.commands) == 1
 
@@ -187,20 +191,19 @@ def test_a_drive_stops_at_its_wall_limit_and_says_so() -> None:
     puppet = Puppet("nothing", 0)
     slow = puppet.update
     puppet.update = lambda *_: (time.sleep(0.01), slow())[1]  # type: ignore[method-assign]
-    log = drive(puppet, puppet, puppet, 20.0, wall_limit=0.2)  # type: ignore[arg-type]
+    log = drive(puppet, puppet, puppet.under_test, 20.0, wall_limit=0.2)  # type: ignore[arg-type]
     assert log.status == "wall limit"
     assert 0.2 <= sum(log.walls) < 0.4
     assert "of 20 simulated seconds" in log.reason
-    long = drive(Puppet("nothing", 0), puppet, Puppet("nothing", 0), 2.0, wall_limit=60.0)  # type: ignore[arg-type]
+    long = drive(Puppet("nothing", 0), puppet, Puppet("nothing", 0).under_test, 2.0, wall_limit=60.0)  # type: ignore[arg-type]
     assert long.status == "ok"
 
 
 def test_a_pose_of_nan_ends_the_drive_with_the_scans_stamp() -> None:
     puppet = Puppet("nothing", 0)
     puppet.update = lambda *_: Pose2(float("nan"), 0, 0)  # type: ignore[method-assign]
-    guarded = GuardedMapper(puppet, "puppet")  # type: ignore[arg-type]
     with pytest.raises(MapperError, match=r"scan at 0\.040 s"):
-        drive(puppet, puppet, guarded, 1.0)  # type: ignore[arg-type]
+        drive(puppet, puppet, puppet.under_test, 1.0)  # type: ignore[arg-type]
 
 
 class QueueingMapper(HectorMapper):
@@ -215,10 +218,13 @@ class QueueingMapper(HectorMapper):
 
 
 def test_scans_that_a_mapper_does_not_receive_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    mapper = QueueingMapper()
-    monkeypatch.setattr("lirs_validation.experiment.run.mapper_named", lambda name, seed: mapper)
+    made = [QueueingMapper()]
+    monkeypatch.setattr(
+        "lirs_validation.experiment.mapper_process.mapper_named",
+        lambda name, seed: made.append(QueueingMapper()) or made[-1],
+    )
     record = validate("simple", mapper="hector", seconds=1).record
-    assert mapper.given == 26
+    assert made[-1].given == 26
     assert record.cost["scans_dropped"] == 6
 
 

@@ -18,8 +18,9 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_validation import Run, RunConfig, read_record, validate
 from lirs_validation.experiment import loop
 from lirs_validation.experiment.drive_log import DriveLog
-from lirs_validation.experiment.feeding.feeding import Answer, DirectFeeding, Feeding, Place, update_mapper
 from lirs_validation.experiment.loop import Drive, drive
+from lirs_validation.experiment.mapper_process import MapperProcess
+from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
 from lirs_validation.experiment.run import prepare, run
 from lirs_validation.record.schema import schema_error
 from lirs_validation.sweep.engines import Processes
@@ -171,8 +172,8 @@ def test_the_simulation_counts_no_tick_beyond_the_log() -> None:
     for threads in (1, 2):
         config = RunConfig(source="simple", mapper="own_slam:Lost", seconds=8, threads=threads)
         ready = prepare(config)
-        with closing(ready.feeding):
-            log = drive(ready.simulation, ready.driver, ready.mapper, 8.0, feeding=ready.feeding)
+        with closing(ready.mapper):
+            log = drive(ready.simulation, ready.driver, ready.mapper, 8.0)
         counted.append((ready.simulation.controls, ready.simulation.collisions, ready.simulation.time))
         assert len(ready.simulation.timing.physics) == len(log.walls) == len(log.commands)
     np.testing.assert_array_equal(counted[0][0], counted[1][0])
@@ -182,9 +183,9 @@ def test_the_simulation_counts_no_tick_beyond_the_log() -> None:
 def test_the_parts_of_the_time_add_up() -> None:
     config = RunConfig(source="simple", mapper="own_slam:Slow", seconds=4, threads=2)
     ready = prepare(config)
-    with closing(ready.feeding):
+    with closing(ready.mapper):
         begun = time.perf_counter()
-        log = drive(ready.simulation, ready.driver, ready.mapper, 4.0, feeding=ready.feeding)
+        log = drive(ready.simulation, ready.driver, ready.mapper, 4.0)
         assert 0.9 * (time.perf_counter() - begun) < sum(log.walls) < time.perf_counter() - begun
     two = validate("simple", mapper="own_slam:Slow", seconds=4, threads=2).record.rtf
     parts = two["parts"]
@@ -247,37 +248,34 @@ class SlowPuppet:
 
 def puppets(fails: str, threads: int, **options: Any) -> tuple[DriveLog, Sim, SlowPuppet]:
     sim, mapper = Sim(fails, 40), SlowPuppet()
-    with closing(fed(mapper, threads)) as feeding:
-        log = drive(sim, sim, mapper, 4.0, feeding=feeding, **options)  # type: ignore[arg-type]
+    log = drive(sim, sim, under_test(mapper, threads), 4.0, **options)  # type: ignore[arg-type]
     return log, sim, mapper
 
 
-class LateFeeding:
-    """Feeding whose answers come some scans later, as those of a mapper in another process."""
+class LateMapper(MapperUnderTest):
+    """Mapper whose estimates come some scans later, as those of one in another process."""
 
-    place: Place = "process"
-    late = 7
+    place = "process"
+    follow = MapperProcess.follow  # type: ignore[assignment]
+    _look_ahead, late = True, 7
 
     def __init__(self, mapper: Any) -> None:
-        self._mapper, self._given = mapper, list[Observation]()
+        super().__init__(lambda: mapper, "late")
+        self._given = list[Observation]()
 
     @property
-    def ready(self) -> bool:
+    def _answered(self) -> bool:
         return len(self._given) > self.late
 
-    def give(self, observation: Observation) -> None:
+    def _give(self, observation: Observation) -> None:
         self._given.append(observation)
 
-    def answer(self) -> Answer:
-        observation = self._given.pop(0)
-        return update_mapper(self._mapper, (observation.scan, observation.odometry, observation.imu))
-
-    def close(self) -> None:
-        pass
+    def _answer(self) -> Estimate:
+        return self.observe(self._given.pop(0))
 
 
-def fed(mapper: Any, threads: int = 2) -> Feeding:
-    return LateFeeding(mapper) if threads > 1 else DirectFeeding(mapper)
+def under_test(mapper: Any, threads: int = 2) -> MapperUnderTest:
+    return LateMapper(mapper) if threads > 1 else MapperUnderTest(lambda: mapper, "puppet")
 
 
 @pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "nothing"])
@@ -295,22 +293,23 @@ def test_a_failure_ends_both_at_the_same_tick(fails: str) -> None:
 def test_an_error_of_the_driver_comes_after_the_ticks_before_it() -> None:
     for threads in (1, 2):
         sim, mapper = Sim("driver", 40), SlowPuppet()
-        with closing(fed(mapper, threads)) as feeding, pytest.raises(ValueError, match="a bug"):
-            drive(sim, sim, mapper, 4.0, feeding=feeding)  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match="a bug"):
+            drive(sim, sim, under_test(mapper, threads), 4.0)  # type: ignore[arg-type]
         assert len(mapper.stamps) == 40
 
 
 def test_a_simulation_that_is_ahead_stays_within_its_limit() -> None:
     sim, mapper = Sim("nothing", 0), SlowPuppet(0.005)
-    feeding = fed(mapper)
-    taken = Drive(sim, sim, mapper, 4.0, feeding=feeding)  # type: ignore[arg-type]
+    taken = Drive(sim, sim, under_test(mapper), 4.0)  # type: ignore[arg-type]
+    steps = iter(taken)
     for _ in range(50):
-        taken.step()
+        next(steps)
         assert sim.ticks <= len(taken.log.truth) + loop.MOST_AHEAD
     assert sim.ticks > len(taken.log.truth) + 5
-    taken.catch_up()
+    taken.look_ahead = False
+    while not taken.caught_up:
+        next(steps)
     assert sim.ticks == len(taken.log.truth) == len(taken.log.commands) + 1
-    feeding.close()
 
 
 def test_a_drive_of_two_threads_stops_at_its_wall_limit() -> None:

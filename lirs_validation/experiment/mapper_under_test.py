@@ -1,0 +1,282 @@
+"""Mapper of a run or a log, isolated: read-only inputs, exceptions become MapperError."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import FrozenInstanceError, astuple, dataclass, replace
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+
+import numpy as np
+
+from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
+from lirs_validation.experiment.cost import Cost
+from lirs_validation.interrupts import is_interrupt
+from lirs_wct.errors import ConfigError, MapperError, WctError
+from lirs_wct.geometry.cloud import PointCloud
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, reads_clouds, requires_odometry
+
+if TYPE_CHECKING:  # mapping a log does not load the simulator
+    from lirs_envs.sensing.sensors import Observation
+    from lirs_validation.experiment.drive_log import Place, Tick
+
+READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
+"""Matches messages of NumPy and Numba about a write into a read-only array."""
+METHODS = ("map", "trajectory")
+"""Parts of a mapper that are methods; `stats` and `lost` are properties."""
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class SensorReadings:
+    """Sensor readings at one stamp of a log.
+
+    Attributes:
+        scan: planar scan; None for a mapper of point clouds.
+        odometry: `T_odom_base`; None without odometry.
+        imu: inertial reading; None without one.
+        cloud: point cloud; None for a planar mapper.
+    """
+
+    scan: LaserScan | None = None
+    odometry: Pose2 | None = None
+    imu: Imu | None = None
+    cloud: PointCloud | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Answer of a mapper to an observation.
+
+    Attributes:
+        pose: `T_map_base`, in the plane or in space.
+        lost: whether the mapper does not know its place.
+        seconds: wall-clock time of its update.
+        waited: wall-clock time for which the drive waited for a mapper in another process.
+    """
+
+    pose: Pose2 | Pose3
+    lost: bool
+    seconds: float
+    waited: float = 0.0
+
+
+class MapperUnderTest:
+    """A planar or cloud mapper in this process.
+
+    Its inputs are copies, so that a mapper that makes them writable again changes nothing else. Its answers
+    are checked, and its failures become `MapperError`. Without attitude, the mapper gets no inertial reading:
+    a reading without roll and pitch would still hold the direction of gravity.
+
+    Attributes:
+        name: of the mapper in messages.
+        reads_clouds: whether it reads point clouds.
+        requires_odometry: whether it needs odometry.
+        place: location of the mapper.
+
+    Args:
+        make: creates the mapper.
+        name: of the mapper in messages.
+        attitude: `imu`, or `none` for a mapper without inertial readings.
+    """
+
+    place: Place = "drive"
+
+    def __init__(
+        self, make: Callable[[], Mapper | CloudMapper], name: str, attitude: Attitude = "imu"
+    ) -> None:
+        self.name, self._make, self._attitude = name, make, attitude
+        self._mapper: Any = make()
+        self.reads_clouds = reads_clouds(self._mapper)
+        self.requires_odometry = requires_odometry(self._mapper)
+
+    def observe(self, observation: Observation | SensorReadings) -> Estimate:
+        """Give the mapper an observation; return its estimate.
+
+        Raises:
+            ConfigError: it reads point clouds, and the lidar has no rings.
+            MapperError: it fails, writes into its inputs, or returns no finite pose of its kind.
+        """
+        begun = time.perf_counter()
+        sensed = observation.cloud if self.reads_clouds else observation.scan
+        if sensed is None:
+            raise ConfigError("a mapper of point clouds needs a lidar with rings")
+        imu = imu_copy(observation.imu) if self._attitude == "imu" else None
+        try:
+            if isinstance(sensed, PointCloud):
+                pose = self._mapper.update(cloud_copy(sensed), imu)
+            else:
+                pose = self._mapper.update(scan_copy(sensed), pose_copy(observation.odometry), imu)
+        except BaseException as error:
+            mapper_failure(self.name, "update()", error, f" for the scan at {sensed.stamp:.3f} s")
+        check_pose(pose, Pose3 if self.reads_clouds else Pose2, sensed.stamp)
+        seconds = time.perf_counter() - begun
+        return Estimate(pose, self.lost, seconds)
+
+    def follow(
+        self, ticks: Iterator[Tick], may_go_ahead: Callable[[Sequence[Tick]], bool]
+    ) -> Iterator[tuple[Tick, Estimate]]:
+        """Yield each tick of a drive with the mapper's estimate.
+
+        Args:
+            ticks: of the simulation, which each one drives on.
+            may_go_ahead: whether the simulation may be driven further, given the ticks without an estimate.
+
+        Raises:
+            MapperError: the mapper failed.
+        """
+        for tick in ticks:
+            yield tick, self.observe(tick.observation)
+
+    def map(self) -> OccupancyGrid:
+        """Return the mapper's map.
+
+        Raises:
+            ConfigError: it is a mapper of point clouds.
+            MapperError: it fails, or returns no occupancy grid.
+        """
+        if self.reads_clouds:
+            raise ConfigError("a mapper of point clouds has no occupancy map")
+        return _checked(self._ask("map"), OccupancyGrid, "map() must return an OccupancyGrid")
+
+    def trajectory(self) -> Trajectory:
+        """Return the mapper's trajectory.
+
+        Raises:
+            MapperError: it fails, or returns no finite trajectory.
+        """
+        found = _checked(self._ask("trajectory"), Trajectory, "trajectory() must return a Trajectory")
+        wrong = ~(np.isfinite(found.positions).all(axis=1) & np.isfinite(found.quaternions).all(axis=1))
+        if wrong.any():
+            raise MapperError(f"trajectory() is not finite at {found.stamps[wrong.argmax()]:.3f} s")
+        return found
+
+    @property
+    def stats(self) -> MapperStats:
+        """Statistics of the mapper."""
+        return _checked(self._ask("stats"), MapperStats, "stats must be a MapperStats")
+
+    @property
+    def lost(self) -> bool:
+        """Whether the mapper does not know its place."""
+        return bool(self._ask("lost"))
+
+    def restart(self) -> None:
+        """Make a new mapper."""
+        self._mapper = self._make()
+
+    def cost(self) -> Cost:
+        """Return the mapper's cost in addition to this process's, since `restart`."""
+        return Cost(0.0, 0)
+
+    def close(self) -> None:
+        """Release the mapper's resources."""
+
+    def _ask(self, part: str) -> Any:
+        """Return a part of the mapper: the result of a method, or the value of a property."""
+        try:
+            value = getattr(self._mapper, part)
+            return value() if part in METHODS else value
+        except BaseException as error:
+            mapper_failure(self.name, f"{part}()" if part in METHODS else part, error)
+
+
+def mapper_failure(name: str, part: str, error: BaseException, where: str = "") -> NoReturn:
+    """Raise the error for a mapper's failure.
+
+    A Ctrl-C and our own errors stay unchanged.
+    """
+    if is_interrupt(error):
+        raise KeyboardInterrupt from error
+    if isinstance(error, WctError):
+        raise error
+    kind = ": ".join(filter(None, (type(error).__name__, str(error))))
+    if isinstance(error, FrozenInstanceError) or READ_ONLY.search(str(error)):
+        raise MapperError(
+            f"mapper {name!r}: {part} writes into what it was given{where} ({kind}); "
+            "what it is given is read-only, change a copy"
+        ) from error
+    raise MapperError(f"mapper {name!r}: {part} failed{where}: {kind}") from error
+
+
+def scan_copy(scan: LaserScan) -> LaserScan:
+    """Return a read-only copy of a scan and its mount."""
+    ranges = scan.ranges.copy()
+    ranges.flags.writeable = False
+    return replace(scan, ranges=ranges, T_base_laser=replace(scan.T_base_laser))
+
+
+def cloud_copy(cloud: PointCloud) -> PointCloud:
+    """Return a read-only copy of a cloud and its mount."""
+    xyz, ring, time = cloud.xyz.copy(), cloud.ring.copy(), cloud.time.copy()
+    for array in (xyz, ring, time):
+        array.flags.writeable = False
+    return PointCloud(xyz, ring, time, cloud.stamp, replace(cloud.T_base_laser))
+
+
+def pose_copy(pose: Pose2 | None) -> Pose2 | None:
+    """Return a copy of a pose."""
+    return None if pose is None else replace(pose)
+
+
+def imu_copy(imu: Imu | None) -> Imu | None:
+    """Return a copy of an inertial reading, whose vectors are immutable."""
+    return None if imu is None else replace(imu)
+
+
+def check_pose(pose: object, kind: type[Pose2 | Pose3], stamp: float) -> None:
+    """Check that an answer is a finite pose of a mapper's kind.
+
+    Raises:
+        MapperError: it is not; the message names the scan's stamp.
+    """
+    if not isinstance(pose, kind):
+        raise MapperError(
+            f"update() must return a {kind.__name__}, got {type(pose).__name__} for the scan at {stamp:.3f} s"
+        )
+    if not all(map(math.isfinite, astuple(pose))):
+        raise MapperError(f"update() must return a finite pose, got {pose} for the scan at {stamp:.3f} s")
+
+
+def _checked(value: object, kind: type[T], required: str) -> T:
+    """Return a value of a required type.
+
+    Raises:
+        MapperError: it is of another type.
+    """
+    if not isinstance(value, kind):
+        raise MapperError(f"{required}, got {type(value).__name__}")
+    return value
+
+
+def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
+    """Check that a run's lidar and driver suit its mapper.
+
+    Any lidar suits a planar mapper: of one with rings it gets the ring nearest the horizon.
+
+    Raises:
+        ConfigError: a mapper of point clouds has a planar lidar, or a driver that needs an occupancy map.
+    """
+    # Who maps a log does not load the simulator.
+    from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
+    from lirs_envs.robots.catalog import make_robot
+
+    if not mapper.reads_clouds:
+        return
+    lidar = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
+    if lidar.rings == 1:
+        raise ConfigError(
+            f"mapper {config.mapper} needs a lidar with rings, got {lidar.name}; "
+            f"legal: --lidar {' or '.join(RING_LIDARS)}"
+        )
+    if driver_parts(config.driver)[0] == "frontier":
+        raise ConfigError(
+            f"driver frontier plans on the mapper's occupancy map, and {config.mapper} has none; "
+            f"legal: {', '.join(name for name in DRIVERS if name != 'frontier')}"
+        )
