@@ -287,7 +287,7 @@ def test_a_failure_ends_both_at_the_same_tick(fails: str) -> None:
     assert mapper1.stamps == mapper2.stamps
     for name in ("truth", "estimates", "commands"):
         assert list(getattr(one, name)) == list(getattr(two, name))
-    np.testing.assert_array_equal(one.observations.stamps, two.observations.stamps)
+    np.testing.assert_array_equal(one.stamps, two.stamps)
 
 
 def test_an_error_of_the_driver_comes_after_the_ticks_before_it() -> None:
