@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rich.console import Console
@@ -25,6 +25,7 @@ from tests.lirs_validation.records import entry
 ATE = metrics_named(["trajectory.ate_rmse"])
 
 
+@settings(max_examples=25)
 @given(arrays(np.float64, st.integers(1, 12), elements=st.floats(0, 1)))
 def test_holm_never_helps_and_keeps_the_order(p: np.ndarray) -> None:
     raised = holm(p)
@@ -35,21 +36,15 @@ def test_holm_never_helps_and_keeps_the_order(p: np.ndarray) -> None:
     assert (np.diff(raised[order]) >= 0).all()
 
 
-def test_holm_by_hand() -> None:
+def test_the_tests_are_scipys_and_holm_by_hand() -> None:
     # Holm 1979: p(1) n, p(2) (n - 1), ...
     assert holm(np.array([0.01, 0.04, 0.03])).tolist() == pytest.approx([0.03, 0.06, 0.06])
-
-
-def test_the_paired_t_is_scipys() -> None:
     a, b = np.random.default_rng(2).normal(size=(2, 6))
     test, p, low, high = paired_test(b - a)
     expected = stats.ttest_rel(b, a)
     interval = expected.confidence_interval(0.95)
     assert test == "t"
     assert (p, low, high) == pytest.approx((expected.pvalue, interval.low, interval.high))
-
-
-def test_skewed_differences_are_ranked() -> None:
     d = np.random.default_rng(0).exponential(1.0, 30) ** 3
     test, p, low, high = paired_test(d)
     assert test == "Wilcoxon"
@@ -57,9 +52,7 @@ def test_skewed_differences_are_ranked() -> None:
     assert low is not None
     assert high is not None
     assert low < d.mean() < high
-
-
-def test_without_spread_only_the_direction_tells() -> None:
+    # Without spread only the direction counts.
     assert paired_test(np.full(5, 0.1))[:2] == ("sign", 2 / 2**5)
     assert paired_test(np.zeros(5))[:2] == ("sign", 1.0)
     assert paired_test(np.array([0.3]))[:2] == ("none", None)
@@ -86,6 +79,7 @@ def results(shift: float, noise: float, seeds: int = 5, **more: object) -> list[
 
 
 def test_a_small_steady_difference_is_found_in_the_noise_between_seeds() -> None:
+    assert compare(results(0, 0.02), results(0.0, 0.021), ATE).differences[0].significant is False
     found = compare(results(0, 0.0001), results(0.002, 0.0001), ATE).differences
     assert len(found) == 1
     assert found[0].significant is True
@@ -95,11 +89,6 @@ def test_a_small_steady_difference_is_found_in_the_noise_between_seeds() -> None
     # Unpaired, nobody would see it.
     a, b = ([r["trajectory"]["ate_rmse"] for r in results(x, 0.0001)] for x in (0, 0.002))  # type: ignore[index]
     assert stats.ttest_ind(a, b).pvalue > 0.5
-
-
-def test_what_may_be_chance_is_not_called_significant() -> None:
-    found = compare(results(0, 0.02), results(0.0, 0.021), ATE).differences
-    assert found[0].significant is False
 
 
 def test_one_seed_says_nothing() -> None:

@@ -20,18 +20,12 @@ def test_coverage_area_of_a_ramp() -> None:
     # Half of it at 20 m, and nothing after.
     assert coverage_area([0.0, 20.0], [0.15, 0.55], 40.0) == pytest.approx((5 + 10) / 40)
 
-
-def test_ground_seen_without_a_way_counts_from_the_start() -> None:
+    # Ground that is seen without driving counts from the start; driving beyond the budget does not.
     assert coverage_area([0.0, 0.0], [0.15, 0.55], 40.0) == pytest.approx(0.5)
 
-
-def test_way_beyond_the_budget_counts_for_nothing() -> None:
-    within = coverage_area([0.0, 10.0, 40.0], [0.15, 0.15, 0.15], 40.0)
-    assert within == 0.0
+    assert coverage_area([0.0, 10.0, 40.0], [0.15, 0.15, 0.15], 40.0) == 0.0
     assert coverage_area([0.0, 40.0, 41.0], [0.15, 0.15, 0.95], 40.0) == pytest.approx(0.0, abs=1e-12)
 
-
-def test_who_stands_still_gains_nothing() -> None:
     assert coverage_area([0.0, 0.0, 0.0], [0.3, 0.3, 0.3], 10.0) == 0.0
 
 

@@ -24,39 +24,18 @@ def files(tmp_path: Path) -> Path:
     good = np.tile(np.arange(65, dtype=np.uint8) * 3, (65, 1))
     cv2.imwrite(str(tmp_path / "good.png"), good)
     data = (tmp_path / "good.png").read_bytes()
-    (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "cut.png").write_bytes(data[: len(data) // 2])
-    cv2.imwrite(str(tmp_path / "dot.png"), good[:1, :1])
-    cv2.imwrite(str(tmp_path / "nan.tif"), np.full((9, 9), np.nan, np.float32))
-    (tmp_path / "lost.yaml").write_text(
-        "image: nowhere.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n"
-        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
-    )
     (tmp_path / "a_file").write_text("in the way")
     return tmp_path
 
 
 BAD = {
     "missing": (("build", "nowhere.png"), "nowhere.png: no such file"),
-    "empty": (("build", "empty.png"), "empty.png: "),
     "truncated": (("build", "cut.png"), "cut.png: "),
-    "1x1": (("build", "dot.png"), "1x1"),
-    "all NaN": (("build", "nan.tif"), "nan.tif: "),
-    "no image": (("build", "lost.yaml"), "lost.yaml: "),
-    "no robot": (("validate", "simple", "--robot", "huksy"), "unknown robot 'huksy'; legal: husky"),
-    "no mapper": (("validate", "simple", "--mapper", "slam"), "unknown mapper 'slam'; legal: "),
-    "no lidar": (("validate", "simple", "--lidar", "sick"), "lms111"),
     "no world": (("validate", "smple"), "simple, medium, advanced"),
-    "no seconds": (
-        ("validate", "simple", "--seconds", "0"),
-        "seconds must be a finite number above 0, got 0",
-    ),
     "words": (("validate", "simple", "--seconds", "ten"), "--seconds"),
     "no option": (("build", "good.png", "--sizes", "3"), "--sizes"),
     "no folder": (("build", "good.png", "-o", "a_file"), "a_file"),
-    "both sizes": (("build", "good.png", "--size", "3", "--pixel-size", "1"), "--size, --pixel-size"),
-    "size": (("build", "good.png", "--size", "3,4,5"), "--size must be W or W,H"),
-    "as": (("build", "good.png", "--as", "mesh"), "--as must be picture or map"),
 }
 
 

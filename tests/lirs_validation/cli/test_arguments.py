@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_validation.config import read_drivers
@@ -45,6 +45,7 @@ def test_what_is_no_driver_is_told_with_the_legal_ones(text: str) -> None:
         read_drivers(text)
 
 
+@settings(max_examples=25)
 @given(st.lists(st.tuples(st.integers(0, 999), st.integers(0, 20)), min_size=1, max_size=6))
 def test_seeds_are_read_as_written(ranges: list[tuple[int, int]]) -> None:
     text = ",".join(f"{a}-{a + n}" if n else f"{a}" for a, n in ranges)

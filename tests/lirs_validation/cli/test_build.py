@@ -213,6 +213,13 @@ def test_a_picture_beside_its_yaml_is_that_laser_map(
 
 
 BAD = {
+    "empty": (("build", "empty.png"), "empty.png: "),
+    "1x1": (("build", "dot.png"), "1x1"),
+    "all NaN": (("build", "nan.tif"), "nan.tif: "),
+    "no image": (("build", "lost.yaml"), "lost.yaml: "),
+    "both sizes": (("build", "hill.png", "--size", "3", "--pixel-size", "1"), "--size, --pixel-size"),
+    "size": (("build", "hill.png", "--size", "3,4,5"), "--size must be W or W,H"),
+    "as": (("build", "hill.png", "--as", "mesh"), "--as must be picture or map"),
     "both budgets": (
         ("build", "hill.png", "--max-error", "1", "--max-triangles", "99"),
         "--max-error, --max-triangles",
@@ -248,7 +255,11 @@ BAD = {
 def test_a_bad_option_is_one_line_that_names_it(
     case: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (folder / "empty.stl").write_bytes(b"")
+    for name in ("empty.stl", "empty.png"):
+        (folder / name).write_bytes(b"")
+    cv2.imwrite("dot.png", np.zeros((1, 1), np.uint8))
+    cv2.imwrite("nan.tif", np.full((9, 9), np.nan, np.float32))
+    (folder / "lost.yaml").write_text((folder / "room.yaml").read_text().replace("room.pgm", "nowhere.pgm"))
     (folder / "cut.png").write_bytes((folder / "hill.png").read_bytes()[:900])
     trimesh.creation.box((1, 2, 3)).export("box.stl")
     before = sorted(folder.rglob("*"))

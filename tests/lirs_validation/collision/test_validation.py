@@ -84,9 +84,7 @@ def test_every_robot_among_blocks(name: str, blocks: World) -> None:
 @pytest.mark.parametrize(
     ("source", "kind", "name"),
     [
-        ("simple", "prisms", "husky"),
         ("medium", "mesh", "turtlebot3_waffle"),
-        ("medium", "prisms", "jackal"),
         ("advanced", "prisms", "turtlebot2"),
     ],
 )

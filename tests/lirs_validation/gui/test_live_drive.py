@@ -47,7 +47,6 @@ def driven(config: RunConfig, scenarios: ScenarioCache, ticks: int | None = None
     ("mapper", "driver", "threads"),
     [
         ("hector", "tour", 1),
-        ("gmapping", "tour", 1),
         ("cartographer", "tour", 2),
         ("hector", "frontier", 1),
     ],

@@ -65,18 +65,13 @@ def margins(figure: Drawing) -> list[float]:
     return [float(v) for v in (box.x0, box.y0, width - box.x1, height - box.y1)]
 
 
-@pytest.mark.parametrize("draw", [view_figure, oblique_figure])
 @pytest.mark.parametrize("name", WORLDS)
-def test_nothing_leaves_the_figure(name: str, draw: Callable[[World], Drawing]) -> None:
-    figure = draw(WORLDS[name]())
-    assert min(margins(figure)) >= 0.0
-    assert max(figure.get_size_inches()) <= 13.0
-
-
-@pytest.mark.parametrize("name", WORLDS)
-def test_panels_keep_their_proportions_and_stay_apart(name: str) -> None:
+def test_nothing_leaves_the_figure_and_panels_stay_apart(name: str) -> None:
     world = WORLDS[name]()
     figure = view_figure(world)
+    for drawn in (figure, oblique_figure(world)):
+        assert min(margins(drawn)) >= 0.0
+        assert max(drawn.get_size_inches()) <= 13.0
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     above, oblique = figure.axes[:2]
