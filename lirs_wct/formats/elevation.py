@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.images.gdal import DRIVERS, rasterio_there, read_gdal
+from lirs_wct.formats.images.gdal import DRIVERS, read_gdal
 from lirs_wct.formats.images.geotiff import (
     DEGREES,
     RasterInfo,
@@ -55,7 +55,7 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS) -> Raster:
 
     Raises:
         SourceError: the file is missing, damaged, of an unknown format, smaller than 2x2 or larger than
-            `max_pixels`, or needs rasterio, which is not there.
+            `max_pixels`.
     """
     suffix = path.suffix.lower()
     pixels: NDArray[Any]
@@ -80,8 +80,8 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS) -> Raster:
 
 
 def _by_proj(path: Path, found: Georeference, shape: tuple[int, ...]) -> Georeference:
-    """Locate a GeoTIFF with a user-defined coordinate system through GDAL, if installed."""
-    if found.system.name or not found.located or path.suffix.lower() == ".asc" or not rasterio_there():
+    """Locate a GeoTIFF with a user-defined coordinate system through GDAL."""
+    if found.system.name or not found.located or path.suffix.lower() == ".asc":
         return found
     system = system_of(read_gdal(path, DRIVERS[".tif"], 0).crs)
     if system.form != "other":

@@ -1,7 +1,6 @@
 """Coordinate systems of elevation data, georeferences of rasters, places of worlds on the earth.
 
-Geographic coordinates, web Mercator (EPSG:3857) and UTM are computed here. Any other system needs PROJ
-through rasterio (extra `geo`).
+Projected coordinates are converted by PROJ, without network.
 """
 
 from __future__ import annotations
@@ -9,8 +8,8 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Literal
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,17 +17,15 @@ from numpy.typing import ArrayLike, NDArray
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 
+if TYPE_CHECKING:
+    from pyproj import Transformer
+
 WGS84 = (6378137.0, 298.257223563)
 """Semi-major axis, meters, and inverse flattening."""
 MERCATOR = (3857, 900913, 3785, 102113, 102100)
 GEOGRAPHIC = (4326, 4269, 4258, 4979, 4283, 7844, 6318, 4937, 9754)
 """Latitude and longitude on datums that agree with WGS 84 to about a meter."""
-_UTM = {32600: 1, 32700: -1, 26900: 1, 25800: 1, 28300: -1, 7800: -1, 6329: 1}
-"""EPSG code of zone 0 -> hemisphere: WGS 84 N and S, NAD 83, ETRS 89, GDA 94, GDA 2020, NAD 83 (2011)."""
-_SCALE, _EAST, _SOUTH = 0.9996, 500e3, 10_000e3
-"""UTM's scale on the central meridian, false easting, and false northing of the southern hemisphere."""
-
-Form = Literal["geographic", "mercator", "utm", "other", "unknown"]
+Form = Literal["geographic", "other", "unknown"]
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,7 @@ class CoordinateSystem:
 
     Attributes:
         name: `EPSG:code`, WKT of one without a code, or empty where none is known.
-        form: kind of computation; `other` needs PROJ, `unknown` cannot be converted.
+        form: `other` is converted by PROJ, `unknown` cannot be converted.
         unit: meters in a unit of projected coordinates.
         ellipsoid: semi-major axis in meters and inverse flattening (0 = sphere) of geographic coordinates.
     """
@@ -50,13 +47,7 @@ class CoordinateSystem:
     @staticmethod
     def of_code(code: int, unit: float = 1.0) -> CoordinateSystem:
         """Return the system of an EPSG code."""
-        form: Form = "other"
-        if code in MERCATOR:
-            form = "mercator"
-        elif code in GEOGRAPHIC:
-            form = "geographic"
-        elif _utm_zone(code) is not None:
-            form = "utm"
+        form: Form = "geographic" if code in GEOGRAPHIC else "other"
         return CoordinateSystem(f"EPSG:{code}", form, unit)
 
     @property
@@ -68,26 +59,17 @@ class CoordinateSystem:
             return self.name
         return f"degrees, radius {self.ellipsoid[0] / 1000:.6g} km"
 
-    @cached_property
-    def _code(self) -> int:
-        return int(self.name.removeprefix("EPSG:"))
-
     def to_geographic(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return latitudes and longitudes of coordinates, degrees.
 
         Raises:
-            ConfigError: the system is unknown, or PROJ is needed and not there.
+            ConfigError: the system is unknown, here or to PROJ.
         """
         px, py = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         if self.form == "geographic":
             return py, px
-        if self.form == "mercator":
-            return _mercator_inverse(px * self.unit, py * self.unit)
-        if self.form == "utm":
-            zone, hemisphere = _utm_zone(self._code) or (0, 1)
-            return _utm_inverse(px * self.unit, py * self.unit, zone, hemisphere)
         if self.form == "other":
-            return _by_proj(self.name, self.label, px, py)
+            return _by_proj(self, px, py)
         raise ConfigError("no coordinate reference system is known")
 
     def ground_meters(self, x: float, y: float) -> FloatArray:
@@ -124,58 +106,34 @@ def meters_per_degree(latitude: float, ellipsoid: tuple[float, float] = WGS84) -
     return math.radians(a / w * math.cos(phi)), math.radians(a * (1 - e2) / w**3)
 
 
-def _mercator_inverse(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Convert web Mercator meters to latitudes and longitudes: Snyder 1987, eqs. 7-4 and 7-5."""
-    a = WGS84[0]
-    return np.degrees(np.pi / 2 - 2 * np.arctan(np.exp(-y / a))), np.degrees(x / a)
+def _by_proj(system: CoordinateSystem, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return latitudes and longitudes of projected coordinates."""
+    from pyproj.exceptions import ProjError  # imported here to keep the start of other commands fast
 
-
-def _utm_zone(code: int) -> tuple[int, int] | None:
-    """Return zone and hemisphere (1 = north) of a UTM system's EPSG code, else None."""
-    for base, hemisphere in _UTM.items():
-        if 1 <= code - base <= 60 and (base != 6329 or code <= 6348):
-            return code - base, hemisphere
-    return None
-
-
-def _utm_inverse(x: FloatArray, y: FloatArray, zone: int, hemisphere: int) -> tuple[FloatArray, FloatArray]:
-    """Convert UTM meters to latitudes and longitudes: Karney 2011, eqs. 11, 15, 25, 36, to n^4."""
-    a, f = WGS84[0], 1 / WGS84[1]
-    n, e = f / (2 - f), math.sqrt(f * (2 - f))
-    radius = a / (1 + n) * (1 + n**2 / 4 + n**4 / 64) * _SCALE
-    xi, eta = (y - (0 if hemisphere > 0 else _SOUTH)) / radius, (x - _EAST) / radius
-    beta = (
-        n / 2 - 2 * n**2 / 3 + 37 * n**3 / 96 - n**4 / 360,
-        n**2 / 48 + n**3 / 15 - 437 * n**4 / 1440,
-        17 * n**3 / 480 - 37 * n**4 / 840,
-        4397 * n**4 / 161280,
-    )
-    zeta = xi + 1j * eta
-    zeta = zeta - sum(b * np.sin(2 * (j + 1) * zeta) for j, b in enumerate(beta))
-    conformal = np.sin(zeta.real) / np.hypot(np.sinh(zeta.imag), np.cos(zeta.real))
-    tau = conformal.copy()
-    for _ in range(4):  # Newton's method, eqs. 19 to 21
-        sigma = np.sinh(e * np.arctanh(e * tau / np.hypot(1, tau)))
-        found = tau * np.hypot(1, sigma) - sigma * np.hypot(1, tau)
-        slope = (1 + (1 - e**2) * tau**2) / ((1 - e**2) * np.hypot(1, found) * np.hypot(1, tau))
-        tau = tau + (conformal - found) * slope
-    longitude = np.degrees(np.arctan2(np.sinh(zeta.imag), np.cos(zeta.real))) + 6 * zone - 183
-    return np.degrees(np.arctan(tau)), longitude
-
-
-def _by_proj(name: str, label: str, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     try:
-        import rasterio.crs
-        import rasterio.warp
-    except ModuleNotFoundError:
-        raise ConfigError(f"{label} is not known without rasterio: pip install 'lirs-wct[geo]'") from None
-    try:
-        known, wgs84 = rasterio.crs.CRS.from_user_input(name), rasterio.crs.CRS.from_epsg(4326)
-        found = rasterio.warp.transform(known, wgs84, x.ravel(), y.ravel())
-    except Exception as error:  # rasterio passes on errors of GDAL of many kinds
-        raise ConfigError(f"PROJ knows no latitudes and longitudes of {label}") from error
-    longitude, latitude = (np.reshape(values, x.shape) for values in found[:2])
-    return latitude, longitude
+        transformer, metric = _transformer(system.name)
+        # Files may state another unit for a system in meters.
+        factor = system.unit if metric else 1.0
+        longitude, latitude = transformer.transform(x * factor, y * factor)
+    except ProjError as error:
+        raise ConfigError(f"PROJ knows no latitudes and longitudes of {system.label}") from error
+    if not (np.isfinite(latitude).all() and np.isfinite(longitude).all()):
+        raise ConfigError(f"PROJ knows no latitudes and longitudes of {system.label} there")
+    return np.asarray(latitude), np.asarray(longitude)
+
+
+@lru_cache(maxsize=64)
+def _transformer(name: str) -> tuple[Transformer, bool]:
+    """Return PROJ's conversion of a system to WGS 84, and whether its unit is the meter."""
+    from pyproj import CRS, Transformer, network
+
+    network.set_network_enabled(active=False)
+    code = int(name.removeprefix("EPSG:")) if name.startswith("EPSG:") else None
+    if code in MERCATOR:
+        code = MERCATOR[0]
+    crs = CRS.from_wkt(name) if code is None else CRS.from_epsg(code)
+    metric = bool(crs.axis_info) and crs.axis_info[0].unit_conversion_factor == 1.0
+    return Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True), metric
 
 
 _NAMED = re.compile(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\]\s*$')
@@ -246,7 +204,7 @@ class Georeference:
         """Return the georeference of a raster of (rows, cols) pixels.
 
         Raises:
-            ConfigError: the raster's middle is no place on the earth, or PROJ is needed and not there.
+            ConfigError: the raster's middle is no place on the earth, or PROJ does not know the system.
         """
         a, b, c, d, e, f = affine
         u, v = (shape[1] - 1) / 2, (shape[0] - 1) / 2
@@ -343,7 +301,7 @@ class Place:
         """Return latitudes and longitudes of points of the world, degrees.
 
         Raises:
-            ConfigError: the system is unknown, or PROJ is needed and not there.
+            ConfigError: the system is unknown, here or to PROJ.
         """
         return self.system.to_geographic(*self.coordinates(x, y))
 

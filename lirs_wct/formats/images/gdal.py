@@ -1,11 +1,10 @@
-"""Rasters that only GDAL reads, through rasterio (extra `geo`)."""
+"""Rasters that only GDAL reads, through rasterio."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -17,7 +16,6 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.limited import run_limited
 from lirs_wct.formats.references import referenced_file
 
-EXTRA = "pip install 'lirs-wct[geo]'"
 DRIVERS = {
     ".tif": ("GTiff",),
     ".tiff": ("GTiff",),
@@ -69,11 +67,6 @@ class GdalRaster:
     crs: Any
 
 
-def rasterio_there() -> bool:
-    """Whether rasterio can be imported."""
-    return find_spec("rasterio") is not None
-
-
 def read_gdal(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
     """Read a raster in a process restricted to its drivers and its folder.
 
@@ -83,12 +76,10 @@ def read_gdal(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRast
         max_pixels: a larger raster is described without its pixels.
 
     Raises:
-        SourceError: rasterio is missing or cannot read the file, or the file refers to another folder.
+        SourceError: GDAL cannot read the file, or the file refers to another folder.
     """
-    try:
-        import rasterio
-    except ImportError:
-        raise SourceError(f"{path}: needs the package rasterio: {EXTRA}") from None
+    import rasterio  # imported here to keep the start of other commands fast
+
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
     real = path.resolve()

@@ -23,8 +23,8 @@ from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.gdal import DRIVERS, EXTRA, rasterio_there, read_gdal
-from lirs_wct.formats.images.header import MAX_PIXELS, PictureHeader, check_complete, read_header
+from lirs_wct.formats.images.gdal import DRIVERS, read_gdal
+from lirs_wct.formats.images.header import MAX_PIXELS, check_complete, read_header
 
 _AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 """Gray stays gray, depth is kept, palettes are resolved, EXIF orientation is applied, alpha is dropped."""
@@ -71,7 +71,8 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
         np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED if alpha else _AS_STORED
     )
     if header.tags and (pixels is None or header.masked or not _has_declared_type(pixels, header.tags)):
-        pixels = _by_gdal(path, pixels, header)
+        # GDAL supports masks and more compressions.
+        pixels = read_gdal(path, DRIVERS[".tif"], header.width * header.height).pixels
     if pixels is None:
         said = f" ({notes[-1]})" if notes else ""
         raise SourceError(f"{path}: is damaged or uses a feature that cannot be decoded{said}")
@@ -96,25 +97,6 @@ def _has_declared_type(pixels: NDArray[Any], tags: tiff.Tags) -> bool:
         return True
     kind = {1: "u", 2: "i", 3: "f"}.get(form)
     return kind == pixels.dtype.kind and bits == 8 * pixels.dtype.itemsize
-
-
-def _by_gdal(path: Path, pixels: NDArray[Any] | None, header: PictureHeader) -> NDArray[Any] | None:
-    """Read the first band of a TIFF by GDAL, which supports masks and more compressions.
-
-    Raises:
-        SourceError: the file needs rasterio, which is not installed.
-    """
-    if rasterio_there():
-        return read_gdal(path, DRIVERS[".tif"], header.width * header.height).pixels
-    if header.masked and pixels is not None:
-        warnings.warn(f"{path}: its mask is not read, {EXTRA} reads it", stacklevel=4)
-        return pixels
-    code = int((tiff.floats(header.tags, tiff.COMPRESSION) or (1,))[0])
-    if code in tiff.COMPRESSIONS:
-        raise SourceError(
-            f"{path}: is compressed by {tiff.COMPRESSIONS[code]}, which needs rasterio: {EXTRA}"
-        )
-    raise SourceError(f"{path}: is damaged or uses a feature that OpenCV does not decode; GDAL may: {EXTRA}")
 
 
 def _map_file(path: Path) -> mmap.mmap:

@@ -11,14 +11,10 @@ import struct
 TagValue = tuple[float, ...] | bytes
 Tags = dict[int, TagValue]
 
-WIDTH, HEIGHT, BITS, COMPRESSION, SAMPLES, FORMAT = 256, 257, 258, 259, 277, 339
+WIDTH, HEIGHT, BITS, SAMPLES, FORMAT = 256, 257, 258, 277, 339
 SUBFILE = 254
 REDUCED, MASK = 1, 4
 """Bits of a page's kind: an overview of another page, and a mask of its pixels."""
-COMPRESSIONS = {
-    7: "JPEG", 34887: "LERC", 34925: "LZMA", 50000: "ZSTD", 50001: "WebP", 50002: "JPEG XL",
-}  # fmt: skip
-"""Names of compressions that OpenCV may not know."""
 EXTENTS = ((273, 279), (324, 325))
 """Tags of offsets and byte counts: of strips, of tiles."""
 PIXEL_SCALE, TIEPOINT, TRANSFORMATION = 33550, 33922, 34264

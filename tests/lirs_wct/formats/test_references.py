@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rasterio
 import trimesh
 from PIL import Image
 
@@ -128,7 +129,6 @@ def test_a_package_is_one_folder(mark: str, tmp_path: Path) -> None:
 def test_a_vrt_reads_its_folder_alone(
     kind: str, source: str, listener: tuple[str, list[str]], tmp_path: Path
 ) -> None:
-    pytest.importorskip("rasterio")
     url, seen = listener
     (tmp_path / "link").symlink_to("/etc/passwd")
     (tmp_path / "nested.bil").write_text(
@@ -143,7 +143,6 @@ def test_a_vrt_reads_its_folder_alone(
 def test_a_raster_is_read_by_the_drivers_of_its_suffix(
     listener: tuple[str, list[str]], tmp_path: Path
 ) -> None:
-    pytest.importorskip("rasterio")
     url, seen = listener
     for suffix in ("vrt", "img", "bil", "dem", "nc", "jp2", "dt2", "adf", "flt"):
         refuse_raster(tmp_path / f"a.{suffix}", WMS.format(url=url), "cannot be read by GDAL")
@@ -152,7 +151,6 @@ def test_a_raster_is_read_by_the_drivers_of_its_suffix(
 
 
 def test_sidecars_lead_nowhere_else(listener: tuple[str, list[str]], tmp_path: Path) -> None:
-    rasterio = pytest.importorskip("rasterio")
     url, seen = listener
     path = tmp_path / "a.img"
     profile = {"driver": "HFA", "width": 4, "height": 4, "count": 1, "dtype": "float32"}

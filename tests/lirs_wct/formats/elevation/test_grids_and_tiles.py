@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import rasterio
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation import decode, guess, read_raster
@@ -77,7 +77,6 @@ def test_a_grid_lies_where_its_projection_file_says(tmp_path: Path) -> None:
 
 
 def test_grids_as_rasterio_reads_them(tmp_path: Path) -> None:
-    rasterio = pytest.importorskip("rasterio")
     path = grid(tmp_path, HEADER + HEIGHTS)
     with rasterio.open(path) as file:
         a, b, c, d, e, f = tuple(file.transform)[:6]
@@ -123,9 +122,8 @@ def test_hgt_lies_where_its_name_says(srtm: Path) -> None:
     assert found.coordinates(0, 0) == (-71, -33)
     assert found.coordinates(SRTM_ROWS - 1, SRTM_ROWS - 1) == pytest.approx((-70, -34))
     assert found.pixel == pytest.approx((111320 / 1200 * np.cos(np.radians(33.5)), 110922 / 1200), rel=2e-3)
-    if sys.modules.get("rasterio"):
-        with sys.modules["rasterio"].open(srtm) as file:
-            np.testing.assert_array_equal(file.read(1), raster.pixels)
+    with rasterio.open(srtm) as file:
+        np.testing.assert_array_equal(file.read(1), raster.pixels)
 
 
 def test_hgt_of_another_name_or_length(srtm: Path, tmp_path: Path) -> None:
