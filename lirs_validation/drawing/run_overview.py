@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -54,6 +55,8 @@ FULL = 0.20
 """Height error at full color, meters."""
 PANEL = 4.7
 """Width of a panel, inches."""
+LINE = 150
+"""Characters of a line of the headline."""
 
 
 def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, built: ElevationMap) -> None:
@@ -129,9 +132,9 @@ def overview_figure(
     rows, cols = canvas.shape
     shape = min(max(rows / cols, 0.35), 1.5)
     upper = max(PANEL * shape, 4.2)
-    figure = new_figure(3 * PANEL + 0.6, 1.2 + upper + PANEL * shape)
+    figure = new_figure(3 * PANEL + 0.6, 2.0 + upper + PANEL * shape)
     grid = figure.add_gridspec(2, 3, height_ratios=(upper, PANEL * shape))
-    headline(figure, _headline(record))
+    headline(figure, f"{_headline(record)}\n{_wrapped_verdict(record)}")
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
     value_list(figure.add_subplot(grid[0, 2]), picture_lines(record))
@@ -173,6 +176,11 @@ def _headline(record: RunRecord) -> str:
     if record.status == "ok":
         return text
     return f"{text} ({'' if record.status in SUCCEEDED else 'failed: '}{record.reason or record.status})"
+
+
+def _wrapped_verdict(record: RunRecord) -> str:
+    """Return the verdict in lines of the figure's width."""
+    return textwrap.fill(str(record.verdict), LINE)
 
 
 def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:

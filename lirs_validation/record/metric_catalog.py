@@ -14,6 +14,7 @@ from typing import Literal
 from lirs_validation.metrics.verdict import is_worse
 from lirs_validation.record.formatting import NOTHING, Entry, as_entry, significant, text_at, value_at
 from lirs_validation.record.run_record import RunRecord
+from lirs_validation.record.verdict import judge
 from lirs_wct.errors import unknown_name
 
 Better = Literal["more", "less"] | None
@@ -230,7 +231,7 @@ def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
     Values that do not exist are left out.
     """
     entry = as_entry(record)
-    lines = [("status", str(entry["status"]))]
+    lines = [("verdict", judge(entry).kind), ("status", str(entry["status"]))]
     for metric in metrics_selected("picture"):
         value = metric.of(entry)
         if value is not None:

@@ -20,6 +20,7 @@ from lirs_validation.report.run_tables import (
     section_by_group,
     section_by_run,
     summary_table,
+    verdicts_by_method,
 )
 from lirs_validation.report.table import ReportTable
 
@@ -49,6 +50,7 @@ class Report:
     title: str
     subtitle: str
     runs: tuple[RunFolder, ...]
+    verdicts: ReportTable
     failures: ReportTable
     checks_failed: ReportTable
     skipped: ReportTable
@@ -71,7 +73,7 @@ class Report:
     @property
     def tables(self) -> list[ReportTable]:
         """Every table that has rows."""
-        tables = [self.failures, self.checks_failed, self.skipped, self.summary, *self.methods]
+        tables = [self.verdicts, self.failures, self.checks_failed, self.skipped, self.summary, *self.methods]
         tables += self.paper.tables if self.paper else ()
         tables += [table for _, groups, runs in self.sections for table in (groups, runs)]
         return [table for table in (*tables, self.collisions, self.commands) if table.rows]
@@ -90,6 +92,7 @@ def report_of(results: ResultFolder) -> Report:
         title="The paper's experiment, repeated" if suite == "paper" else title,
         subtitle=_subtitle(entries, seeds, _missing(results, manifest)),
         runs=runs,
+        verdicts=verdicts_by_method(entries),
         failures=failures_table(entries),
         checks_failed=checks_failed_table(failed, results.broken),
         skipped=_skipped_table(results),
@@ -147,8 +150,8 @@ def seeds_text(seeds: tuple[int, int]) -> str:
 
 
 def _subtitle(entries: Sequence[Entry], seeds: tuple[int, int], missing: int) -> str:
-    parts = [f"{len(entries)} runs"]
-    parts.append("one seed: nothing is said of chance" if seeds[1] <= 1 else f"{seeds_text(seeds)} seeds")
+    parts = [f"{len(entries)} run{'' if len(entries) == 1 else 's'}"]
+    parts.append("one seed: no confidence interval" if seeds[1] <= 1 else f"{seeds_text(seeds)} seeds")
     if missing > 0:
         parts.append(f"{missing} that were asked for are not there (yet)")
     return "; ".join(parts) + "."

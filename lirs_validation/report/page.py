@@ -79,6 +79,7 @@ def _context(report: Report) -> dict[str, Any]:
         "title": report.title,
         "subtitle": report.subtitle,
         "tiles": _tiles(report),
+        "verdicts": _table_or_none(report.verdicts),
         "failures": _table_or_none(report.failures),
         "checks_failed": _table_or_none(report.checks_failed),
         "skipped": _table_or_none(report.skipped),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -9,10 +10,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lirs_validation.analysis.as_published import (
-    MOST,
-    SLACK,
     SUFFIX,
-    TIMES,
     UNCHECKED,
     MethodPair,
     attitude_pairs,
@@ -39,6 +37,7 @@ from lirs_validation.record.metric_catalog import (
     worse_than_odometry,
 )
 from lirs_validation.record.run_record import RunRecord, read_record, succeeded
+from lirs_validation.record.verdict import class_counts, judge
 from lirs_validation.report.collision_tables import verdicts_table
 from lirs_validation.report.table import Content, MetricSpread, ReportTable
 from lirs_validation.sweep.collision_experiment import CollisionExperiment, read_verdict
@@ -59,9 +58,8 @@ MOST_NAMED = 12
 """Largest number of groups that a caption names one by one."""
 ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
 CAPTION = (
-    "ATE [m], mean over the runs that succeeded. A run holds where its ATE is at most "
-    f"{TIMES} x the odometry's + {SLACK} m, a method where {MOST:.0%} of its runs do. Runs that tipped over, "
-    f"got stuck, left the world or diverged are not counted. {WORSE_MARK} {WORSE} in at least one run."
+    "ATE [m], mean over the runs that succeeded, and verdicts of the runs (docs/results.md); those that were "
+    f"not evaluated are not counted. {WORSE_MARK} {WORSE} in at least one run."
 )
 KINDS: tuple[tuple[str, str, Callable[[Iterable[Entry]], tuple[MethodPair, ...]]], ...] = (
     ("as-published", "As published, with attitude, odometry alone", published_pairs),
@@ -224,9 +222,9 @@ def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
     headings = (
         *fields,
         how,
-        f"holds {how}",
+        f"verdicts {how}",
         "with attitude",
-        "holds with attitude",
+        "verdicts with attitude",
         "odometry",
         "what follows",
     )
@@ -251,9 +249,9 @@ def _row(pair: MethodPair) -> tuple[Content, ...]:
     driven = {entry["seed"]: entry for entry in pair.runs if succeeded(entry)}
     return (
         over_runs(ERROR, [entry for entry in pair.planar if succeeded(entry)]),
-        f"{planar.held} of {planar.runs}",
+        str(planar),
         over_runs(ERROR, [entry for entry in pair.aware if succeeded(entry)]),
-        f"{aware.held} of {aware.runs}",
+        str(aware),
         over_runs(ODOMETRY_ERROR, list(driven.values())),
         conclusion(planar, aware, pair.how),
     )
@@ -276,16 +274,20 @@ def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
     facts = [name for name in FACTS if name in shown]
     metrics = [m for m in metrics_selected("runs") if not m.optional or _existing([m], entries)]
     rows = [
-        (*(text_at(e, FACTS[name]) for name in facts), *(m.formatted(m.of(e)) for m in metrics))
+        (
+            *(text_at(e, FACTS[name]) for name in facts),
+            judge(e).kind,
+            *(m.formatted(m.of(e)) for m in metrics),
+        )
         for e in entries
     ]
     table = ReportTable(
         "runs",
         "",
         _remarks(entries),
-        (*facts, *(metric.short or metric.heading for metric in metrics)),
+        (*facts, "verdict", *(metric.short or metric.heading for metric in metrics)),
         tuple(rows),
-        len(facts),
+        len(facts) + 1,
         styles=tuple(map(_style, entries)),
         drop=LEAST,
     )
@@ -309,6 +311,21 @@ def _remarks(entries: Sequence[Entry]) -> str:
             f"{run}{'' if succeeded(entry) else ' failed'}: {entry.get('reason') or entry['status']}"
         )
     return "\n".join((*lines, *worse_lines(entries)))
+
+
+def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:
+    """Return the verdicts by group; of one run, with its sentence."""
+    groups = by_group(entries)
+    fields = _fields(groups)
+    rows = []
+    for group, runs in groups.items():
+        judged = [judge(entry) for entry in runs]
+        first = next((v for v in judged if v.kind != "works"), judged[0])
+        counts = class_counts(Counter(v.kind for v in judged))
+        rows.append((*group_texts(group, fields), counts, first.sentence))
+    caption = "Class of each run (docs/results.md), and the sentence of the first that does not work, if any."
+    headings = (*fields, "verdict", "sentence")
+    return ReportTable("verdicts", "Verdict", caption, headings, tuple(rows), len(headings))
 
 
 def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:

@@ -1,48 +1,33 @@
-"""Who holds where: a method as published, with attitude, odometry alone; and the sentence that follows."""
+"""Verdicts of methods as published and with attitude, by world, and the sentence that follows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import pytest
 
 from lirs_validation.analysis.as_published import (
-    SLACK,
-    TIMES,
     MethodOutcome,
     attitude_pairs,
     conclusion,
-    holds,
     outcome_of,
     published_pairs,
 )
+from lirs_validation.metrics.verdict import VerdictClass
 from lirs_validation.record.formatting import Entry
 from lirs_validation.report.run_tables import method_tables
 from lirs_validation.report.table import MetricSpread
 from tests.lirs_validation.records import entry
 
-ODOMETRY = 0.2
-"""ATE of the odometry in the records, meters."""
-LIMIT = TIMES * ODOMETRY + SLACK
 
-
-def outcome(held: int, *, runs: int = 5, lost: int = 0, ate: float | None = 0.1) -> MethodOutcome:
-    return MethodOutcome(runs=runs, held=held, lost=lost, ate=ate)
+def outcome(
+    works: int, *, runs: int = 5, other: VerdictClass = "loses its way", ate: float | None = 0.1
+) -> MethodOutcome:
+    return MethodOutcome(classes=("works",) * works + (other,) * (runs - works), ate=ate)
 
 
 def runs(mapper: str, ates: Sequence[float], world: str = "medium", **more: str) -> list[Entry]:
     return [entry(world, seed, mapper=mapper, ate=ate, **more) for seed, ate in enumerate(ates, start=1)]
-
-
-@pytest.mark.parametrize(("ate", "held"), [(LIMIT - 1e-9, True), (LIMIT + 1e-9, False)])
-def test_a_run_holds_up_to_the_limit(ate: float, held: bool) -> None:
-    assert holds(entry(ate=ate)) is held
-
-
-def test_a_run_that_failed_does_not_hold_however_small_its_error() -> None:
-    assert not holds(entry(ate=0.01, status="lost"))
-    assert not holds(entry(status="error"))
 
 
 def test_ends_of_the_drive_are_not_counted_and_those_of_the_mapper_are() -> None:
@@ -55,75 +40,46 @@ def test_ends_of_the_drive_are_not_counted_and_those_of_the_mapper_are() -> None
             entry(status="timeout"),
         ]
     )
-    assert found == MethodOutcome(runs=6, held=2, lost=1, ate=0.1, odometry=0.2)
+    assert found == MethodOutcome(
+        classes=("works", "loses its way", "works", "loses its way", "failed", "failed"), ate=0.1
+    )
 
 
 @pytest.mark.parametrize(
-    ("held", "of", "holds", "loses"),
-    [(5, 5, True, False), (4, 5, True, False), (3, 5, False, False), (2, 5, False, False),
-     (1, 5, False, True), (0, 5, False, True), (1, 1, True, False), (0, 1, False, True),
-     (1, 2, False, False), (0, 0, False, False)],
+    ("works", "of", "shared"),
+    [(5, 5, "works"), (4, 5, "works"), (3, 5, None), (2, 5, None), (1, 5, "loses its way"), (1, 1, "works"),
+     (1, 2, None), (0, 0, None)],
 )  # fmt: skip
-def test_four_of_five_runs_decide(held: int, of: int, holds: bool, loses: bool) -> None:
-    found = outcome(held, runs=of)
-    assert (found.holds, found.loses) == (holds, loses)
+def test_four_of_five_runs_decide(works: int, of: int, shared: str | None) -> None:
+    assert outcome(works, runs=of).shared == shared
 
 
 @pytest.mark.parametrize(
     ("planar", "aware", "sentence"),
     [
-        (outcome(0), outcome(5), "As published it loses its way here; with attitude it holds."),
-        (outcome(3), outcome(5), "As published it holds in 3 of 5 runs here; with attitude it holds."),
-        (outcome(5), outcome(1), "As published it holds here; with attitude it loses its way."),
-        (
-            outcome(5),
-            outcome(0, lost=5, ate=None),
-            "As published it holds here; with attitude it loses its way and says so.",
-        ),
-        (
-            outcome(1, lost=4),
-            outcome(5),
-            "As published it loses its way here and says so; with attitude it holds.",
-        ),
+        (outcome(0), outcome(5), "As published: loses its way. With attitude: works."),
+        (outcome(3), outcome(5), "As published: mixed. With attitude: works."),
         (
             outcome(0),
-            outcome(1),
-            "It loses its way here, as published and with attitude: odometry alone is as good or better.",
+            outcome(5, other="failed", runs=7),
+            "As published: loses its way. With attitude: mixed.",
         ),
-        (
-            outcome(0),
-            outcome(0, lost=5, ate=None),
-            "As published it loses its way here, with attitude it loses its way and says so: odometry alone "
-            "is as good or better.",
-        ),
+        (outcome(0), outcome(1), "Loses its way, as published and with attitude."),
         (
             outcome(5, ate=0.3),
-            outcome(5, ate=0.1),
-            "As published it holds here, and with attitude it is 3.0 times as accurate.",
-        ),
-        (
-            outcome(5, ate=0.1),
-            outcome(5, ate=0.2),
-            "As published it holds here, and is 2.0 times as accurate as with attitude.",
-        ),
-        (outcome(5, ate=0.11), outcome(4), "As published it holds here, as well as with attitude."),
-        (
-            outcome(0, runs=0),
             outcome(5),
-            "As published it has no run that counts here; with attitude it holds.",
+            "Works as published and with attitude; 3.0 times as accurate with attitude.",
         ),
+        (
+            outcome(5),
+            outcome(5, ate=0.2),
+            "Works as published and with attitude; 2.0 times less accurate with attitude.",
+        ),
+        (outcome(5, ate=0.11), outcome(4), "Works as published and with attitude."),
     ],
 )
 def test_the_sentence_says_what_follows(planar: MethodOutcome, aware: MethodOutcome, sentence: str) -> None:
     assert conclusion(planar, aware, "as published") == sentence
-
-
-@pytest.mark.parametrize(("odometry", "told"), [(0.1, True), (0.14, True), (0.16, False)])
-def test_a_method_that_only_follows_its_odometry_is_said_to(odometry: float, told: bool) -> None:
-    """Where it finds no walls its ATE is the odometry's: it holds, and nothing is gained."""
-    sentence = conclusion(outcome(0), replace(outcome(5, ate=0.1), odometry=odometry), "as published")
-    said = "; with attitude it holds, but is not clearly more accurate than its odometry."
-    assert sentence.endswith(said) == told
 
 
 def test_methods_are_paired_with_their_originals_world_by_world() -> None:
@@ -144,12 +100,13 @@ def test_methods_are_paired_with_their_originals_world_by_world() -> None:
     assert attitude_pairs(entries) == ()
     (table,) = method_tables(entries)
     assert table.headings == (
-        "world", "mapper", "as published", "holds as published", "with attitude", "holds with attitude",
+        "world", "mapper", "as published", "verdicts as published", "with attitude", "verdicts with attitude",
         "odometry", "what follows",
     )  # fmt: skip
     assert table.texts()[0] == [
-        "medium", "hector", "2.000 ± 0.000‡", "0 of 5", "0.020 ± 0.000", "5 of 5", "0.200 ± 0.000",
-        "As published it loses its way here; with attitude it holds.",
+        "medium", "hector", "2.000 ± 0.000‡", "loses its way (5 of 5)", "0.020 ± 0.000", "works (5 of 5)",
+        "0.200 ± 0.000",
+        "As published: loses its way. With attitude: works.",
     ]  # fmt: skip
 
 
@@ -182,7 +139,7 @@ def test_mappers_are_paired_with_themselves_without_attitude() -> None:
     assert [(p.group["mapper"], len(p.planar)) for p in published_pairs(entries)] == [("hector", 3)]
     published, without = method_tables(entries)
     assert [published.key, without.key] == ["as-published", "without-attitude"]
-    assert without.texts()[0][-1] == "Without attitude it loses its way here; with attitude it holds."
+    assert without.texts()[0][-1] == "Without attitude: loses its way. With attitude: works."
 
 
 def test_an_original_that_ran_without_attitude_alone_is_the_original_still() -> None:

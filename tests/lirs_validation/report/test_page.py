@@ -163,7 +163,7 @@ def test_seeds_are_counted_in_each_group(tmp_path: Path) -> None:
         saved(tmp_path / "one", world, seed)
     report, html = reported(tmp_path / "one")
     assert report.seeds == (1, 1)
-    assert "one seed: nothing is said of chance" in report.subtitle
+    assert "one seed: no confidence interval" in report.subtitle
     assert "<b>1</b><span>seed</span>" in html
     for world, seed in (("simple", 1), ("simple", 2), ("simple", 3), ("medium", 2), ("medium", 9)):
         saved(tmp_path / "more", world, seed)
