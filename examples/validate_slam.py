@@ -1,4 +1,4 @@
-"""Does SLAM hold on this terrain? One robot, three mappers, the same drive; error and speed of each.
+"""Does SLAM work on this terrain? One robot, three mappers, the same drive; error and speed of each.
 
 python examples/validate_slam.py [SOURCE] [--seconds 60] [-o FOLDER]
 """

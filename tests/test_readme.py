@@ -1,4 +1,7 @@
-"""The README's commands and programs run as they stand, shortened; what needs a screen or hours is parsed."""
+"""Commands and programs of README and guides run, shortened; those that need a screen or hours are parsed.
+
+The README's own size and sentences stay within `style_limits.toml`.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -16,8 +20,25 @@ from lirs_validation.cli.app import app
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = [line.split("  #")[0].strip() for line in README.splitlines() if line.startswith("    lirs-wct ")]
-PROGRAMS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+EXAMPLES = (ROOT / "docs/reference/command_line.md").read_text(encoding="utf-8")
+GUIDES = sorted((ROOT / "docs/howto").glob("coming_from_*.md"))
+LIMITS = tomllib.loads(Path(__file__).with_name("style_limits.toml").read_text(encoding="utf-8"))
+COMMANDS = [
+    line.split("   #")[0].split("  #")[0].strip()
+    for line in (README + EXAMPLES).splitlines()
+    if re.match(r"( {4})?lirs-wct ", line)
+]
+QUOTED = [
+    command
+    for page in (ROOT / "README.md", *GUIDES)
+    for command in re.findall(r"`(lirs-wct [a-z][^`]*)`", page.read_text(encoding="utf-8"))
+]
+"""Commands within sentences and tables."""
+PROGRAMS = [
+    program
+    for page in ("README.md", "docs/howto/python.md", "docs/howto/policy.md")
+    for program in re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+]
 FEWER = {"0,5,20": "5", "gmapping,hector,cartographer": "hector", "husky,jackal": "husky"}
 """Values in place of lists of them."""
 SHORT = {"validate": "--seconds 1 --seeds 1", "record": "--seconds 1", "collide": "--seconds 1"}
@@ -57,7 +78,7 @@ def test_commands_run_in_their_order(root: Path) -> None:
         assert ran.returncode == 0, f"{command}\n{ran.stdout}\n{ran.stderr}"
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", dict.fromkeys((*COMMANDS, *QUOTED)))
 def test_the_parser_takes_a_command(command: str) -> None:
     _, name, *arguments = shlex.split(command)
     commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
@@ -68,15 +89,37 @@ def test_the_parser_takes_a_command(command: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(PROGRAMS)))
 def test_a_program_runs(number: int, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Programs go on from one another, as in the README; the one that trains needs an extra."""
+    """Programs continue from one another, in the order of their pages; the one that trains needs an extra."""
     if "stable_baselines3" in PROGRAMS[number]:
         pytest.importorskip("stable_baselines3", reason="Stable-Baselines3 is not installed (extra [rl])")
     monkeypatch.chdir(root)
     before = [text for text in PROGRAMS[:number] if "stable_baselines3" not in text]
     program = re.sub(r"seconds=\d+", "seconds=1", "\n".join((*before, PROGRAMS[number])))
-    exec(compile(program.replace("120_000", "1"), "README.md", "exec"), {"__name__": "readme"})
+    exec(compile(program.replace("120_000", "1"), "program", "exec"), {"__name__": "readme"})
 
 
-@pytest.mark.parametrize("path", sorted(set(re.findall(r"examples/data/[\w.]+", README))))
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"examples/data/\w[\w.]*\w", README + EXAMPLES))))
 def test_inputs_that_it_names_ship(path: str) -> None:
     assert (ROOT / path).is_file()
+
+
+def sentences() -> list[str]:
+    """Return the README's sentences: text outside code, tables, pictures and link targets."""
+    text = re.sub(r"```.*?```|<[^>]+>|!\[[^]]*\]\([^)]*\)", "", README, flags=re.DOTALL)
+    text = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", text)
+    blocks = re.split(r"\n\s*\n", re.sub(r"^(\||#|    ).*$", "", text, flags=re.MULTILINE))
+    blocks = [re.sub(r"`[^`]*`", "CODE", block) for block in blocks if "·" not in block]
+    found = [sentence for block in blocks for sentence in re.split(r"(?<=[.?!:])\s+", block)]
+    return [sentence for sentence in found if len(sentence.split()) > 2]
+
+
+def test_readme_is_short() -> None:
+    words = re.sub(r"```.*?```|<[^>]+>", " ", README, flags=re.DOTALL).split()
+    assert README.count("\n") <= LIMITS["readme_lines"]
+    assert len(words) <= LIMITS["readme_words"]
+
+
+def test_readme_sentences_are_short() -> None:
+    lengths = [len(sentence.split()) for sentence in sentences()]
+    assert [text for text in sentences() if len(text.split()) > LIMITS["readme_longest_sentence"]] == []
+    assert sum(lengths) / len(lengths) <= LIMITS["readme_mean_sentence"]

@@ -82,14 +82,10 @@ def first_sentence(doc: str) -> str:
 
 def test_size() -> None:
     lines = sum(text.count("\n") for text in sources().values())
-    words = len(
-        re.sub(r"```.*?```", " ", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.S).split()
-    )
     found = {
         "product_lines": lines,
         "product_files": len(sources()),
         "own_imports_per_file": own_imports() / len(sources()),
-        "readme_words": words,
     }
     assert {name: value for name, value in found.items() if value > LIMITS[name]} == {}
 
