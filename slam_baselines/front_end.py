@@ -29,7 +29,7 @@ from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 K = TypeVar("K", bound=Keyframe[Any])
 
 
-class ScanMapper(ABC):
+class PlanarMapper(ABC):
     """Estimator of a pose from planar scans that counts and times them.
 
     Attributes:
@@ -100,7 +100,7 @@ class FrontEndConfig:
     max_range: float = math.inf
 
 
-class FrontEnd(ScanMapper, Generic[K]):
+class FrontEnd(PlanarMapper, Generic[K]):
     """Leveling, ground filter, monitors and start-up refinement.
 
     Attributes:

@@ -23,7 +23,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.front_end import ScanMapper
+from slam_baselines.front_end import PlanarMapper
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
 from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
@@ -124,7 +124,7 @@ class _Track:
         self.scans = {stamp: T_map_before @ pose for stamp, pose in self.scans.items()}
 
 
-class CartographerLocalizer(ScanMapper):
+class CartographerLocalizer(PlanarMapper):
     """Localizer in a known map; `T_map_base` is in the frame of that map."""
 
     name = "cartographer"
