@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable
+from difflib import get_close_matches
 
 
 class WctError(Exception):
@@ -74,9 +75,16 @@ _REASONS: dict[type[BaseException], str] = {
 
 
 def unknown_name(kind: str, name: str, legal: Iterable[str]) -> ConfigError:
-    """Return the error for an unknown name; it lists the legal names.
+    """Return the error for an unknown name; it lists the legal names and suggests a similar one.
 
     >>> str(unknown_name("robot", "huksy", ["husky", "jackal"]))
-    "unknown robot 'huksy'; legal: husky, jackal"
+    "unknown robot 'huksy'; legal: husky, jackal; did you mean husky?"
     """
-    return ConfigError(f"unknown {kind} {name!r}; legal: {', '.join(sorted(legal))}")
+    names = sorted(legal)
+    return ConfigError(f"unknown {kind} {name!r}; legal: {', '.join(names)}{did_you_mean(name, names)}")
+
+
+def did_you_mean(name: str, legal: Iterable[str]) -> str:
+    """Return a clause with the most similar legal name; empty if none is similar."""
+    similar = get_close_matches(name, tuple(legal), n=1)
+    return f"; did you mean {similar[0]}?" if similar else ""

@@ -31,6 +31,7 @@ from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import is_bag_file
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.progress import Progress, no_progress
+from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source, is_bag
 from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
@@ -102,6 +103,11 @@ def map_log(
 
 def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progress = no_progress) -> MappedLog:
     """Map a log by its config (see `map_log`)."""
+    if config.log in RECIPES and not Path(config.log).exists():
+        raise SourceError(
+            f"{config.log}: is a bundled world, map takes a CARMEN log or a ROS bag; to drive through it: "
+            f"lirs-wct validate {config.log}"
+        )
     with log_mapper(config) as mapper:
         mapped = _mapped_log(config, mapper, progress)
     return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))

@@ -29,7 +29,7 @@ NEAR = 0.10
 
 
 ENOUGH = 0.05
-"""Share of a scan's beams that must meet walls for a planar mapper to be expected to hold its place."""
+"""Share of a scan's beams on walls above which planar mapping is expected to work."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,11 +64,12 @@ class ScanSupport:
         """
         if not self.poses:
             return "the robot can stand nowhere"
+        walls = f"walls on {self.wall_p10:.0f} to {self.wall_median:.0f} of {self.beams} beams"
         if self.wall_p10 >= ENOUGH * self.beams:
-            return "walls nearly everywhere: a planar mapper should hold"
+            return f"{walls}: enough for planar mapping nearly everywhere"
         if self.wall_median >= ENOUGH * self.beams:
-            return "walls in most places, few in some: a planar mapper may slip"
-        return "few walls: a planar mapper has little to hold on to"
+            return f"{walls}: too few for planar mapping in some places"
+        return f"{walls}: too few for planar mapping"
 
 
 def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: int = 0) -> ScanSupport:

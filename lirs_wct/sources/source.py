@@ -8,7 +8,7 @@ import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError, SourceError, did_you_mean
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.formats.point_clouds import is_cloud_ply
 from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file
@@ -47,6 +47,7 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
     if not path.exists():
         raise SourceError(
             f"{given}: no such file or folder, nor a bundled world (bundled: {', '.join(RECIPES)})"
+            f"{did_you_mean(str(given), RECIPES)}"
         )
     kind = _kind(path, options)
     beside = _yaml_beside(path) if kind in (SourceKind.PICTURE, SourceKind.MAP_PICTURE) else None

@@ -90,7 +90,7 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
         ("heights", f"{facts.heights[0]:.3f} to {facts.heights[1]:.3f} m"),
         ("slopes", f"median {facts.slopes[0]:.1f} deg, 95 % below {facts.slopes[1]:.1f} deg"),
         *(
-            (f"drivable, {robot}", f"{share:.1f} %, up to {math.degrees(ROBOTS[robot].max_slope):.0f} deg")
+            (f"drivable, {robot}", _drivable_text(world, robot, share))
             for robot, share in facts.drivable.items()
         ),
         (f"walls in sight, {facts.support.robot}", _support(facts.support)),
@@ -108,6 +108,14 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def _drivable_text(world: World, robot: str, share: float) -> str:
+    """Return the drivable share, unless the source's samples do not resolve the robot."""
+    spacing, length = world.sample_spacing, 2 * ROBOTS[robot].radius
+    if spacing is not None and spacing > length:
+        return f"unknown: samples {spacing:.3g} m apart do not resolve {length:.2g} m"
+    return f"{share:.1f} %, up to {math.degrees(ROBOTS[robot].max_slope):.0f} deg"
 
 
 def _support(found: ScanSupport) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ from lirs_wct.sources.window import cut_surface, leveled, sample_spacing
 
 GRAY_TOLERANCE = 2
 """Levels of 255 by which the channels of a gray picture may differ (rounding of color conversions)."""
+MAP_LEVELS, MAP_SHARE = 5, 0.85
+"""Grays of an occupancy map, and the share of the pixels that they cover."""
 LUMA = (0.114, 0.587, 0.299)
 """Weights of blue, green, red (ITU-R BT.601)."""
 
@@ -120,7 +123,29 @@ def _to_terrain(
         resized = options.size or options.pixel_size or options.height
         return surface, "as given" if resized else "as bundled", None
     warn_slope_change(path, raster, surface, options)
+    if looks_like_map(raster.pixels):
+        warnings.warn(
+            f"{path}: looks like a laser map: give its YAML file, or --as map with --pixel-size",
+            stacklevel=4,
+        )
     return surface, _scale_text(raster.info, options), place_of(raster, surface, height, options)
+
+
+def looks_like_map(pixels: NDArray[Any]) -> bool:
+    """Return whether a picture has the few grays of an occupancy map as map_saver writes it.
+
+    The five most common grays cover 85 % of the pixels, and two of occupied, unknown and free are among them.
+    """
+    if pixels.dtype != np.uint8 or pixels.ndim != 2:
+        return False
+    counts = np.bincount(pixels.ravel(), minlength=256)
+    common = np.argsort(-counts, kind="stable")[:MAP_LEVELS]
+    meanings = {
+        meaning
+        for meaning, grays in (("occupied", (0,)), ("unknown", (205,)), ("free", (254, 255)))
+        if any(counts[gray] and abs(gray - level) <= GRAY_TOLERANCE for gray in common for level in grays)
+    }
+    return len(meanings) > 1 and bool(counts[common].sum() >= MAP_SHARE * pixels.size)
 
 
 def decimate(path: Path, raster: Raster, options: BuildOptions, nodes: int) -> tuple[Raster, BuildOptions]:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from lirs_wct.errors import SourceError
 from lirs_wct.export.package import write_package
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.sources.build import build_world
@@ -47,3 +48,8 @@ def test_every_file_of_a_world_of_any_name_and_folder_loads(tmp_path: Path) -> N
     (yaml,) = folder.rglob("*.yaml")
     assert read_map(yaml).free.any()
     assert build_world(folder).name == "uni_code_q"
+
+
+def test_a_similar_bundled_name_is_suggested() -> None:
+    with pytest.raises(SourceError, match=r"simpel: no such file .*; did you mean simple\?$"):
+        find_source("simpel", BuildOptions())
