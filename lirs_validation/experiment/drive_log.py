@@ -9,7 +9,7 @@ import numpy as np
 
 from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
-from lirs_validation.experiment.cloud_elevation import CloudSample
+from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.pose import Pose2, Pose3

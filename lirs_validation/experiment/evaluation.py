@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from lirs_envs.simulation import Simulation
-from lirs_validation.experiment.cloud_elevation import Elevations, evaluate_elevation
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.mapper_loading import RESOLUTION, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
@@ -22,6 +21,7 @@ from lirs_validation.metrics import (
     trajectory_errors,
 )
 from lirs_validation.metrics.alignment import associated
+from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
 from lirs_validation.metrics.real_time_factor import real_time_factor
 from lirs_validation.metrics.scan_support import observed_support
 from lirs_validation.metrics.trajectory import spatial_errors

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lirs_validation.experiment.cloud_elevation import MOST, CloudSample
+from lirs_validation.metrics.elevation import MOST, CloudSample
 from lirs_wct.geometry.cloud import PointCloud
 
 
