@@ -157,6 +157,7 @@ class VerdictFigures:
 
     Attributes:
         status: of the result.
+        has_reference: whether the truth is known, as in every simulated run, even if nothing can be compared.
         uses_estimate: whether the driver follows the mapper's pose.
         robot_lengths: driven distance in robot lengths; None of a log.
         error: of the mapper's path, meters: ATE, or the mean translational error of relations.
@@ -172,6 +173,7 @@ class VerdictFigures:
     """
 
     status: str
+    has_reference: bool = False
     uses_estimate: bool = False
     robot_lengths: float | None = None
     error: float | None = None
@@ -229,7 +231,8 @@ def _failure(figures: VerdictFigures, _: VerdictLimits) -> list[Reason]:
 
 
 def _missing_reference(figures: VerdictFigures, _: VerdictLimits) -> list[Reason]:
-    return [Reason("trajectory error", None, "a reference")] if figures.error is None else []
+    missing = figures.error is None and not figures.has_reference
+    return [Reason("trajectory error", None, "a reference")] if missing else []
 
 
 def _short_drive(figures: VerdictFigures, limits: VerdictLimits) -> list[Reason]:

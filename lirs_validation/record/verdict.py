@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from lirs_validation.config import FRONTIER, driver_parts
+from lirs_validation.config import FRONTIER
 from lirs_validation.metrics.verdict import (
     LIMITS,
     Reason,
@@ -71,7 +71,8 @@ def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Ver
     """
     figures = run_figures(entry)
     kind, reasons = classify(figures, limits)
-    who = method or f"{entry['config']['mapper'].rpartition(':')[2]} on {entry['config']['robot']}"
+    mapper, robot = text_at(entry, "config.mapper"), text_at(entry, "config.robot")
+    who = method or f"{mapper.rpartition(':')[2]} on {robot}"
     lead = LEADS[kind].format(who=who, world=entry["world"]["name"])
     parts = (_lead(lead, kind, entry), _path_sentence(figures), _map_sentence(figures), _extent(entry))
     told = parts[:1] + parts[3:] if kind in ("failed", "not evaluated") else parts
@@ -110,11 +111,12 @@ def class_counts(counts: Counter[str]) -> str:
 
 def run_figures(entry: Entry) -> VerdictFigures:
     """Return the figures of a run's record that decide its verdict."""
-    driver = driver_parts(value_at(entry, "config.driver"))[0]
+    driver = value_at(entry, "config.driver") or ""
     robot_lengths = value_at(entry, "trajectory.robot_lengths")
     return VerdictFigures(
         status=entry["status"],
-        uses_estimate=driver == FRONTIER,
+        has_reference=True,
+        uses_estimate=driver.partition(":")[0] == FRONTIER,
         robot_lengths=robot_lengths,
         error=value_at(entry, "trajectory.ate_rmse"),
         odometry_error=value_at(entry, "trajectory.odometry_ate_rmse"),

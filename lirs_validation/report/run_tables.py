@@ -287,9 +287,9 @@ def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
         _remarks(entries),
         (*facts, "verdict", *(metric.short or metric.heading for metric in metrics)),
         tuple(rows),
-        len(facts) + 1,
+        len(facts),
         styles=tuple(map(_style, entries)),
-        drop=LEAST,
+        drop=("verdict", *LEAST),  # the last line of the command has it, too
     )
     return table.with_common_in_title(RUN_AXES, unnamed=("robot", "mapper"))
 

@@ -281,11 +281,11 @@ def test_a_divergence_fails(blocks: World, monkeypatch: pytest.MonkeyPatch, tmp_
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
     step, calls = RobotModel.step, []
 
-    def kick(self: RobotModel, control: tuple[float, ...], steps: int) -> None:
+    def kick(self: RobotModel, steps: int) -> None:
         calls.append(1)
         if len(calls) == 500:
             self.data.qvel[0] = 1e20
-        step(self, control, steps)
+        step(self, steps)
 
     monkeypatch.setattr(RobotModel, "step", kick)
     verdict = check_collisions(blocks, make_robot("husky"), seconds=10.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.loop import drive
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -208,10 +210,11 @@ def simple() -> World:
     return build_world("simple")
 
 
-def driven(world: World, mapper: object, seconds: float, kind: str = "frontier") -> DriveLog:
+def driven(world: World, own: Any, seconds: float, kind: str = "frontier") -> DriveLog:
+    mapper = MapperUnderTest(lambda: own, "own")
     robot, config = make_robot("husky"), RunConfig(source="simple", driver=kind, seconds=seconds)
     simulation = Simulation(world, SimulationConfig(robot=robot), seed=1)
-    return drive(simulation, make_driver(world, robot, config, mapper.map), mapper, seconds)  # type: ignore[attr-defined, arg-type]
+    return drive(simulation, make_driver(world, robot, config, mapper.map), mapper, seconds)
 
 
 def test_a_wrong_pose_leads_the_explorer_astray_and_not_the_tour(simple: World) -> None:

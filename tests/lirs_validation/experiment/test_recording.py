@@ -18,7 +18,7 @@ from lirs_validation.experiment.run import run
 from lirs_validation.logs.map_log import run_mapping
 from lirs_validation.record.run_record import read_record
 from lirs_validation.sweep.slam_experiment import SlamExperiment
-from lirs_wct.errors import ConfigError, OutputError, SourceError
+from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.geometry.pose import Pose3
@@ -153,12 +153,6 @@ def test_a_bag_needs_a_folder_and_a_storage() -> None:
         run(RunConfig(source="simple", bag="mcap"))
     with pytest.raises(ConfigError, match="unknown storage of a bag 'rosbag'; legal: mcap, sqlite3"):
         RunConfig(source="simple", bag="rosbag")  # type: ignore[arg-type]
-
-
-def test_without_the_library_it_is_said_before_anything_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lirs_wct.formats.rosbag.storage.find_spec", lambda _: None)
-    with pytest.raises(SourceError, match=r"pip install 'lirs-wct\[ros\]'"):
-        SlamExperiment(RunConfig(source="simple", bag="mcap")).check()
 
 
 def test_a_finished_run_counts_where_its_bag_is_what_is_asked_for(made: Run) -> None:

@@ -36,6 +36,7 @@ GOOD = VerdictFigures(
         ({"error": None, "status": "lost"}, "no reference"),
         ({"status": "diverged"}, "not evaluated"),
         ({"status": "tipped"}, "not evaluated"),
+        ({"status": "diverged", "error": None, "has_reference": True}, "not evaluated"),
         ({"status": "tipped", "uses_estimate": True}, "loses its way"),
         ({"robot_lengths": 9.9}, "not evaluated"),
         ({"robot_lengths": 9.9, "status": "lost"}, "not evaluated"),

@@ -221,7 +221,7 @@ def test_a_page_of_failures_alone_is_a_page(tmp_path: Path) -> None:
     report, html = reported(tmp_path)
     Reader(html)
     assert "0 of 1" in html
-    assert [table.key for table in report.tables] == ["failures", "summary", "commands"]
+    assert [table.key for table in report.tables] == ["verdicts", "failures", "summary", "commands"]
 
 
 def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
@@ -314,7 +314,7 @@ def test_numbers_have_three_digits_that_count() -> None:
     assert ReportTable("k", "T", "c", ("a|b",), (("x|y",),)).as_markdown().count("x\\|y") == 1
 
 
-def test_who_holds_in_which_world_stands_in_one_row_and_in_words(tmp_path: Path) -> None:
+def test_methods_as_published_have_one_row_and_a_sentence_per_world(tmp_path: Path) -> None:
     for seed in (1, 2):
         saved(tmp_path, "medium", seed, mapper="hector", ate=0.02)
         saved(tmp_path, "medium", seed, mapper="hector_original", ate=1.5)
@@ -322,8 +322,8 @@ def test_who_holds_in_which_world_stands_in_one_row_and_in_words(tmp_path: Path)
     report, html = reported(tmp_path)
     assert '<a href="#methods">As published</a>' in html
     assert html.index('id="methods"') < html.index('id="trajectory-section"')
-    assert html.count("As published it loses its way here; with attitude it holds.") == 1
-    assert html.count("Without attitude it loses its way here; with attitude it holds.") == 1
+    assert html.count("As published: loses its way. With attitude: works.") == 1
+    assert html.count("Without attitude: loses its way. With attitude: works.") == 1
     assert [table.key for table in report.methods] == ["as-published", "without-attitude"]
     assert report.methods[0] in report.tables
 

@@ -72,7 +72,7 @@ def test_no_name_is_broken_and_hidden_columns_are_listed(width: int) -> None:
 def test_remarks_stand_below_with_the_names_of_their_rows() -> None:
     (table,) = method_tables(ENTRIES)
     text = " ".join(shown(table).split())
-    assert "simple, cartographer: As published it loses its way here; with attitude it holds." in text
+    assert "simple, cartographer: As published: loses its way. With attitude: works." in text
     assert "what follows" not in text
 
 
@@ -115,14 +115,13 @@ def test_failed_runs_come_first_with_the_reason_and_stopped_ones_have_not_failed
 def test_the_figures_are_the_records_and_missing_ones_a_dash() -> None:
     table = results_table([run(), run("medium", f1=None, mapper="gmapping", seed=2)])
     assert table.texts() == [
-        ["simple", "hector", "1", "ok", "42.1", "81.2", "0.031", "0.200", "0.931", "0.012"],
-        ["medium", "gmapping", "2", "ok", "42.1", "81.2", "0.031", "0.200", "-", "0.012"],
+        ["simple", "hector", "1", "ok", "works", "42.1", "81.2", "0.031", "0.200", "0.931", "0.012"],
+        ["medium", "gmapping", "2", "ok", "works", "42.1", "81.2", "0.031", "0.200", "-", "0.012"],
     ]
     empty = {"world": {"name": "x"}, "config": {}, "status": "diverged", "reason": "", "trajectory": {}}
-    assert (
-        "| x | - | - | - | diverged | - | - | - | - | - | - |" in results_table([empty, run()]).as_markdown()
-    )
-    assert picture_lines(empty) == [("status", "diverged")]
+    row = "| x | - | - | - | diverged | not evaluated | - | - | - | - | - | - |"
+    assert row in results_table([empty, run()]).as_markdown()
+    assert picture_lines(empty) == [("verdict", "not evaluated"), ("status", "diverged")]
 
 
 def test_the_table_of_runs_fits_eighty_characters() -> None:
