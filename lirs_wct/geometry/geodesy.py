@@ -28,6 +28,10 @@ GEOGRAPHIC = (4326, 4269, 4258, 4979, 4283, 7844, 6318, 4937, 9754)
 Form = Literal["geographic", "other", "unknown"]
 
 
+class OutsideSystemError(ConfigError):
+    """Coordinates for which a coordinate system has no latitudes and longitudes."""
+
+
 @dataclass(frozen=True)
 class CoordinateSystem:
     """A coordinate reference system.
@@ -118,7 +122,7 @@ def _by_proj(system: CoordinateSystem, x: FloatArray, y: FloatArray) -> tuple[Fl
     except ProjError as error:
         raise ConfigError(f"PROJ knows no latitudes and longitudes of {system.label}") from error
     if not (np.isfinite(latitude).all() and np.isfinite(longitude).all()):
-        raise ConfigError(f"PROJ knows no latitudes and longitudes of {system.label} there")
+        raise OutsideSystemError(f"PROJ knows no latitudes and longitudes of {system.label} there")
     return np.asarray(latitude), np.asarray(longitude)
 
 

@@ -13,7 +13,15 @@ from pathlib import Path
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images import tiff
-from lirs_wct.geometry.geodesy import TURNED, WGS84, Affine, CoordinateSystem, Georeference, middle_of_pixels
+from lirs_wct.geometry.geodesy import (
+    TURNED,
+    WGS84,
+    Affine,
+    CoordinateSystem,
+    Georeference,
+    OutsideSystemError,
+    middle_of_pixels,
+)
 
 DEGREES = "names no coordinate system, its coordinates are taken for degrees"
 UNITS = {
@@ -98,12 +106,14 @@ def georeference_raster(
     Without a required PROJ, units count as ground meters, with a warning.
 
     Raises:
-        ConfigError: the raster's middle is no place on the earth.
+        SourceError: the raster's middle is no place on the earth.
     """
     if system.form == "unknown":
         return Georeference.on_grid(system, affine)
     try:
         return Georeference.of(system, affine, shape)
+    except OutsideSystemError as error:
+        raise SourceError(f"{path}: {error}") from error
     except ConfigError as error:
         if system.form != "other":
             raise
