@@ -147,11 +147,11 @@ def test_the_end_of_the_program_is_that_of_a_mapper_that_hangs(sent: signal.Sign
         stderr=subprocess.STDOUT,
         text=True,
     )
-    until(lambda: bool(mapper_processes(program.pid)), 60)
+    until(lambda: bool(mapper_processes(program.pid)), 240)
     (mapper,) = mapper_processes(program.pid)
-    until(Path("hangs").exists, 60)
+    until(Path("hangs").exists, 240)
     os.kill(program.pid, sent)
-    said = program.communicate(timeout=20)[0]
+    said = program.communicate(timeout=120)[0]
     until(lambda: gone(mapper), 5)
     assert "Traceback" not in said
     assert not [path for path in Path("out").glob("*") if path.is_dir()]
