@@ -34,7 +34,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Trajectory
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.imu_csv import read_imu
+from lirs_wct.formats.drive_csv import read_imu
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.option import read_numbers
 from slam_baselines.mapper import make_mapper

@@ -40,7 +40,7 @@ CARMEN = ("lines", "laser", "repairs", "log")
 READERS = (
     "lirs_wct/formats/images/*.py",
     *(f"lirs_wct/formats/carmen/{name}.py" for name in CARMEN),
-    *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "tum", "imu_csv", "world_json")),
+    *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "tum", "drive_csv", "world_json")),
     "lirs_wct/formats/meshes/mesh_reader.py",
     *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "pictures/picture", "window")),
     *(f"lirs_wct/geometry/{name}.py" for name in ("walls", "rectangles")),

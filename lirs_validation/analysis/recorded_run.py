@@ -21,8 +21,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.imu_csv import HEADER as IMU_HEADER
-from lirs_wct.formats.imu_csv import read_imu
+from lirs_wct.formats.drive_csv import IMU_HEADER, read_imu
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.rosbag.storage import Storage
 from lirs_wct.formats.tum import read_tum

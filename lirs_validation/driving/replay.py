@@ -16,7 +16,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.driving.driver import Frame
 from lirs_validation.record.run_record import read_record
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.commands_csv import Commands, read_commands
+from lirs_wct.formats.drive_csv import Commands, read_commands
 from lirs_wct.geometry.pose import Pose2
 
 COMMANDS = "commands.csv"

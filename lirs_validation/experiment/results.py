@@ -16,8 +16,7 @@ from lirs_validation.metrics.elevation import ELEVATION, write_elevation
 from lirs_validation.record.run_record import RunRecord, file_sizes
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.carmen.writer import write_log
-from lirs_wct.formats.commands_csv import Commands, write_commands
-from lirs_wct.formats.imu_csv import write_imu
+from lirs_wct.formats.drive_csv import Commands, write_commands, write_imu
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.world import World

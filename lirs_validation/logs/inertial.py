@@ -11,7 +11,7 @@ from lirs_validation.config import MapConfig
 from lirs_validation.metrics.alignment import MAX_GAP, associated
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.laser import read_mount
-from lirs_wct.formats.imu_csv import read_imu
+from lirs_wct.formats.drive_csv import read_imu
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.scan import Imu
 

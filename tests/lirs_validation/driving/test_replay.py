@@ -15,35 +15,8 @@ from lirs_validation.config import RunConfig
 from lirs_validation.driving.replay import ReplayDriver, replay
 from lirs_validation.experiment.run import Run
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.commands_csv import Commands, read_commands, write_commands
+from lirs_wct.formats.drive_csv import Commands
 from lirs_wct.geometry.pose import Pose2
-
-
-def test_commands_read_back_as_they_were(tmp_path: Path) -> None:
-    rows = np.random.default_rng(0).normal(size=(50, 3)) * (1.0, 1e-9, 1e9)
-    given = Commands(Pose2(0.1, -1 / 3, 2e-17), rows)
-    write_commands(tmp_path / "commands.csv", given)
-    found = read_commands(tmp_path / "commands.csv")
-    assert found.start == given.start
-    assert np.array_equal(found.rows, rows)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "time,v,omega\n0,0,0\n",
-        "# start 0 0 0\nv,omega\n0,0\n",
-        "# start 0 0\ntime,v,omega\n0,0,0\n",
-        "# start 0 0 0\ntime,v,omega\n0,nan,0\n",
-        "# start 0 0 0\ntime,v,omega\n0,0,0\n0.04,1\n",
-    ],
-)
-def test_damaged_commands_are_named(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "commands.csv"
-    path.write_text(text)
-    with pytest.raises(SourceError, match=r"commands\.csv: "):
-        read_commands(path)
 
 
 def test_commands_come_at_their_time_and_rest_follows() -> None:

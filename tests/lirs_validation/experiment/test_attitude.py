@@ -10,7 +10,7 @@ import pytest
 from lirs_validation import validate
 from lirs_validation.config import ATTITUDES, Attitude, RunConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.imu_csv import read_imu
+from lirs_wct.formats.drive_csv import read_imu
 
 NOTING = r"""
 from lirs_wct.geometry.trajectory import Trajectory

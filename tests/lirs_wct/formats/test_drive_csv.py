@@ -1,4 +1,4 @@
-"""Inertial readings read back as they were; what is none is said."""
+"""Commands and inertial readings of a drive: exact round trips, and errors for damaged files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.imu_csv import HEADER, read_imu, write_imu
+from lirs_wct.formats.drive_csv import IMU_HEADER as HEADER
+from lirs_wct.formats.drive_csv import Commands, read_commands, read_imu, write_commands, write_imu
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 
 
@@ -77,3 +79,30 @@ def test_every_number_has_its_place(tmp_path: Path) -> None:
     write_imu(path, [first])
     assert gzip.decompress(path.read_bytes()).decode() == f"{HEADER}\n1.5,2,3,4,5,6,7,8,9\n"
     assert path.read_bytes()[4:8] == bytes(4)  # no time of day: the same data give the same bytes
+
+
+def test_commands_read_back_as_they_were(tmp_path: Path) -> None:
+    rows = np.random.default_rng(0).normal(size=(50, 3)) * (1.0, 1e-9, 1e9)
+    given = Commands(Pose2(0.1, -1 / 3, 2e-17), rows)
+    write_commands(tmp_path / "commands.csv", given)
+    found = read_commands(tmp_path / "commands.csv")
+    assert found.start == given.start
+    assert np.array_equal(found.rows, rows)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "time,v,omega\n0,0,0\n",
+        "# start 0 0 0\nv,omega\n0,0\n",
+        "# start 0 0\ntime,v,omega\n0,0,0\n",
+        "# start 0 0 0\ntime,v,omega\n0,nan,0\n",
+        "# start 0 0 0\ntime,v,omega\n0,0,0\n0.04,1\n",
+    ],
+)
+def test_damaged_commands_are_named(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "commands.csv"
+    path.write_text(text)
+    with pytest.raises(SourceError, match=r"commands\.csv: "):
+        read_commands(path)
