@@ -4,7 +4,7 @@
 
 Each row is a process of its own, so that its peak memory, libraries included, is its own; kernels are
 compiled before the clock starts. Worlds are built and written as by `lirs-wct build`, textures, start poses
-and `world.json` included. Peers in the same run: pydelatin (where installed), trimesh, pycollada. DIR holds
+and `world.json` included. Peers in the same run: pydelatin (where installed), trimesh. DIR holds
 `maps/*/*.yaml`: each that is a laser map is a row. A limit stands behind its figure; a broken one makes the
 exit code 1. Where the CPU's seconds are far below the clock's, the machine had other work. "default" is what
 `build` makes unasked (0.1 % of the relief), "full grid" all pixels (`--max-error 0`).
@@ -65,7 +65,7 @@ def plan(quick: bool, data: Path) -> list[Row]:
         Row(job="full grid .dae", samples=1025, limits={"seconds": 4, "peak_mb": 700, "file_mb": 120}),
         Row(job="full grid .dae", samples=2049, limits={"seconds": 18, "peak_mb": 2000}),
         Row(job="full grid .stl", samples=4097, limits={"seconds": 8, "peak_mb": 400}),
-        *(Row(job=f"{peer} .dae", samples=513) for peer in ("full grid", "trimesh", "pycollada")),
+        *(Row(job=f"{peer} .dae", samples=513) for peer in ("full grid", "trimesh")),
         *(
             Row(
                 job="triangulation", samples=n, budget=error, limits={"time_ratio": 1, "triangle_ratio": 1.05}

@@ -14,9 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.export.package import write_package
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
@@ -157,15 +155,6 @@ def trimesh_dae(path: Path, out: Path, _: float) -> Figures:
     return {"triangles": len(mesh.faces), "file_mb": size_mb(out, "dae"), "seconds": seconds}
 
 
-def pycollada_dae(path: Path, out: Path, _: float) -> Figures:
-    """Our own document for small scenes, which pycollada writes."""
-    mesh = solid_mesh(read_height_field(path, BuildOptions()))
-    start = time.perf_counter()
-    write_collada(out / "peer.dae", mesh, "../materials/textures/a.png", stream_above=len(mesh.faces))
-    seconds = time.perf_counter() - start
-    return {"triangles": len(mesh.faces), "file_mb": size_mb(out, "dae"), "seconds": seconds}
-
-
 JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {
     "world within error": within_error,
     "world within count": within_triangles,
@@ -173,7 +162,6 @@ JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {
     "full grid .dae": full_dae,
     "full grid .stl": full_stl,
     "trimesh .dae": trimesh_dae,
-    "pycollada .dae": pycollada_dae,
     "triangulation": triangulation,
     "8 bit": cut_to_8_bits,
     "8 bit, deterraced": deterraced,
@@ -190,10 +178,6 @@ def warm(job: str, folder: Path, budget: float) -> None:
     else:
         cv2.imwrite(str(source), picture(129))
     JOBS[job](source, folder, budget)
-    if any(folder.rglob("*.dae")):
-        # What is tiny is not streamed by itself.
-        mesh = solid_mesh(HeightField.centered(np.eye(9, dtype=np.float32), (1, 1)))
-        write_collada(folder / "streamed.dae", mesh, stream_above=0)
 
 
 def tiny_map(folder: Path) -> Path:

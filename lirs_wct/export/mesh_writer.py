@@ -9,8 +9,7 @@ import trimesh
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.meshes.collada import write_document
-from lirs_wct.formats.meshes.collada_stream import MeshPart, stream_collada
+from lirs_wct.formats.meshes.collada import MeshPart, stream_collada
 from lirs_wct.formats.meshes.obj import write_obj
 from lirs_wct.formats.meshes.stl import write_stl
 from lirs_wct.formats.meshes.textured import write_glb
@@ -19,8 +18,6 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.uv import cube_uv
 from lirs_wct.progress import Progress, no_progress
 
-STREAM_ABOVE = 20_000
-"""Triangles above which the file is streamed; pycollada needs 20 s and 500 MB per million."""
 BULK = 500_000
 """Triangles above which the file is compact: fewer digits, and quads."""
 
@@ -55,7 +52,6 @@ def write_collada(
     mesh: TriangleMesh,
     texture: str | None = None,
     *,
-    stream_above: int = STREAM_ABOVE,
     progress: Progress = no_progress,
 ) -> None:
     """Write a mesh with texture coordinates; missing ones are made by cube projection.
@@ -64,7 +60,6 @@ def write_collada(
         path: output file.
         mesh: mesh in the world frame.
         texture: path of the picture relative to the file, or None for a plain color.
-        stream_above: triangles above which the file is streamed.
         progress: progress of the file.
 
     Raises:
@@ -72,28 +67,18 @@ def write_collada(
         OutputError: the file cannot be written.
     """
     whole = mesh if mesh.uv is not None and mesh.normals is not None else cube_uv(mesh)
-    write_parts(path, (MeshPart("ground", whole, texture),), stream_above=stream_above, progress=progress)
+    write_parts(path, (MeshPart("ground", whole, texture),), progress)
 
 
-def write_parts(
-    path: Path,
-    parts: Sequence[MeshPart],
-    *,
-    stream_above: int = STREAM_ABOVE,
-    progress: Progress = no_progress,
-) -> None:
+def write_parts(path: Path, parts: Sequence[MeshPart], progress: Progress = no_progress) -> None:
     """Write parts of one texture each as one COLLADA file (see `write_collada`)."""
     for part in parts:
         if part.texture is not None and any(c.isspace() for c in part.texture):
             raise ConfigError(f"path of a texture must not hold spaces, got {part.texture!r}")
     count = sum(len(part.mesh.faces) for part in parts)
     with atomic_write(path) as temporary:
-        if count > stream_above:
-            passed = _count_progress(count, path.name, progress)
-            stream_collada(temporary, parts, brief=count > BULK, passed=passed)
-        else:
-            write_document(temporary, parts)
-            progress(path.name, 1.0)
+        passed = _count_progress(count, path.name, progress)
+        stream_collada(temporary, parts, brief=count > BULK, passed=passed)
 
 
 def _count_progress(total: int, step: str, progress: Progress) -> Callable[[int], None]:

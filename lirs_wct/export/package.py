@@ -26,7 +26,7 @@ from lirs_wct.formats.gazebo import (
 )
 from lirs_wct.formats.images.picture import write_image
 from lirs_wct.formats.map_server import write_map
-from lirs_wct.formats.meshes.collada_stream import MeshPart
+from lirs_wct.formats.meshes.collada import MeshPart
 from lirs_wct.formats.meshes.obj import write_obj_parts
 from lirs_wct.formats.meshes.stl import write_stl, write_triangles
 from lirs_wct.formats.meshes.textured import write_glb_parts

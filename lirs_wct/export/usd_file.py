@@ -10,7 +10,7 @@ import numpy as np
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.gazebo import FRICTION
-from lirs_wct.formats.meshes.collada_stream import MeshPart
+from lirs_wct.formats.meshes.collada import MeshPart
 from lirs_wct.world import World
 
 GRAVITY = 9.80665

@@ -23,8 +23,6 @@ from lirs_wct.meshing.uv import cube_uv
 
 pytestmark = pytest.mark.slow
 
-ABOVE = {"pycollada": 10**9, "stream": 0, "brief stream": 0}
-
 
 def hills() -> HeightField:
     z = cv2.GaussianBlur(np.random.default_rng(2).random((129, 161)).astype(np.float32), (0, 0), 6)
@@ -39,22 +37,22 @@ def programs() -> Path:
     return Path(folder)
 
 
-@pytest.fixture(params=ABOVE)
-def above(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Each way to write COLLADA, as triangles above which the file is streamed."""
-    if request.param == "brief stream":
+@pytest.fixture(params=["usual", "brief"], autouse=True)
+def writer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Each way to write COLLADA."""
+    if request.param == "brief":
         monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
-    return ABOVE[request.param]
+    return str(request.param)
 
 
 @pytest.fixture
-def package(above: int, tmp_path: Path) -> Path:
+def package(tmp_path: Path) -> Path:
     """A textured model package and its world file beside it."""
     model = tmp_path / "dune"
     (model / "materials/textures").mkdir(parents=True)
     cv2.imwrite(str(model / "materials/textures/sand.png"), np.full((4, 4, 3), 99, np.uint8))
     dae = model / "meshes/dune.dae"
-    write_collada(dae, solid_mesh(hills()), "../materials/textures/sand.png", stream_above=above)
+    write_collada(dae, solid_mesh(hills()), "../materials/textures/sand.png")
     (model / "model.config").write_text(model_config("dune"))
     (model / "model.sdf").write_text(model_sdf("dune"))
     (model / "dune.world").write_text(world_sdf("dune"))
@@ -104,10 +102,10 @@ def check_counts(said: str, vertices: int, corners: int) -> None:
     assert idx == corners
 
 
-def test_steep_ground_is_counted_right_too(programs: Path, tmp_path: Path, above: int) -> None:
+def test_steep_ground_is_counted_right_too(programs: Path, tmp_path: Path) -> None:
     """Where the projection changes from triangle to triangle, a place has several texture coordinates."""
     mesh = solid_mesh(HeightField.centered(hills().z * 4, (0.25, 0.25)))
-    write_collada(tmp_path / "a.dae", mesh, stream_above=above)
+    write_collada(tmp_path / "a.dae", mesh)
     (shape,) = collada.Collada(str(tmp_path / "a.dae")).geometries
     n = len(shape.primitives[0].vertex)
     assert n > 1.05 * len(mesh.vertices)

@@ -1,80 +1,242 @@
-"""COLLADA documents: meshes with normals, texture coordinates and materials.
+"""COLLADA documents, streamed as text a few thousand rows at a time.
 
-Z_UP data with a Z_UP tag and meters is upright in Gazebo (which ignores the tag) and in other programs. The
-inputs have distinct offsets: Gazebo's loader miscounts shared ones (see `collada_stream`).
+Z_UP data with a Z_UP tag and meters is upright in Gazebo (which ignores the tag) and in other programs.
+
+All parts are one geometry: one layer of texture coordinates in Blender, and no seams between objects.
+VERTEX, NORMAL and TEXCOORD have separate offsets. Gazebo merges equal positions, and keeps different normals
+and texture coordinates only with separate indices.
+
+Indices make up most of a large file. There, two triangles of a grid cell become one quad, and frequent
+normals have small indices.
 """
 
 from __future__ import annotations
 
-import datetime
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, BinaryIO
+from xml.sax.saxutils import escape
 
-import collada
 import numpy as np
-from collada import asset, geometry, material, scene, source
+from numpy.typing import NDArray
 
-from lirs_wct.arrays import FloatArray
-from lirs_wct.formats.meshes.collada_stream import CREATED, GROUND, MeshPart
+from lirs_wct.arrays import FloatArray, Int32Array
+from lirs_wct.errors import ConfigError
+from lirs_wct.formats.meshes.text import fixed_text
+from lirs_wct.geometry.mesh import TriangleMesh
+
+CREATED = "2020-01-01T00:00:00"
+"""Constant creation time, so that the same world gives the same bytes."""
+GROUND = (0.62, 0.57, 0.5, 1.0)
+"""Color of a world without texture, RGBA."""
+_UV_DECIMALS = 5
+
+_ROWS = 1 << 14
+"""Rows of numbers that are converted to text at a time."""
+
+_HEAD = """<?xml version="1.0" encoding="utf-8"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><created>{created}</created><modified>{created}</modified>
+<unit name="meter" meter="1"/><up_axis>Z_UP</up_axis></asset>
+{images}<library_effects>{effects}</library_effects>
+<library_materials>{materials}</library_materials>
+<library_geometries><geometry id="mesh" name="mesh"><mesh>
+"""
+_IMAGES = "<library_images>{}</library_images>\n"
+_IMAGE = '<image id="{name}-texture" name="{name}-texture"><init_from>{texture}</init_from></image>'
+_EFFECT = """<effect id="{name}-effect"><profile_COMMON>{parameters}
+<technique sid="common"><lambert><diffuse>{diffuse}</diffuse></lambert></technique>
+</profile_COMMON></effect>
+"""
+_PARAMETERS = """<newparam sid="surface"><surface type="2D"><init_from>{name}-texture</init_from></surface>
+</newparam>
+<newparam sid="sampler"><sampler2D><source>surface</source></sampler2D></newparam>"""
+_MATERIAL = '<material id="{name}" name="{name}"><instance_effect url="#{name}-effect"/></material>\n'
+_SOURCE = """<source id="{id}"><float_array id="{id}-array" count="{size}">
+"""
+_SOURCE_END = """</float_array><technique_common><accessor source="#{id}-array" count="{n}" stride="{k}">
+{params}</accessor></technique_common></source>
+"""
+_VERTICES = """<vertices id="vertices"><input semantic="POSITION" source="#positions"/></vertices>
+"""
+_FACES = """<{kind} count="{count}" material="{name}">
+<input semantic="VERTEX" source="#vertices" offset="0"/>
+<input semantic="NORMAL" source="#normals" offset="1"/>
+<input semantic="TEXCOORD" source="#UV" offset="2" set="0"/>
+"""
+_BOUND = """<instance_material symbol="{name}" target="#{name}"><bind_vertex_input semantic="UV" \
+input_semantic="TEXCOORD" input_set="0"/></instance_material>
+"""
+_SCENE = """</mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="scene"><node id="world" name="world">
+<instance_geometry url="#mesh"><bind_material><technique_common>
+{bound}</technique_common></bind_material></instance_geometry>
+</node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#scene"/></scene></COLLADA>
+"""
 
 
-def write_document(path: Path, parts: Sequence[MeshPart]) -> None:
-    """Write parts as one geometry, from a document in memory."""
+@dataclass(frozen=True)
+class MeshPart:
+    """Triangles of one material.
+
+    Attributes:
+        name: of the material.
+        mesh: in the world frame, with texture coordinates and normals.
+        texture: path of the picture relative to the file, or None for a plain color.
+
+    Raises:
+        ConfigError: the mesh lacks texture coordinates or normals.
+    """
+
+    name: str
+    mesh: TriangleMesh
+    texture: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.mesh.uv is None or self.mesh.normals is None:
+            raise ConfigError("a mesh needs texture coordinates and normals to be written as COLLADA")
+
+    @property
+    def uv(self) -> FloatArray:
+        """(n, 2) texture coordinates."""
+        assert self.mesh.uv is not None
+        return self.mesh.uv
+
+    @property
+    def normals(self) -> FloatArray:
+        """(n, 3) unit normals."""
+        assert self.mesh.normals is not None
+        return self.mesh.normals
+
+
+NORMAL_DIGITS, BRIEF_NORMAL_DIGITS = 3, 2
+"""Decimals of normals in usual and in brief files (shading exact to 0.5 deg)."""
+
+
+def stream_collada(
+    path: Path, parts: Sequence[MeshPart], *, brief: bool, passed: Callable[[int], None] = lambda _: None
+) -> None:
+    """Write parts as one geometry.
+
+    Args:
+        path: file.
+        parts: triangles by material.
+        brief: whether to save bytes by fewer digits and by quads. Two consecutive triangles with a shared
+            edge become a quad whose fan from the first corner gives the two triangles again.
+        passed: callback for progress; its argument is the number of newly written triangles.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    digits = BRIEF_NORMAL_DIGITS if brief else NORMAL_DIGITS
+    farthest = np.abs([part.mesh.bounds for part in parts]).max(axis=(0, 1))
+    normals, numbers = _distinct([part.normals for part in parts], digits)
     with path.open("wb") as file:
-        _document(parts).write(file)
+        file.write(_head(parts).encode())
+        positions = [part.mesh.vertices for part in parts]
+        _write_source(file, "positions", positions, _position_decimals(farthest), "XYZ")
+        _write_source(file, "normals", [normals], (digits,) * 3, "XYZ")
+        _write_source(file, "UV", [part.uv for part in parts], (_UV_DECIMALS,) * 2, "ST")
+        file.write(_VERTICES.encode())
+        before = 0
+        for part in parts:
+            _write_faces(file, part, before, numbers, brief, passed)
+            before += len(part.mesh.vertices)
+        bound = "".join(_BOUND.format(name=part.name) for part in parts)
+        file.write(_SCENE.format(bound=bound).encode())
 
 
-def _document(parts: Sequence[MeshPart]) -> collada.Collada:
-    document = collada.Collada()
-    document.assetInfo.upaxis = asset.UP_AXIS.Z_UP
-    document.assetInfo.unitname, document.assetInfo.unitmeter = "meter", 1.0
-    document.assetInfo.created = document.assetInfo.modified = datetime.datetime.fromisoformat(CREATED)
-    shown = [
-        scene.MaterialNode(
-            part.name, _material(document, part.name, part.texture), inputs=[("UV", "TEXCOORD", "0")]
-        )
-        for part in parts
-    ]
-    node = scene.GeometryNode(_geometry(document, parts), shown)
-    document.scenes.append(scene.Scene("scene", [scene.Node("world", children=[node])]))
-    document.scene = document.scenes[0]
-    return document
+def _distinct(tables: Sequence[FloatArray], decimals: int) -> tuple[FloatArray, Int32Array]:
+    """Return the distinct rounded normals, most frequent first, and each vertex's index."""
+    scale = 10**decimals
+    x, y, z = (np.rint(np.concatenate([t[:, k] for t in tables]) * scale).astype(np.int64) for k in range(3))
+    wide = 2 * scale + 1
+    key, number, count = np.unique(
+        ((x + scale) * wide + y + scale) * wide + z + scale, return_inverse=True, return_counts=True
+    )
+    order = np.argsort(-count, kind="stable")
+    rank = np.empty(len(key), np.int32)
+    rank[order] = np.arange(len(key), dtype=np.int32)
+    parts = np.stack((key // wide**2, key // wide % wide, key % wide), axis=1)[order]
+    return (parts - scale) / scale, rank[number]
 
 
-def _material(document: collada.Collada, name: str, texture: str | None) -> material.Material:
-    diffuse: material.Map | tuple[float, ...] = GROUND
-    parameters: list[object] = []
-    if texture is not None:
-        image = material.CImage(f"{name}-texture", texture)
-        raster = material.Surface(f"{name}-surface", image)
-        sampler = material.Sampler2D(f"{name}-sampler", raster)
-        document.images.append(image)
-        parameters, diffuse = [raster, sampler], material.Map(sampler, "UV")
-    effect = material.Effect(f"{name}-effect", parameters, "lambert", diffuse=diffuse)
-    surface = material.Material(name, name, effect)
-    document.effects.append(effect)
-    document.materials.append(surface)
-    return surface
+def _write_faces(
+    file: BinaryIO,
+    part: MeshPart,
+    before: int,
+    normals: Int32Array,
+    brief: bool,
+    passed: Callable[[int], None],
+) -> None:
+    """Write the faces of a part whose vertices follow `before` others."""
+    quads, triangles = _join_quads(part.mesh.faces) if brief else (part.mesh.faces[:0], part.mesh.faces)
+    kind, count = ("polylist" if len(quads) else "triangles"), len(quads) + len(triangles)
+    file.write(_FACES.format(kind=kind, count=count, name=part.name).encode())
+    if len(quads):
+        file.write(b"<vcount>" + b"4 " * len(quads) + b"3 " * len(triangles) + b"</vcount>")
+    file.write(b"<p>\n")
+    for polygons, each in ((quads, 2), (triangles, 1)):
+        for chunk in _chunks(polygons):
+            corners = chunk + before
+            rows = np.stack((corners, normals[corners], corners), axis=2).reshape(len(chunk), -1)
+            file.write(fixed_text(rows, 0))
+            passed(each * len(chunk))
+    file.write(f"</p></{kind}>\n".encode())
 
 
-def _geometry(document: collada.Collada, parts: Sequence[MeshPart]) -> geometry.Geometry:
-    def floats(name: str, values: list[FloatArray], axes: tuple[str, ...]) -> source.FloatSource:
-        return source.FloatSource(name, np.concatenate(values, dtype=np.float32), axes)
+def _join_quads(faces: Int32Array) -> tuple[Int32Array, Int32Array]:
+    """Join consecutive triangles (abc, bdc) to quads (n, 4); return quads and other triangles."""
+    pairs = faces[: len(faces) // 2 * 2].reshape(-1, 2, 3)
+    first, second = pairs[:, 0], pairs[:, 1]
+    cell = (first[:, 1] == second[:, 0]) & (first[:, 2] == second[:, 2])
+    quads = np.column_stack((second[cell], first[cell, 0]))
+    return quads, np.concatenate((pairs[~cell].reshape(-1, 3), faces[2 * len(pairs) :]))
 
-    sources = [
-        floats("positions", [part.mesh.vertices for part in parts], ("X", "Y", "Z")),
-        floats("normals", [part.normals for part in parts], ("X", "Y", "Z")),
-        floats("UV", [part.uv for part in parts], ("S", "T")),
-    ]
-    shape = geometry.Geometry(document, "mesh", "mesh", sources)
-    inputs = source.InputList()
-    inputs.addInput(0, "VERTEX", "#positions")
-    inputs.addInput(1, "NORMAL", "#normals")
-    inputs.addInput(2, "TEXCOORD", "#UV", set="0")
-    before = 0
+
+def _head(parts: Sequence[MeshPart]) -> str:
+    color = f"<color>{' '.join(map(str, GROUND))}</color>"
+    images, effects = [], []
     for part in parts:
-        corners = np.repeat(part.mesh.faces.ravel() + before, 3)
-        shape.primitives.append(shape.createTriangleSet(corners, inputs, part.name))
-        before += len(part.mesh.vertices)
-    document.geometries.append(shape)
-    return shape
+        parameters, diffuse = "", color
+        if part.texture is not None:
+            images.append(_IMAGE.format(name=part.name, texture=escape(part.texture)))
+            parameters = _PARAMETERS.format(name=part.name)
+            diffuse = '<texture texture="sampler" texcoord="UV"/>'
+        effects.append(_EFFECT.format(name=part.name, parameters=parameters, diffuse=diffuse))
+    return _HEAD.format(
+        created=CREATED,
+        images=_IMAGES.format("".join(images)) if images else "",
+        effects="".join(effects),
+        materials="".join(_MATERIAL.format(name=part.name) for part in parts),
+    )
+
+
+def _write_source(
+    file: BinaryIO, name: str, tables: Sequence[FloatArray], decimals: tuple[int, ...], axes: str
+) -> None:
+    n = sum(map(len, tables))
+    params = "".join(f'<param name="{axis}" type="float"/>' for axis in axes)
+    file.write(_SOURCE.format(id=name, size=n * len(axes)).encode())
+    for table in tables:
+        file.writelines(fixed_text(chunk, decimals) for chunk in _chunks(table))
+    file.write(_SOURCE_END.format(id=name, n=n, k=len(axes), params=params).encode())
+
+
+def _chunks(table: NDArray[Any]) -> Iterator[NDArray[Any]]:
+    return (table[i : i + _ROWS] for i in range(0, len(table), _ROWS))
+
+
+def _position_decimals(farthest: FloatArray) -> tuple[int, int, int]:
+    """Return the decimals that distinguish float32 coordinates.
+
+    Fewer would break the error budget: a millimeter sideways is meters of height on rough ground.
+
+    Args:
+        farthest: (3,) largest absolute coordinate of each axis.
+    """
+    step = np.spacing(farthest.astype(np.float32)).astype(np.float64)
+    x, y, z = np.clip(np.ceil(-np.log10(step)), 0, 9).astype(int).tolist()
+    return x, y, z

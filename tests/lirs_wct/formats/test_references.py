@@ -20,7 +20,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.export.package import write_package
 from lirs_wct.formats.elevation import read_raster
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.meshes.collada_stream import MeshPart, stream_collada
+from lirs_wct.formats.meshes.collada import MeshPart, stream_collada
 from lirs_wct.formats.meshes.textured import read_textured
 from lirs_wct.formats.references import referenced_file
 from lirs_wct.geometry.mesh import TriangleMesh

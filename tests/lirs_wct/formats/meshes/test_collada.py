@@ -1,4 +1,4 @@
-"""Both writers of COLLADA under the same tests."""
+"""The writer of COLLADA: usual and brief files, whole and in pieces."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.mesh_writer import write_collada, write_parts
-from lirs_wct.formats.meshes import collada_stream
-from lirs_wct.formats.meshes.collada_stream import MeshPart
+from lirs_wct.formats.meshes.collada import GROUND, MeshPart
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.uv import cube_uv
 
-WRITERS = {"pycollada": 10**9, "stream": 0, "stream in pieces": 0, "brief stream": 0}
 CLOSE = 6e-3
 """What an attribute may be off: a brief file has two decimals of a normal."""
 
@@ -42,18 +40,18 @@ def corners_of(triangles: collada.triangleset.TriangleSet) -> np.ndarray:
     return np.concatenate((position, normal, uv), axis=2)
 
 
-@pytest.fixture(params=WRITERS)
-def above(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    if request.param == "stream in pieces":
-        monkeypatch.setattr("lirs_wct.formats.meshes.collada_stream._ROWS", 600)
-    if request.param == "brief stream":
+@pytest.fixture(params=["usual", "in pieces", "brief"], autouse=True)
+def writer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    if request.param == "in pieces":
+        monkeypatch.setattr("lirs_wct.formats.meshes.collada._ROWS", 600)
+    if request.param == "brief":
         monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
-    return WRITERS[request.param]
+    return str(request.param)
 
 
-def test_closed_and_unmoved(tmp_path: Path, above: int) -> None:
+def test_closed_and_unmoved(tmp_path: Path) -> None:
     mesh = hills()
-    write_collada(tmp_path / "a.dae", mesh, stream_above=above)
+    write_collada(tmp_path / "a.dae", mesh)
     again = trimesh.load(tmp_path / "a.dae", force="mesh")
     assert len(again.faces) == len(mesh.faces)
     joined = trimesh.Trimesh(again.vertices, again.faces)
@@ -63,8 +61,8 @@ def test_closed_and_unmoved(tmp_path: Path, above: int) -> None:
     np.testing.assert_allclose(again.bounds, mesh.bounds, atol=1e-4)
 
 
-def test_axis_unit_material_and_inputs(tmp_path: Path, above: int) -> None:
-    write_collada(tmp_path / "a.dae", hills(), "../materials/textures/a.png", stream_above=above)
+def test_axis_unit_material_and_inputs(tmp_path: Path) -> None:
+    write_collada(tmp_path / "a.dae", hills(), "../materials/textures/a.png")
     document = collada.Collada(str(tmp_path / "a.dae"), ignore=[collada.common.DaeUnsupportedError])
     assert document.errors == []
     assert document.assetInfo.upaxis == "Z_UP"
@@ -80,11 +78,11 @@ def test_axis_unit_material_and_inputs(tmp_path: Path, above: int) -> None:
         assert len(bound) == len(document.geometries)
 
 
-def test_parts_of_two_materials_are_one_object_with_one_layer(tmp_path: Path, above: int) -> None:
+def test_parts_of_two_materials_are_one_object_with_one_layer(tmp_path: Path) -> None:
     """Blender names a layer after the source's id, and joins objects without those of another name."""
     low, high = cube_uv(hills()), cube_uv(hills(5, 6))
     parts = [MeshPart("ground", low, "ground.png"), MeshPart("walls", high, "walls.png")]
-    write_parts(tmp_path / "a.dae", parts, stream_above=above)
+    write_parts(tmp_path / "a.dae", parts)
     document = collada.Collada(str(tmp_path / "a.dae"), ignore=[collada.common.DaeUnsupportedError])
     assert document.errors == []
     (shape,) = document.geometries
@@ -98,11 +96,11 @@ def test_parts_of_two_materials_are_one_object_with_one_layer(tmp_path: Path, ab
         check_corners(corners_of(triangles), part.mesh)
 
 
-def test_attributes_belong_to_their_corners(tmp_path: Path, above: int) -> None:
+def test_attributes_belong_to_their_corners(tmp_path: Path) -> None:
     mesh = cube_uv(hills())
     assert mesh.uv is not None
     assert mesh.normals is not None
-    write_collada(tmp_path / "a.dae", mesh, stream_above=above)
+    write_collada(tmp_path / "a.dae", mesh)
     document = collada.Collada(str(tmp_path / "a.dae"))
     (shape,) = document.geometries
     check_corners(corners_of(triangles_of(shape)[0]), mesh)
@@ -127,9 +125,10 @@ def test_bytes_count_in_large_files(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     smooth = solid_mesh(
         HeightField.centered((np.sin(rows / 9) + np.cos(cols / 9)).astype(np.float32), (1, 1))
     )
-    write_collada(tmp_path / "a.dae", smooth, stream_above=0)
+    monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", len(smooth.faces))
+    write_collada(tmp_path / "a.dae", smooth)
     monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
-    write_collada(tmp_path / "b.dae", smooth, stream_above=0)
+    write_collada(tmp_path / "b.dae", smooth)
     (shape,) = collada.Collada(str(tmp_path / "b.dae")).geometries
     (polygons,) = shape.primitives
     assert (polygons.vcounts == 4).sum() == 89 * 119
@@ -137,31 +136,28 @@ def test_bytes_count_in_large_files(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert (tmp_path / "b.dae").stat().st_size < 0.75 * (tmp_path / "a.dae").stat().st_size
 
 
-@pytest.mark.parametrize("brief", [False, True])
-def test_positions_are_exact_as_float32(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, brief: bool) -> None:
+def test_positions_are_exact_as_float32(tmp_path: Path) -> None:
     """On rough ground a tenth of a millimeter sideways is many times that in height."""
-    if brief:
-        monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
     z = np.random.default_rng(2).random((40, 50)).astype(np.float32)
     for scale in (0.001, 1.0, 3000.0):
         mesh = solid_mesh(HeightField.centered(np.float32(scale) * z, (0.7 * scale, 0.3 * scale)))
-        write_collada(tmp_path / "a.dae", mesh, stream_above=0)
+        write_collada(tmp_path / "a.dae", mesh)
         (shape,) = collada.Collada(str(tmp_path / "a.dae")).geometries
         step = np.spacing(np.abs(mesh.bounds).max(axis=0).astype(np.float32))
         apart, _ = cKDTree(mesh.vertices / step).query(shape.primitives[0].vertex / step, p=np.inf)
         assert apart.max() < 1.01
 
 
-def test_plain_color_without_texture(tmp_path: Path, above: int) -> None:
-    write_collada(tmp_path / "a.dae", hills(), stream_above=above)
+def test_plain_color_without_texture(tmp_path: Path) -> None:
+    write_collada(tmp_path / "a.dae", hills())
     document = collada.Collada(str(tmp_path / "a.dae"))
     assert len(document.images) == 0
-    assert document.effects[0].diffuse == pytest.approx(collada_stream.GROUND)
+    assert document.effects[0].diffuse == pytest.approx(GROUND)
 
 
-def test_same_mesh_same_bytes(tmp_path: Path, above: int) -> None:
+def test_same_mesh_same_bytes(tmp_path: Path) -> None:
     for name in ("a.dae", "b.dae"):
-        write_collada(tmp_path / name, hills(), stream_above=above)
+        write_collada(tmp_path / name, hills())
     assert (tmp_path / "a.dae").read_bytes() == (tmp_path / "b.dae").read_bytes()
 
 
