@@ -59,6 +59,31 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
     return R
 
 
+@njit(cache=True, nogil=True)
+def compose(pose: Any, by: Any) -> Any:
+    """Return pose @ by, all (3,)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
+
+
+@njit(cache=True, nogil=True)
+def between(a: Any, b: Any) -> Any:
+    """Return a^-1 @ b, all (3,)."""
+    c, s = np.cos(a[2]), np.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
+
+
+@njit(cache=True, nogil=True)
+def pose_difference(pose: Any, other: Any) -> Any:
+    """Return a pose (3,) less another, the heading in [-pi, pi)."""
+    d = np.empty(3)
+    for i in range(3):
+        d[i] = pose[i] - other[i]
+    d[2] = (d[2] + np.pi) % (2 * np.pi) - np.pi
+    return d
+
+
 def invert(matrices: FloatArray) -> FloatArray:
     """Return the inverses of (..., n, n) matrices."""
     return np.asarray(np.linalg.inv(matrices), dtype=np.float64)

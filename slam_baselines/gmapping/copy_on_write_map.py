@@ -1,13 +1,7 @@
-"""Copy-on-write maps of many particles in shared patches.
-
-Most of a particle's map was drawn before it split from its siblings and is the same as theirs. A map is
-a table of patches of 16 x 16 cells; children get their parent's table, and a patch that several tables
-point at is copied by the first that draws into it. So memory grows with the differences.
-"""
+"""Copy-on-write occupancy maps of many particles in shared patches."""
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,49 +16,22 @@ from slam_baselines.gmapping.patches import (
     MASK,
     PATCH,
     Patches,
-    list_free,
+    PatchTables,
     reserve_patches,
     resize,
 )
-from slam_baselines.gmapping.scan_entry import Scratch, Window, enter_scans
+from slam_baselines.gmapping.scan_entry import Scratch, enter_scans
 from slam_baselines.mapping.occupancy_map import STEP, UNKNOWN, UpdateConfig
 from slam_baselines.scan.leveling import ScanPoints
 
 
-class PatchMaps:
-    """Occupancy maps of a set of particles over one growing lattice of cells.
-
-    Attributes:
-        resolution: edge of a cell, meters.
-        tables: (particles, rows, cols) int32, the patch at each place of each map.
-        corner: (2,) int64, row and column of the tables' first patch in the lattice of patches.
-        patches: targets of the tables.
-    """
+class PatchMaps(PatchTables[Patches]):
+    """Occupancy maps of a set of particles."""
 
     def __init__(self, particles: int, resolution: float, update: UpdateConfig | None = None) -> None:
-        self.resolution = resolution
-        self.tables: Int32Array = np.empty((particles, 0, 0), np.int32)
-        self.corner: IntArray = np.zeros(2, np.int64)
-        self.patches = resize(None, 256, 64)
+        super().__init__(particles, resolution, resize(None, 256, 64))
         self._scratch = Scratch.of(0, 0)
         self._steps = (update or UpdateConfig()).steps
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of patches and tables."""
-        return self.tables.nbytes + sum(a.nbytes for a in self.patches)
-
-    @property
-    def in_use(self) -> int:
-        """Patches that at least one map points at."""
-        return len(self.patches.owners) - int(self.patches.free[0])
-
-    def descend(self, parents: IntArray) -> None:
-        """Replace map i by a copy of the former map `parents[i]`; copies share their patches."""
-        self.tables = self.tables[parents]
-        owners = np.bincount(self.tables[self.tables != ABSENT].ravel(), minlength=len(self.patches.owners))
-        self.patches.owners[:] = owners
-        list_free(self.patches)
 
     def draw_scan(self, poses: FloatArray, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
         """Draw one scan into every map, each from its own pose.
@@ -77,7 +44,7 @@ class PatchMaps:
         """
         ends = np.concatenate((scan.hits, scan.free, scan.origin[None]))[:, :2]
         reach = float(np.sqrt((ends**2).sum(axis=1).max())) + 2 * self.resolution
-        window = self._cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
+        window = self.cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
         self._scratch, done = self._scratch.enough(window), 0
         while True:
             done, needed, records = enter_scans(
@@ -119,22 +86,6 @@ class PatchMaps:
         row0, col0 = self.corner * PATCH + (r[0], c[0])
         corner = Pose2(float(col0 * self.resolution), float(row0 * self.resolution))
         return OccupancyGrid(grid[r[0] : r[-1] + 1, c[0] : c[-1] + 1].copy(), self.resolution, corner)
-
-    def _cover(self, low: FloatArray, high: FloatArray) -> Window:
-        """Extend the tables by the box (x, y in meters); return its window."""
-        edge = PATCH * self.resolution
-        south, west = (math.floor(v / edge) for v in low[::-1])
-        north, east = (math.floor(v / edge) + 1 for v in high[::-1])
-        first, end = np.array((south, west)), np.array((north, east))
-        n, rows, cols = self.tables.shape
-        if rows:
-            first, end = np.minimum(first, self.corner), np.maximum(end, self.corner + np.array((rows, cols)))
-        if not rows or (end - first != (rows, cols)).any():
-            new = np.full((n, *(end - first)), ABSENT, np.int32)
-            r, c = self.corner - first if rows else (0, 0)
-            new[:, r : r + rows, c : c + cols] = self.tables
-            self.tables, self.corner = new, first
-        return Window(south - int(self.corner[0]), west - int(self.corner[1]), north - south, east - west)
 
 
 class PatchMapView(NamedTuple):

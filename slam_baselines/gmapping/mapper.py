@@ -142,7 +142,7 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
         # Until the start-up refinement is over, every scan is a link of the trajectory.
         if self.tracking.fits or (scan.leveled and not self.bootstrap.over):
             self._enter(scan, come)
-        particles.resample()
+        particles.resample_if_due()
 
     def _sample(self, scan: LeveledScan) -> None:
         """Draw new poses and weigh them; follow dead reckoning where it is not localizable."""

@@ -10,53 +10,37 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, IntArray
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
+from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagate
-from slam_baselines.gmapping.resampling import effective_number, normalize, systematic_resample
 from slam_baselines.gmapping.scan_matching import ScanBeams
-from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 from slam_baselines.motion.increment import MotionIncrement
 from slam_baselines.scan.leveling import ScanPoints
 
 
-class ParticleFilter:
+class ParticleFilter(Particles[PatchMaps]):
     """All particles.
 
     Attributes:
-        maps: of the particles.
-        tree: their paths.
         proposer: of new poses.
-        best: index of the particle with the largest total weight.
         turned: by the best particle from the last processed scan but one to the last, radians.
-        resamplings: number of resamplings.
     """
 
     def __init__(self, config: GmappingConfig) -> None:
-        n = config.particles
+        super().__init__(PatchMaps(config.particles, config.delta))
         self._config = config
         self._rng = np.random.default_rng(config.seed)
         self.proposer = Proposer(config)
-        self.maps = PatchMaps(n, config.delta)
-        self.tree = TrajectoryTree()
-        self.best = self.resamplings = 0
         self.turned = 0.0
-        self._poses = np.zeros((n, 3))
-        self._parents = np.arange(n)
-        self._log_weights, self._totals = np.zeros(n), np.zeros(n)
-
-    @property
-    def pose(self) -> Pose2:
-        """`T_map_base` of the best particle at the last processed scan."""
-        return Pose2(*self._poses[self.best].tolist())
 
     @property
     def trajectory(self) -> Trajectory:
         """Pose of every scan on the path of the best particle."""
-        return self.tree.trajectory(int(self._parents[self.best]))
+        return self.tree.trajectory(self.best_leaf)
 
     def known_slopes(self, points: FloatArray) -> ByteArray:
         """Return (n,) minimum slopes of the cells at points (n, 2 or more) of the best map."""
@@ -84,41 +68,25 @@ class ParticleFilter:
         before, self._poses = self._poses, proposal.poses
         self._log_weights += gain * proposal.log_eta
         self._totals += gain * proposal.log_eta
-        self.best = int(np.argmax(self._totals))
         self.turned = float(self._poses[self.best, 2] - before[self.best, 2])
 
     def follow(self, increment: MotionIncrement) -> None:
         """Move all particles by dead reckoning, without draws that no match could weigh."""
         self._poses = propagate(self._poses, increment.pose, increment.reckoned.covariance).poses
 
-    def add_generation(self, step: Pose2) -> None:
-        """Make the poses a generation of the tree, `step` by odometry after the one before."""
-        self.tree.add_generation(self._poses, self._parents, step)
-        self._parents = np.arange(len(self._poses))
-
     def insert_scan(self, points: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
         """Draw a scan into every map; arguments as of PatchMaps.draw_scan."""
         self.maps.draw_scan(self._poses, points, min_slopes, wall_slope)
 
-    def resample(self) -> None:
+    def resample_if_due(self) -> None:
         """Resample the particles if their effective number is low."""
-        weights = normalize(self._log_weights)
-        if effective_number(weights) < self._config.resampleThreshold * len(weights):
-            self.resamplings += 1
-            self._descend(systematic_resample(weights, self._rng))
+        self.resample(normalize(self._log_weights), self._config.resampleThreshold, self._rng)
 
     def restart(self, path: Sequence[Pose2], maps: PatchMaps) -> None:
         """Replace all paths by one and all maps by the one of `maps`."""
         n, poses = self._config.particles, np.array([pose.as_array() for pose in path])
         self.tree.rewrite(poses)
-        self._parents, self.best = np.zeros(n, np.int64), 0
+        self._parents = np.zeros(n, np.int64)
         maps.descend(self._parents)
         self.maps, self._poses = maps, np.tile(poses[-1], (n, 1))
         self._log_weights, self._totals = np.zeros(n), np.zeros(n)
-
-    def _descend(self, parents: IntArray) -> None:
-        self.maps.descend(parents)
-        self._poses, self._parents = self._poses[parents], self._parents[parents]
-        self._totals = self._totals[parents]
-        self._log_weights[:] = 0
-        self.best = int(np.argmax(self._totals))

@@ -1,4 +1,8 @@
-"""Patches of maps: 16 x 16 cells each, with separate records of hits.
+"""Patches of maps: 16 x 16 cells each, shared by the particles, with separate records of hits.
+
+Most of a particle's map was drawn before it split from its siblings and is the same as theirs. So a map is
+a table of patches; children get their parent's table, and a patch that several tables point at is copied by
+the first that draws into it. Memory grows with the differences.
 
 Most patches are free space, which needs a byte a cell. Where beams ended, eight more: these are kept for
 patches with a hit alone, so that a laser that sees far over open ground costs little.
@@ -6,12 +10,13 @@ patches with a hit alone, so that a laser that sees far over open ground costs l
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, ByteArray, Int32Array
+from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
 from lirs_wct.kernels import njit
 from slam_baselines.mapping.occupancy_map import UNKNOWN
 
@@ -53,6 +58,105 @@ class Patches(NamedTuple):
     top: NDArray[np.int16]
     free_records: Int32Array
 
+    def list_free(self) -> None:
+        """List the free patches and records; the lowest is taken first."""
+        owned = self.owners > 0
+        self.record[~owned] = ABSENT
+        recorded = np.zeros(len(self.hits), np.bool_)
+        recorded[self.record[self.record != ABSENT]] = True
+        _list_rows(self.free, owned)
+        _list_rows(self.free_records, recorded)
+
+
+class HitPatches(NamedTuple):
+    """All patches of all maps of hits, cells in row order.
+
+    Attributes:
+        counts: (p, 256) int32, how many beams ended in a cell.
+        sums: (p, 256, 2) float32, sum of the places where they ended, x and y in meters.
+        owners: (p,) int32, how many maps point at the patch; 0 = free.
+        free: (1 + p,) int32, how many patches are free, and then which.
+    """
+
+    counts: Int32Array
+    sums: Float32Array
+    owners: Int32Array
+    free: Int32Array
+
+    def list_free(self) -> None:
+        """List the free patches; the lowest is taken first."""
+        _list_rows(self.free, self.owners > 0)
+
+
+Kind = TypeVar("Kind", Patches, HitPatches)
+
+
+def _list_rows(free: Int32Array, taken: BoolArray) -> None:
+    """Fill `free` with the number of rows that are not taken, and their indices, the highest first."""
+    left = np.flatnonzero(~taken)[::-1]
+    free[0] = len(left)
+    free[1 : 1 + len(left)] = left
+
+
+class Window(NamedTuple):
+    """Window of the tables that a scan can reach: first row and column, rows, columns."""
+
+    row: int
+    col: int
+    rows: int
+    cols: int
+
+
+class PatchTables(Generic[Kind]):
+    """Maps of a set of particles over one growing lattice of cells.
+
+    Attributes:
+        resolution: edge of a cell, meters.
+        tables: (particles, rows, cols) int32, the patch at each place of each map.
+        corner: (2,) int64, row and column of the tables' first patch in the lattice of patches.
+        patches: targets of the tables.
+    """
+
+    def __init__(self, particles: int, resolution: float, patches: Kind) -> None:
+        self.resolution = resolution
+        self.tables: Int32Array = np.empty((particles, 0, 0), np.int32)
+        self.corner: IntArray = np.zeros(2, np.int64)
+        self.patches: Kind = patches
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of patches and tables."""
+        return int(self.tables.nbytes + sum(array.nbytes for array in self.patches))
+
+    @property
+    def in_use(self) -> int:
+        """Patches that at least one map points at."""
+        return len(self.patches.owners) - int(self.patches.free[0])
+
+    def descend(self, parents: IntArray) -> None:
+        """Replace map i by a copy of the former map `parents[i]`; copies share their patches."""
+        self.tables = self.tables[parents]
+        owners = np.bincount(self.tables[self.tables != ABSENT], minlength=len(self.patches.owners))
+        self.patches.owners[:] = owners
+        self.patches.list_free()
+
+    def cover(self, low: FloatArray, high: FloatArray) -> Window:
+        """Extend the tables by the box (x, y in meters); return its window."""
+        edge = PATCH * self.resolution
+        south, west = (math.floor(v / edge) for v in low[::-1])
+        north, east = (math.floor(v / edge) + 1 for v in high[::-1])
+        first: IntArray = np.array((south, west))
+        end: IntArray = np.array((north, east))
+        n, rows, cols = self.tables.shape
+        if rows:
+            first, end = np.minimum(first, self.corner), np.maximum(end, self.corner + np.array((rows, cols)))
+        if not rows or (end - first != (rows, cols)).any():
+            new = np.full((n, *(end - first)), ABSENT, np.int32)
+            r, c = self.corner - first if rows else (0, 0)
+            new[:, r : r + rows, c : c + cols] = self.tables
+            self.tables, self.corner = new, first
+        return Window(south - int(self.corner[0]), west - int(self.corner[1]), north - south, east - west)
+
 
 def resize(old: Patches | None, patches: int, records: int) -> Patches:
     """Return patches and records of the given numbers; the first are the old ones."""
@@ -74,7 +178,7 @@ def resize(old: Patches | None, patches: int, records: int) -> Patches:
             getattr(new, name)[:patches] = getattr(old, name)[:patches]
         for name in ("hits", "mean", "min_slope", "top"):
             getattr(new, name)[:records] = getattr(old, name)[:records]
-    list_free(new)
+    new.list_free()
     return new
 
 
@@ -92,18 +196,6 @@ def reserve_patches(patches: Patches, needed: int, records: int) -> Patches:
     if more == [0, 0]:
         return patches
     return resize(patches, len(patches.owners) + more[0], len(patches.hits) + more[1])
-
-
-def list_free(patches: Patches) -> None:
-    """List the free patches and records; the lowest is taken first."""
-    owned = patches.owners > 0
-    patches.record[~owned] = ABSENT
-    recorded = np.zeros(len(patches.hits), np.bool_)
-    recorded[patches.record[patches.record != ABSENT]] = True
-    for free, taken in ((patches.free, owned), (patches.free_records, recorded)):
-        left = np.flatnonzero(~taken)[::-1]
-        free[0] = len(left)
-        free[1 : 1 + len(left)] = left
 
 
 @njit(cache=True, nogil=True)

@@ -30,8 +30,6 @@ from slam_baselines.gmapping.scan_matching import (
     OdometryPrior,
     ScanBeams,
     Tuning,
-    between,
-    compose,
     find_peak,
     invalidate,
     log_prior,
@@ -39,6 +37,7 @@ from slam_baselines.gmapping.scan_matching import (
     near_beams,
     score,
 )
+from slam_baselines.linalg import between, compose
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,6 +21,7 @@ from slam_baselines.gmapping.patches import (
     MEAN_MEMORY,
     MEAN_STEPS,
     PATCH,
+    Window,
     new_record,
     own_patch,
     space_needed,
@@ -32,15 +33,6 @@ NEW, PASSED, WALL, DONE = 0, 1, 2, 4
 
 Bits: a beam adds PASSED whatever the mark, and a cell that bears no other is lowered.
 """
-
-
-class Window(NamedTuple):
-    """Window of the tables that a scan can reach: first row and column, rows, columns."""
-
-    row: int
-    col: int
-    rows: int
-    cols: int
 
 
 class Scratch(NamedTuple):

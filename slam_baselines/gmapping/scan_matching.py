@@ -13,7 +13,7 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import ABSENT, BITS, MASK, MEAN_STEPS
-from slam_baselines.linalg import solve3
+from slam_baselines.linalg import pose_difference, solve3
 from slam_baselines.mapping.occupancy_map import UNKNOWN
 
 SAME_PEAK = 0.05
@@ -65,7 +65,7 @@ def score(view: Any, near: Any, pose: Any, tuning: Any) -> Any:
 @njit(cache=True, nogil=True)
 def log_prior(pose: Any, prior: Any) -> Any:
     """Return the logarithm of the odometry's density at a pose, up to a constant."""
-    d = _difference(pose, prior.pose)
+    d = pose_difference(pose, prior.pose)
     return -0.5 * (d @ (prior.information @ d))
 
 
@@ -83,7 +83,7 @@ def match(view: Any, near: Any, prior: Any, start: Any, tuning: Any, H: Any) -> 
         width = wider * (tuning.sigma / view.resolution)
         for _ in range(tuning.iterations):
             linearize(view, walls, pose, width, H, g)
-            pull = prior.information @ _difference(pose, prior.pose)
+            pull = prior.information @ pose_difference(pose, prior.pose)
             # Not in array expressions, each of which Numba would compile as a kernel.
             for i in range(3):
                 g[i] = g[i] / variance - pull[i]
@@ -219,30 +219,6 @@ def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float)
                         for j in range(col - 1, col + 2):
                             walls[i, j] = max(walls[i, j], 1)
     return walls, row0, col0
-
-
-@njit(cache=True, nogil=True)
-def compose(pose: Any, by: Any) -> Any:
-    """Return pose @ by, all (3,)."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
-
-
-@njit(cache=True, nogil=True)
-def between(a: Any, b: Any) -> Any:
-    """Return a^-1 @ b, all (3,)."""
-    c, s = np.cos(a[2]), np.sin(a[2])
-    dx, dy = b[0] - a[0], b[1] - a[1]
-    return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
-
-
-@njit(cache=True, nogil=True)
-def _difference(pose: Any, other: Any) -> Any:
-    d = np.empty(3)
-    for i in range(3):
-        d[i] = pose[i] - other[i]
-    d[2] = (d[2] + np.pi) % (2 * np.pi) - np.pi
-    return d
 
 
 NOTHING = 0.5

@@ -33,8 +33,6 @@ from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 BLOCK_BITS = 3
 """A block is 8 x 8 cells of the upper bound."""
-
-
 Limits = tuple[float, float]
 """Slopes below the first, and those from the second on, may be returned as equal, SLOPE_STEP."""
 IN_FULL: Limits = (0.0, 255.0)
@@ -175,10 +173,7 @@ class GroundFilter:
     def __init__(self, config: GroundFilterConfig | None = None) -> None:
         self.config = config or GroundFilterConfig()
         self.grid = GrowingGrid(self.config.resolution, {"upper_bound": (np.float32, np.inf)})
-        self.height = 0.0
-        self.distance_traveled = 0.0
-        self.tilt = 0.0
-        self.drift = 0.0
+        self.height = self.distance_traveled = self.tilt = self.drift = 0.0
         self._slope: tuple[float, float] | None = None
         self._neighbors = neighbors_of(self.config.resolution)
         self._take_over()
@@ -200,8 +195,7 @@ class GroundFilter:
         self._slope = 0.8 * x + 0.2 * scan.ground_slope[0], 0.8 * y + 0.2 * scan.ground_slope[1]
         self.tilt = max(self.tilt, math.atan(math.hypot(*self._slope)))
         if step > STANDSTILL:
-            tilting = math.dist((x, y), self._slope)
-            grade = math.hypot(*self._slope)
+            tilting, grade = math.dist((x, y), self._slope), math.hypot(*self._slope)
             slip = 0.0 if registered else min(1.0, (grade / math.tan(c.slip_slope)) ** 2)
             self.drift += (c.drift + grade * slip) * step
             self.drift += c.tilt_lever * max(0.0, tilting - 0.2 * c.attitude_error)
@@ -229,7 +223,7 @@ class GroundFilter:
     def insert(self, scan: LeveledScan, pose: Pose2) -> tuple[ScanPoints, ByteArray]:
         """Observe a scan; return it in the map frame, and its hits' (n,) minimum slopes."""
         placed = scan.transformed(pose, self.height)
-        return placed, self.observe(placed, pose) if scan.leveled else self.no_min_slope(len(placed.hits))
+        return placed, self.observe(placed, pose) if scan.leveled else np.zeros(len(placed.hits), np.uint8)
 
     def observe(self, scan: ScanPoints, base: Pose2) -> ByteArray:
         """Lower the upper bound by a scan; return the (n,) minimum slopes of its hits.
@@ -246,7 +240,7 @@ class GroundFilter:
         lower_along_beams(self._upper_bound, scan.origin, scan.hits, True, near, far)
         lower_along_beams(self._upper_bound, scan.origin, scan.free, False, near, far)
         self._stand(base)
-        return self._raise_slopes(self.no_min_slope(len(scan.hits)), scan.origin, scan.hits, IN_MAP, base)
+        return self._raise_slopes(np.zeros(len(scan.hits), np.uint8), scan.origin, scan.hits, IN_MAP, base)
 
     def min_slopes(
         self,
@@ -269,11 +263,11 @@ class GroundFilter:
             limits: slopes below the first, and those from the second on, may be returned as equal, which is
                 faster.
         """
-        slopes = self.no_min_slope(len(scan.hits)) if known is None else known.copy()
+        slopes = np.zeros(len(scan.hits), np.uint8) if known is None else known.copy()
         if self.match_wall_slope == 0:
             return slopes
         height = self.height if height is None else height
-        cells = NOT_DRAWN if drawn is None else _drawn_slopes(drawn)
+        cells = NOT_DRAWN if drawn is None else DrawnSlopes(drawn.layers.min_slope, drawn.frame)
         T = pose.x, pose.y, pose.yaw, height
         return self._raise_slopes(slopes, scan.origin, scan.hits, T, pose, limits, cells)
 
@@ -310,10 +304,10 @@ class GroundFilter:
             every = np.arange(256, dtype=np.uint8)
             self._weights = wall_slope, self.graded_weights(every, wall_slope)
         limits = limits_for_weights(wall_slope, self.config.full_weight_slope)
-        slopes, T = self.no_min_slope(len(scan.hits)), (pose.x, pose.y, pose.yaw, self.height)
-        weights: FloatArray = self._weights[1].take(
-            self._raise_slopes(slopes, scan.origin, scan.hits, T, pose, limits, _drawn_slopes(drawn))
-        )
+        slopes, T = np.zeros(len(scan.hits), np.uint8), (pose.x, pose.y, pose.yaw, self.height)
+        cells = DrawnSlopes(drawn.layers.min_slope, drawn.frame)
+        slopes = self._raise_slopes(slopes, scan.origin, scan.hits, T, pose, limits, cells)
+        weights: FloatArray = self._weights[1].take(slopes)
         return weights
 
     def graded_weights(self, min_slopes: ByteArray, wall_slope: int) -> FloatArray:
@@ -359,11 +353,6 @@ class GroundFilter:
         cells = g.layers["upper_bound"]
         frame = np.array((g.row0, g.col0, g.resolution))
         self._upper_bound = UpperBound(cells, blocks_of(cells), frame, self._neighbors)
-
-    @staticmethod
-    def no_min_slope(n: int) -> ByteArray:
-        """Return n minimum slopes of 0, for hits of unknown height."""
-        return np.zeros(n, np.uint8)
 
 
 def neighbors_of(resolution: float) -> Neighbors:
@@ -424,10 +413,9 @@ def raise_min_slopes(
         drawn: minimum slopes of a map's cells.
         slopes: (n,) minimum slopes of the hits known before; raised in place, SLOPE_STEP.
     """
-    cells, blocks, frame, neighbors = upper_bound
     layer, known = drawn
     x0, y0, yaw, z0 = pose
-    c, s, res = np.cos(yaw), np.sin(yaw), frame[2]
+    c, s, res = np.cos(yaw), np.sin(yaw), upper_bound.frame[2]
     laser_x, laser_y = x0 + c * origin[0] - s * origin[1], y0 + s * origin[0] + c * origin[1]
     laser_z = z0 + origin[2]
     # Half a step is more than any rounding.
@@ -447,26 +435,17 @@ def raise_min_slopes(
         dx, dy, rise = x - ground[0], y - ground[1], z - ground[2]
         if rise > best * (max(abs(dx), abs(dy)) + res):
             best = max(best, rise / (np.hypot(dx, dy) + res))
-        best = _steepest(cells, blocks, frame, neighbors, x, y, z - margins.old, best, most)
+        best = _steepest(upper_bound, x, y, z - margins.old, best, most)
         slopes[i] = max(slopes[i], np.uint8(min(best / SLOPE_STEP, 255.0)))
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _steepest(
-    cells: Any,
-    blocks: Any,
-    frame: Any,
-    neighbors: Any,
-    x: float,
-    y: float,
-    z: float,
-    best: float,
-    most: float,
-) -> float:
+def _steepest(upper_bound: Any, x: float, y: float, z: float, best: float, most: float) -> float:
     """Return the largest rise over run from cells around (x, y) to z.
 
     It is at least `best`, and exact up to `most`.
     """
+    cells, blocks, frame, neighbors = upper_bound
     rows, cols = cells.shape
     cell, distance, close, close_reach, reach = neighbors
     row, col = int(np.floor(y / frame[2] - frame[0])), int(np.floor(x / frame[2] - frame[1]))
@@ -499,11 +478,6 @@ def _lowest(blocks: Any, row: int, col: int, reach: int) -> Any:
         for c in range((col - reach) >> BLOCK_BITS, ((col + reach) >> BLOCK_BITS) + 1):
             lowest = min(lowest, blocks[np.uintp(r), np.uintp(c)])
     return lowest
-
-
-def _drawn_slopes(drawn: OccupancyMap) -> DrawnSlopes:
-    """Return the minimum slopes of a map's cells."""
-    return DrawnSlopes(drawn.layers.min_slope, drawn.frame)
 
 
 @njit(cache=True, nogil=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from filterpy.monte_carlo import systematic_resample as filterpys
 
-from slam_baselines.gmapping.resampling import systematic_resample
+from slam_baselines.gmapping.particles import systematic_resample
 
 
 @pytest.mark.parametrize("seed", range(20))

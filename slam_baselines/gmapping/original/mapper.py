@@ -17,8 +17,12 @@ from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.gmapping.original.config import GmappingOriginalConfig
-from slam_baselines.gmapping.original.particles import OriginalParticles
+from slam_baselines.gmapping.original.drand48 import Drand48
+from slam_baselines.gmapping.original.hit_maps import HitMaps
 from slam_baselines.gmapping.original.path_map import ProcessedScan, path_map
+from slam_baselines.gmapping.original.scan_matcher import match_scan
+from slam_baselines.gmapping.particles import Particles, normalize
+from slam_baselines.linalg import compose_poses
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 from slam_baselines.mapping.keyframe import KeyframeTrajectory
 
@@ -121,6 +125,59 @@ class GmappingOriginalMapper:
         self._particles.process_scan(kept.ends[kept.hits], increment)
         self._best, self._processed_at = self._particles.pose, now
         self._distance = self._turn = 0.0
+
+
+class OriginalParticles(Particles[HitMaps]):
+    """Particles with noisy motion, matched by a hill climb against maps of hits."""
+
+    def __init__(self, config: GmappingOriginalConfig) -> None:
+        super().__init__(HitMaps(config.particles, config.delta))
+        self._config = config
+        self._rng = Drand48(config.seed)
+
+    @property
+    def path(self) -> FloatArray:
+        """(generations, 3) poses of the best particle at the processed scans."""
+        return self.tree.path(self.best_leaf)
+
+    def move(self, delta: Pose2) -> None:
+        """Move every particle by the odometry since the last scan, with independent noise."""
+        c, x, y, turn = self._config, abs(delta.x), abs(delta.y), abs(delta.yaw)
+        across = 0.3 * c.srr
+        sigma = np.array(
+            (
+                c.srr * x + c.str * turn + across * y,
+                c.srr * y + c.str * turn + across * x,
+                c.stt * turn + c.srt * float(np.hypot(x, y)),
+            )
+        )
+        noise = np.zeros((len(self._poses), 3))
+        # The original draws no number where there is nothing to scatter.
+        scattered = sigma > 0
+        noise[:, scattered] = self._rng.standard_normal((len(noise), int(scattered.sum()))) * sigma[scattered]
+        self._poses = compose_poses(self._poses, delta.as_array() + noise)
+
+    def process_scan(self, ends: FloatArray, increment: Pose2) -> None:
+        """Match and weigh, resample where due, and register the scan.
+
+        Args:
+            ends: (n, 2) of beams in the base frame, meters.
+            increment: `T_processed_now` by odometry since the scan processed before.
+        """
+        c = self._config
+        if self.tree.generations:
+            self._match(ends)
+            gain = 1 / (c.ogain * len(self._poses))
+            self.resample(normalize(gain * self._log_weights), c.resampleThreshold, self._rng)
+        self.maps.register_scan(self._poses, ends)
+        self.add_generation(increment)
+
+    def _match(self, ends: FloatArray) -> None:
+        parameters = self._config.matching
+        for k, expected in enumerate(self._poses):
+            self._poses[k], log_likelihood = match_scan(self.maps[k], expected, ends, parameters)
+            self._log_weights[k] += log_likelihood
+            self._totals[k] += log_likelihood
 
 
 def _logged_pose(pose: Pose2) -> Pose2:

@@ -9,7 +9,8 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.kernels import njit
-from slam_baselines.gmapping.original.hit_maps import BITS, MASK, HitMap, cell_of
+from slam_baselines.gmapping.original.hit_maps import HitMap, cell_of
+from slam_baselines.gmapping.patches import BITS, MASK
 
 NULL_LIKELIHOOD = -0.5
 """Squared meters (negative) that a beam without a hit in its neighborhood counts as."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam_baselines.gmapping.resampling import effective_number, normalize, systematic_resample
+from slam_baselines.gmapping.particles import effective_number, normalize, systematic_resample
 
 
 def test_effective_number_of_equal_and_of_one() -> None:
