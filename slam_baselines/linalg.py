@@ -111,7 +111,7 @@ def relative_poses(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:
-    """Rotate a covariance or information (3, 3) of x, y, yaw into the axes of a frame."""
+    """Rotate a covariance or information (3, 3) of a pose into a frame's axes."""
     c, s = math.cos(frame.yaw), math.sin(frame.yaw)
     R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
     return np.asarray(R @ matrix @ R.T, dtype=np.float64)

@@ -238,7 +238,7 @@ def evaluate_collisions(simulation: Simulation) -> dict[str, Any]:
 
 
 def evaluate_scans(world: World, log: DriveLog) -> dict[str, Any]:
-    """Count returns and hits on walls of a planar mapper's scans; empty for a mapper of point clouds."""
+    """Count returns and wall hits of a planar mapper's scans; empty for point clouds."""
     if log.spatial:
         return {}
     chosen = np.unique(np.linspace(0, len(log.truth) - 1, COUNTED_SCANS).round().astype(int)).tolist()

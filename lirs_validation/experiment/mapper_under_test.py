@@ -179,7 +179,7 @@ class MapperUnderTest:
         """Release the mapper's resources."""
 
     def _ask(self, part: str) -> Any:
-        """Return a part of the mapper: the result of a method, or the value of a property."""
+        """Return the result of a method or the value of a property of the mapper."""
         try:
             value = getattr(self._mapper, part)
             return value() if part in METHODS else value

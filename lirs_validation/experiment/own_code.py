@@ -71,7 +71,7 @@ def make_own(maker: Callable[..., Any], offered: Mapping[str, Any], name: str, w
 
 
 def own_source_file(name: str) -> Path | None:
-    """Return the file of the module in `module:name`, without importing it; None = a built-in name."""
+    """Return the file of the module in `module:name`; None = a built-in name."""
     if ":" not in name:
         return None
     folders, found = [str(Path.cwd()), *sys.path], None

@@ -155,7 +155,7 @@ class LocalSlam(ScanToMapFrontEnd[Node]):
         self._filter.correct_pose(pose)
 
     def _register(self, final: Node, node: Node, later: Node | None, last: PoseEstimate) -> PoseEstimate:
-        """Return a node's estimate in the submap so far; draw it there unless it is the final one."""
+        """Return a node's estimate in the submap; draw it unless it is the final one."""
         estimate, wall_slope = last, self.ground_filter.match_wall_slope
         if later is not None:
             back = PoseEstimate(later.motion.pose.inverse(), later.motion.covariance)
@@ -172,7 +172,7 @@ class LocalSlam(ScanToMapFrontEnd[Node]):
         return estimate
 
     def _known_walls(self, node: Node, pose: Pose2, limits: Limits = IN_FULL) -> tuple[ScanPoints, ByteArray]:
-        """Return a node's scan in the local frame and the present minimum slopes of its hits."""
+        """Return a node's scan in the local frame and its hits' present minimum slopes."""
         known = node.min_slopes
         slopes = self.ground_filter.min_slopes(node.scan, pose, node.height, known=known, limits=limits)
         return node.scan.transformed(pose, node.height), slopes

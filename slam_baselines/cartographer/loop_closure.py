@@ -199,7 +199,7 @@ class ConstraintBuilder:
     def _search_window(
         self, submap: Submap, points: FloatArray, start: FloatArray, window: SearchWindow
     ) -> FloatArray | None:
-        """Search a window; None if no pose fits or, as in a corridor, two fit equally well."""
+        """Search a window; None if no pose fits, or two fit equally well."""
         c = self.config
         min_score = c.min_score + (c.global_min_score - c.min_score) * window.linear / c.linear_search_window
         best = branch_and_bound(submap.bounds, points, start, window, min_score, c.max_search_nodes)

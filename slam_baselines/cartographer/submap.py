@@ -49,7 +49,7 @@ class Tracers:
         self._levels = [RayTracer(config.resolution * 2**level) for level in range(config.levels)]
 
     def trace(self, scan: ScanPoints) -> TracedScan:
-        """Return the traces of a scan in the local frame on each level; void after the next."""
+        """Return a scan's traces in the local frame on each level; void after the next."""
         box = bounding_box(scan)
         return TracedScan([level.trace(scan, box) for level in self._levels], box)
 

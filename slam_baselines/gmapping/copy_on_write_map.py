@@ -64,7 +64,7 @@ class PatchMaps(PatchTables[Patches]):
         return PatchMapView(self.tables[particle], self.corner, self.patches, self.resolution, wall_slope)
 
     def min_slope(self, particle: int, points: FloatArray) -> ByteArray:
-        """Return (n,) minimum slopes of the cells at points (n, 2 or more) of the map."""
+        """Return (n,) minimum slopes of the map's cells at points (n, 2 or more)."""
         out = np.zeros(len(points), np.uint8)
         look_up(self.view(particle, 0), points, out)
         return out

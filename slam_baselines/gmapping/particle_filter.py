@@ -43,7 +43,7 @@ class ParticleFilter(Particles[PatchMaps]):
         return self.tree.trajectory(self.best_leaf)
 
     def known_slopes(self, points: FloatArray) -> ByteArray:
-        """Return (n,) minimum slopes of the cells at points (n, 2 or more) of the best map."""
+        """Return (n,) minimum slopes of the best map's cells at points (n, 2 or more)."""
         return self.maps.min_slope(self.best, points)
 
     def match_best(

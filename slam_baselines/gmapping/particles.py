@@ -83,7 +83,7 @@ class Particles(Generic[Maps]):
         self._parents = np.arange(len(self._poses))
 
     def resample(self, weights: FloatArray, threshold: float, rng: UniformSource) -> None:
-        """Resample the particles if the effective number by weights (n,) is below a share of them."""
+        """Resample the particles if their effective number is below a share of all."""
         if effective_number(weights) >= threshold * len(weights):
             return
         self.resamplings += 1

@@ -1,4 +1,4 @@
-"""Patches of maps: 16 x 16 cells each, shared by the particles, with separate records of hits.
+"""Patches of 16 x 16 map cells, shared by the particles, with separate hit records.
 
 Most of a particle's map was drawn before it split from its siblings and is the same as theirs. So a map is
 a table of patches; children get their parent's table, and a patch that several tables point at is copied by
@@ -92,7 +92,7 @@ Kind = TypeVar("Kind", Patches, HitPatches)
 
 
 def _list_rows(free: Int32Array, taken: BoolArray) -> None:
-    """Fill `free` with the number of rows that are not taken, and their indices, the highest first."""
+    """Fill `free` with the number of free rows and their indices, the highest first."""
     left = np.flatnonzero(~taken)[::-1]
     free[0] = len(left)
     free[1 : 1 + len(left)] = left

@@ -172,7 +172,7 @@ def _mark_walls(site: Any, scratch: Any, wall_slope: int) -> None:
 
 @njit(cache=True, nogil=True)
 def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, spared: int) -> None:
-    """Mark the cells from the laser to the beams' ends as passed, except the last steps.
+    """Mark the cells along the beams as passed, except the last steps.
 
     Two spared steps spare the cell in which a beam ends, since they are as long as it at least.
     """

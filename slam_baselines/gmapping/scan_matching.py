@@ -189,7 +189,7 @@ def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
 
 @njit(cache=True, nogil=True)
 def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float) -> Any:
-    """Return a coarse map (rows, cols) of walls, and the row and column of its first cell.
+    """Return a coarse map (rows, cols) of walls, and its first cell's row and column.
 
     Cells are 2 on walls, 1 next to them, 0 elsewhere. The map covers the reach of beams around a pose.
     """
@@ -277,7 +277,7 @@ class NearWalls(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Walls around the ends of all beams, and in a wider area for the coarse stage's beams."""
+    """Walls around the ends of all beams, and in a wider area for coarse beams."""
 
     fine: NearWalls
     coarse: NearWalls
@@ -449,7 +449,7 @@ def log_likelihood(view: Any, near: Any, pose: Any, lsigma: float, width: float)
 
 @njit(cache=True, nogil=True)
 def linearize(view: Any, near: Any, pose: Any, width: float, H: Any, g: Any) -> Any:
-    """Fill H (3, 3) and g (3,) of a Gauss-Newton step of the beams' ends toward the walls.
+    """Fill H (3, 3) and g (3,) of a Gauss-Newton step toward the walls.
 
     In units of one over the variance of a beam.
 

@@ -180,7 +180,7 @@ class GroundFilter:
         self._weights: tuple[int, FloatArray] = -1, np.empty(0)
 
     def move(self, delta: Pose2, scan: LeveledScan, *, registered: bool = True) -> None:
-        """Update height, tilt and drift by a step of the base on ground as steep as its tilt.
+        """Update height, tilt and drift by a step on ground as steep as the tilt.
 
         Args:
             delta: `T_before_now`.
@@ -207,7 +207,7 @@ class GroundFilter:
 
     @property
     def wall_slope(self) -> int:
-        """Minimum slope from which on a hit is drawn as a wall, SLOPE_STEP; 0 on a floor."""
+        """Minimum slope of hits that are drawn as walls, SLOPE_STEP; 0 on a floor."""
         return 0 if self.flat else round(math.tan(self.config.wall_slope) / SLOPE_STEP)
 
     @property

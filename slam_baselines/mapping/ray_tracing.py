@@ -22,7 +22,7 @@ COLUMN = (1 << BITS) - 1
 
 
 class Trace(NamedTuple):
-    """Numbers in a window of the cells that a scan meets; void after the next trace.
+    """Window numbers of the cells that a scan meets; void after the next trace.
 
     Attributes:
         corner: lattice row and column of the window.

@@ -47,7 +47,7 @@ class SearchConfig:
 
 
 class _Cells(NamedTuple):
-    """Map level: (rows, cols) values, lattice row and column of cell (0, 0), cell size in meters."""
+    """Map level: values, lattice row and column of cell (0, 0), cell size in meters."""
 
     value: ByteArray
     row0: int

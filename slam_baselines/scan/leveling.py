@@ -106,7 +106,7 @@ class ScanLeveler:
 
 
 class RangeLimits(NamedTuple):
-    """Ranges of the nearest and farthest hit, and of the free part of a beam without return, meters."""
+    """Ranges in meters: nearest hit, farthest hit, free part of a beam without return."""
 
     nearest: float
     farthest: float

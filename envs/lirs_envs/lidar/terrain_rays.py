@@ -139,7 +139,7 @@ def inverse(slope: float) -> float:
 
 @njit(cache=True, error_model="numpy", forceinline=True)
 def clip(o: float, per: float, low: float, high: float, t0: float, t1: float) -> tuple[float, float]:
-    """Return the part of [t0, t1] in which low <= o + t / per <= high.
+    """Return the part of [t0, t1] with low <= o + t / per <= high.
 
     It is empty when its start is after its end.
 

@@ -186,7 +186,7 @@ def _add_tile(spec: mujoco.MjSpec, name: str, material: str, tile: TriangleMesh)
 
 
 def _with_creases(mesh: TriangleMesh) -> TriangleMesh:
-    """Return a mesh with vertices split along sharp edges, so that each side is shaded separately."""
+    """Return a mesh with vertices split along sharp edges, for separate shading of each side."""
     shared = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     split = trimesh.graph.smooth_shade(shared, angle=CREASE)
     return TriangleMesh(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32))

@@ -63,7 +63,7 @@ class SeenGround:
         self.cells[i] = self.wanted_cells[i] = 0
 
     def add(self, rows: IntArray, ranges: Float32Array, range_max: float, T_world_base: FloatArray) -> None:
-        """Mark the cells seen by the beams of robots; a beam without return sees its full range.
+        """Mark the cells below robots' beams as seen; without return, over the full range.
 
         Args:
             rows: rows of the robots.
@@ -130,7 +130,7 @@ def mark_seen(
     ranges: Float32Array,
     range_max: float,
 ) -> tuple[int, int]:
-    """Mark the cells below a beam as seen; return the numbers of new and wanted cells.
+    """Mark the cells below a beam as seen; count new and wanted cells.
 
     The ceiling of a seen cell becomes -inf.
 

@@ -1,4 +1,4 @@
-"""Usable ground of a world: free areas of a robot, and the ground to be seen."""
+"""Usable ground of a world: free areas of a robot, and ground to see."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maps of hits of all particles: number and mean of the beams' ends in each cell.
+"""Maps of hits of all particles: count and mean of beams' ends by cell.
 
 The original matches scans against them. As there, cell (0, 0) has its center in the origin.
 """
@@ -83,7 +83,7 @@ def cell_of(x: float, delta: float) -> int:
 
 @njit(cache=True, nogil=True)
 def _register(tables: Any, corner: Any, patches: Any, delta: float, poses: Any, ends: Any, first: int) -> int:
-    """Add a scan to the maps from `first` on; return the number done when patches run out."""
+    """Add a scan to the maps from `first` on, until patches run out; return the number done."""
     for k in range(first, len(poses)):
         if patches.free[0] < len(ends):
             return k

@@ -1,4 +1,4 @@
-"""Scan matcher of the original: a hill climb over x, y and yaw, and its likelihood."""
+"""Scan matcher of the original: hill climb over x, y and yaw, and likelihood."""
 
 from __future__ import annotations
 
