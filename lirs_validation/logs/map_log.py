@@ -9,8 +9,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
-from lirs_validation.config import Attitude, MapConfig
+from lirs_validation.config import MapConfig
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
 from lirs_validation.logs.cloud_replay import horizontal_map, replay_clouds
@@ -30,6 +31,7 @@ from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import is_bag_file
 from lirs_wct.geometry.scan import Imu
+from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions
@@ -38,66 +40,25 @@ from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
 
 
 def map_log(
-    log: str | Path,
-    *,
-    mapper: str = "cartographer",
-    seed: int = 1,
-    particles: int | None = None,
-    resolution: float | None = None,
-    fov: float | None = None,
-    range_max: float | None = None,
-    relations: str | Path | None = None,
-    reference: str | Path | None = None,
-    imu: str | Path | None = None,
-    attitude: Attitude = "imu",
-    scan_topic: str | None = None,
-    odom_topic: str | None = None,
-    imu_topic: str | None = None,
-    reference_topic: str | None = None,
-    out: str | Path | None = None,
-    progress: Progress = no_progress,
+    log: str | Path, *, out: str | Path | None = None, progress: Progress = no_progress, **map_options: Any
 ) -> MappedLog:
     """Map a CARMEN log or a ROS bag.
 
+    >>> map_log("intel.clf.gz", mapper="hector", relations="intel.relations.gz")  # doctest: +SKIP
+
     Args:
         log: path of a .clf or .log file, gzipped or not, or of a bag.
-        mapper: name of the mapper, or `module:name` of your own.
-        seed: of its random numbers; same seed, same bytes.
-        particles: of gmapping; None = its own number.
-        resolution: edge of a cell, meters; None = the mapper's own.
-        fov: field of view of the laser, degrees; None = as the log says.
-        range_max: ranges from here on are no return, meters; None = as the log says.
-        relations: file of relations that are known to be true; the record then holds the accuracy.
-        reference: a reference trajectory (TUM, bag, or CARMEN log of corrected poses); the same.
-        imu: file of inertial readings at the scans, as a run records them; None = there are none.
-        attitude: `imu` gives the mapper the readings, `none` does not.
-        scan_topic: of a bag: where the scans are; None = the only topic of scans.
-        odom_topic: of a bag: where the odometry is; None = the only topic of odometry, else /tf.
-        imu_topic: of a bag: where inertial readings are; None = they are left alone.
-        reference_topic: of a reference that is a bag: where its poses are.
         out: folder that receives the map's folder; None = nothing is written.
         progress: of the mapping.
+        **map_options: fields of `MapConfig`: mapper, seed, particles, resolution, fov, range_max, relations,
+            reference, imu, attitude, scan_topic, odom_topic, imu_topic, reference_topic.
 
     Raises:
         WctError: a file, a name or an option cannot be used, or results cannot be written.
     """
-    config = MapConfig(
-        log=str(log),
-        mapper=mapper,
-        seed=seed,
-        particles=particles,
-        resolution=resolution,
-        fov=fov,
-        range_max=range_max,
-        relations=None if relations is None else str(relations),
-        reference=None if reference is None else str(reference),
-        imu=None if imu is None else str(imu),
-        attitude=attitude,
-        scan_topic=scan_topic,
-        odom_topic=odom_topic,
-        imu_topic=imu_topic,
-        reference_topic=reference_topic,
-    )
+    check_names(MapConfig, map_options)
+    texts = {name: str(value) for name, value in map_options.items() if isinstance(value, Path)}
+    config = MapConfig(log=str(log), **map_options | texts)
     return run_mapping(config, out=None if out is None else Path(out), progress=progress)
 
 

@@ -87,4 +87,4 @@ def test_readings_that_do_not_fit_are_refused(recorded: Path) -> None:
     with pytest.raises(SourceError, match=r"^nothing.csv.gz: cannot be read: No such file"):
         map_log(log, mapper="hector", imu="nothing.csv.gz")
     with pytest.raises(ConfigError, match="unknown attitude 'some'; legal: imu, none"):
-        map_log(log, attitude="some")  # type: ignore[arg-type]
+        map_log(log, attitude="some")

@@ -203,7 +203,12 @@ BAD = {
 def test_bad_options_are_told_before_the_log_is_read(case: str) -> None:
     options, kind, expected = BAD[case]
     with pytest.raises(kind, match=re.escape(expected)):
-        map_log("not there.clf", **options)  # type: ignore[arg-type]
+        map_log("not there.clf", **options)
+
+
+def test_an_unknown_option_is_named_with_the_legal_ones() -> None:
+    with pytest.raises(ConfigError, match=r"^unknown option 'particle'.*particles"):
+        map_log("not there.clf", particle=5)
 
 
 @pytest.mark.shared
