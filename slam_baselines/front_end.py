@@ -14,8 +14,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry import Imu, LaserScan, Pose2, wrap_angle
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilter

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from lirs_wct.kernels import njit
 
 

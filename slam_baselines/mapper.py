@@ -13,11 +13,7 @@ from typing import Any, NamedTuple, Protocol, TypedDict, TypeGuard
 import numpy as np
 
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, PointCloud, Pose2, Pose3, Trajectory
 
 
 class Method(NamedTuple):

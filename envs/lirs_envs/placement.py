@@ -10,7 +10,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.field_validators import is_finite
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry import Pose2, Pose3
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 

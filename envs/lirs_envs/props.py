@@ -12,7 +12,7 @@ import mujoco
 from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import is_finite
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry import Pose2, Pose3
 from lirs_wct.world import World
 
 PROP_GROUP = 1

@@ -19,8 +19,8 @@ from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, surface_itself
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.mjcf import world_spec, write_heights
+from lirs_wct.geometry import Pose3
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose3
 from lirs_wct.world import World
 
 FULL_STATE = mujoco.mjtState.mjSTATE_INTEGRATION

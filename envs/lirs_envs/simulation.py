@@ -23,8 +23,8 @@ from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.field_validators import require_seed
+from lirs_wct.geometry import Pose2, Pose3
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
 

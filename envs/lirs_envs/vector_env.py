@@ -16,7 +16,7 @@ from lirs_envs.episodes.episodes import Episodes, EpisodeView, action_array, che
 from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 
 Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 

@@ -15,8 +15,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import SimulationError
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.kernels import njit
 from lirs_wct.navigation.spawn_poses import largest_area
 from lirs_wct.world import World

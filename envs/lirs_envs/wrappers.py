@@ -14,9 +14,7 @@ from gymnasium import spaces
 from lirs_envs.sensing.sensors import Observation
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2
 
 
 class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):

@@ -26,10 +26,7 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.rosbag.storage import Storage
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 if TYPE_CHECKING:

@@ -22,9 +22,7 @@ from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct.errors import SourceError, unknown_name
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory, wrap_angle
 
 Frame = Literal["auto", "map", "world"]
 FRAMES: tuple[Frame, ...] = ("auto", "map", "world")

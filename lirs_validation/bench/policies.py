@@ -43,10 +43,9 @@ from lirs_validation.experiment.own_code import make_own, own_class, own_source_
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.waypoints import RoutePoint
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapper import make_mapper
 
 MAPPER = "hector"

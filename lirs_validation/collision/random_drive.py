@@ -23,7 +23,7 @@ from lirs_envs.simulation import ROW
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_validation.driving.room import no_room
 from lirs_wct.errors import SimulationError
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from lirs_wct.navigation.spawn_poses import largest_area
 from lirs_wct.world import World
 

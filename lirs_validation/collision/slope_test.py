@@ -14,7 +14,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import ROW
 from lirs_validation.collision.random_drive import MARGIN
 from lirs_wct.errors import SimulationError
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from lirs_wct.world import World
 
 PLACES = 20_000

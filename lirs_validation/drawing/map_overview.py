@@ -28,8 +28,7 @@ from lirs_wct.drawing.style import (
     title,
     value_list,
 )
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import OccupancyGrid, Trajectory
 
 WIDTH = 6.4
 """Of the map, inches."""

@@ -19,8 +19,7 @@ from lirs_validation.driving.room import no_room
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.waypoints import read_waypoints
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.world import World
 
 MARGIN = 0.15

@@ -29,10 +29,9 @@ from lirs_validation.driving.paths import (
 from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import Reach, search
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
 
 
 @dataclass(frozen=True, kw_only=True)

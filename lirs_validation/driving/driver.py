@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, Protocol
 
 from lirs_envs.robots.command import Twist
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 
 Frame = Literal["world", "map"]
 """Which poses a driver is given: `T_world_base`, the truth, or `T_map_base`, the mapper's latest answer."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from lirs_validation.driving.paths import path_weight, room_in
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.geometry.grid import OCCUPIED, OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry.grid import OCCUPIED
 from lirs_wct.kernels import njit
 
 RESOLUTION = 0.1

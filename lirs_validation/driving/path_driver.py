@@ -12,7 +12,7 @@ from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.pursuit import Pursuit, PursuitConfig
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2, wrap_angle
 
 DriverState = Literal["driving", "turning", "backing off", "waiting", "stuck", "finished"]
 

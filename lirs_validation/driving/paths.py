@@ -9,8 +9,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.kernels import njit
 
 COMFORTABLE = 0.6

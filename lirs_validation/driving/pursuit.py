@@ -14,7 +14,7 @@ from lirs_envs.robots.command import Twist
 from lirs_validation.driving.paths import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2, wrap_angle
 
 
 @dataclass(frozen=True, kw_only=True)

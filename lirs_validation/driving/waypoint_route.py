@@ -24,10 +24,9 @@ from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.waypoints import RoutePoint
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation.traversability import nearest_place
 
 

@@ -12,8 +12,7 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Pose2, Pose3, Trajectory
 
 Place = Literal["drive", "process"]
 """Location of a mapper: the drive's own process or another one."""

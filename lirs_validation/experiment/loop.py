@@ -14,7 +14,7 @@ from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTe
 from lirs_validation.metrics.verdict import LostRule
 from lirs_validation.record.run_record import Status
 from lirs_wct.errors import SimulationError
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry import Pose2, Pose3
 from lirs_wct.progress import Progress, no_progress
 
 Recorder = Callable[[Observation, Pose3, Pose2], None]

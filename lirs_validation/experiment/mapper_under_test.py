@@ -15,11 +15,7 @@ from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
 from lirs_validation.experiment.cost import Cost
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct.errors import ConfigError, MapperError, WctError
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, PointCloud, Pose2, Pose3, Trajectory
 from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, reads_clouds, requires_odometry
 
 if TYPE_CHECKING:  # mapping a log does not load the simulator

@@ -12,7 +12,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import SourceFile, source_files
 from lirs_wct.errors import LogSourceError
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import Window

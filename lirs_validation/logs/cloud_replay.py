@@ -10,11 +10,7 @@ from lirs_validation.experiment.mapper_under_test import MapperUnderTest, Sensor
 from lirs_validation.metrics.alignment import associated
 from lirs_validation.metrics.verdict import LostRule
 from lirs_wct.errors import SourceError
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, PointCloud, Pose3, Trajectory
 from lirs_wct.progress import Progress
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 

@@ -13,7 +13,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.laser import read_mount
 from lirs_wct.formats.drive_csv import read_imu
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.geometry.scan import Imu
+from lirs_wct.geometry import Imu
 
 
 def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:

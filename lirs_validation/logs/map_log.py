@@ -30,7 +30,7 @@ from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import is_bag_file
-from lirs_wct.geometry.scan import Imu
+from lirs_wct.geometry import Imu
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 from lirs_validation.metrics.log_accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import OccupancyGrid, Trajectory
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.style import Drawing

@@ -18,7 +18,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Trajectory
 from lirs_wct.sources.source import is_bag
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 
 TOLERANCE = 0.10
 """Two occupied cells agree where their centers are at most this far apart, meters."""

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Pose2, Trajectory
 
 SHORTEST = 1.0
 """Meters of path below which a trajectory does not say how it is turned."""

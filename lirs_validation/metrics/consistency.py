@@ -22,9 +22,7 @@ import numpy as np
 
 from lirs_validation.metrics.alignment import associated, planar
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory, wrap_angle
 from lirs_wct.kernels import njit
 
 MARGIN = 0.3

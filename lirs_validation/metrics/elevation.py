@@ -19,10 +19,8 @@ from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_validation.metrics.trajectory import spatial_alignment
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.geometry.cloud import PointCloud
+from lirs_wct.geometry import PointCloud, Pose3, Trajectory
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
 from lirs_wct.world import World

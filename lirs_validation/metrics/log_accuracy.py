@@ -16,8 +16,7 @@ from lirs_validation.metrics.relative_pose_error import (
     constraint_errors,
 )
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Pose2, Trajectory
 
 WITHIN = 0.5
 """A reference pose is compared with the nearest scan, at most so many seconds away."""

@@ -31,8 +31,7 @@ from lirs_validation.metrics.relative_pose_error import (
 )
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Pose2, Pose3, Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)

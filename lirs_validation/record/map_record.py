@@ -17,7 +17,7 @@ from lirs_validation.record.run_record import plain
 from lirs_validation.record.verdict import Verdict, judge_log
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 
 SCHEMA = 2
 KIND = "map of a log"

@@ -25,8 +25,7 @@ from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
 from lirs_wct.errors import WctError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import OccupancyGrid, Trajectory
 
 BUDGET = 3_000_000
 """Bytes of all pictures on the page, encoded."""

@@ -1,1 +1,21 @@
-"""Geometric values: poses, scans, grids, height fields, meshes, walls, trajectories."""
+"""Geometric values: poses, scans, grids, height fields, meshes, walls, trajectories.
+
+The values that a mapper takes and returns are imported from here.
+"""
+
+from lirs_wct.geometry.cloud import PointCloud
+from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
+from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.trajectory import Trajectory
+
+__all__ = [
+    "Imu",
+    "LaserScan",
+    "OccupancyGrid",
+    "PointCloud",
+    "Pose2",
+    "Pose3",
+    "Trajectory",
+    "wrap_angle",
+]

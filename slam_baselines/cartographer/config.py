@@ -8,8 +8,7 @@ from pathlib import Path
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import number_fields, require_above, require_within
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import UpdateConfig

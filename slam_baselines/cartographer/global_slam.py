@@ -11,7 +11,7 @@ from copy import copy, deepcopy
 
 import numpy as np
 
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from slam_baselines.cartographer.config import GlobalConfig
 from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.loop_closure import (

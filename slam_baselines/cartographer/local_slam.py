@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.cartographer.config import LocalConfig
 from slam_baselines.cartographer.node import NOWHERE, Node, compose_estimates
 from slam_baselines.cartographer.submap import Submaps

@@ -18,10 +18,7 @@ from scipy.ndimage import maximum_filter
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.front_end import PlanarMapper
 from slam_baselines.mapper import MapperStats

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig, LoopVerificationConfig
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.linalg import invert

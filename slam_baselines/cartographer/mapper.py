@@ -6,10 +6,7 @@ Beyond it: the odometry is a prior of the registration, and a ground filter sepa
 
 from __future__ import annotations
 
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.cartographer.config import (
     CartographerConfig,
     ConstraintConfig,

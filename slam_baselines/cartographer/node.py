@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.mapping.occupancy_map import NO_WALL, OccupancyMap, UpdateConfig, bounding_box

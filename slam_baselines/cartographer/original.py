@@ -14,8 +14,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry import Imu, LaserScan, Pose2
 from slam_baselines.cartographer.config import (
     CandidateConfig,
     CartographerConfig,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from slam_baselines.cartographer.config import SubmapConfig
 from slam_baselines.mapping.occupancy_map import (
     FREE,

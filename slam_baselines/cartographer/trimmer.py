@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from slam_baselines.cartographer.config import TrimmingConfig
 from slam_baselines.cartographer.submap import Submap
 

@@ -8,10 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.scan import Imu
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, PointCloud, Pose3, Trajectory
 from slam_baselines.mapper import MapperStats, Stopwatch
 
 Register = Callable[[FloatArray, FloatArray], FloatArray]

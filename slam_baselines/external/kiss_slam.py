@@ -16,10 +16,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.scan import Imu
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, PointCloud, Pose3, Trajectory
 from slam_baselines.external.cloud_odometry import pose_of, sweep_times
 from slam_baselines.external.kiss_icp import KissIcpConfig, configure
 from slam_baselines.mapper import MapperStats, Stopwatch

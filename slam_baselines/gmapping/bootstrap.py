@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import ByteArray
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.proposal import Proposer
 from slam_baselines.gmapping.scan_matching import ScanBeams

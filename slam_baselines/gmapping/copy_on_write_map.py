@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import (
     ABSENT,

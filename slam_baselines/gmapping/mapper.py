@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import math
 
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.front_end import FrontEnd, FrontEndConfig
 from slam_baselines.gmapping.bootstrap import BiasedRegistration, GmappingKeyframe, GyroIncrement
 from slam_baselines.gmapping.config import GmappingConfig

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Pose2, Trajectory
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.particles import Particles, normalize

@@ -7,7 +7,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from slam_baselines.gmapping.patches import PatchTables
 from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
 

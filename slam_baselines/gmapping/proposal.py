@@ -20,7 +20,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps, PatchMapView
 from slam_baselines.gmapping.scan_matching import (

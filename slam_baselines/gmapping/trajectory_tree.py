@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, Int32Array, IntArray
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Pose2, Trajectory
 from slam_baselines.mapping.keyframe import KeyframeTrajectory
 
 

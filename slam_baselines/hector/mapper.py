@@ -12,9 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_within
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory
 from slam_baselines.front_end import FrontEndConfig, Registered, ScanToMapFrontEnd
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.bootstrap import BootstrapConfig, register_forwards

@@ -16,10 +16,7 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least, require_within
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.linalg import solve3
 from slam_baselines.mapper import MapperStats, Stopwatch

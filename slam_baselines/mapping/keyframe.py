@@ -10,8 +10,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Pose2, Trajectory
 from slam_baselines.linalg import compose_poses, relative_poses, wrap
 from slam_baselines.scan.leveling import LeveledScan
 

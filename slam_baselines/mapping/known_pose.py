@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.scan.leveling import ScanLeveler
 

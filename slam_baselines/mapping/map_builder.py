@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.field_validators import require_above, require_at_least
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import OccupancyGrid, Pose2, wrap_angle
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import NO_WALL, MapPyramid, OccupancyMap, UpdateConfig, bounding_box
 from slam_baselines.scan.interpolation import InterpolationConfig, interpolate_hits

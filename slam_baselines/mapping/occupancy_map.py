@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.field_validators import require_within
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.ray_tracing import BITS, COLUMN, RayTracer, Trace

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 from lirs_wct.field_validators import require_above, require_at_least, require_within
-from lirs_wct.geometry.pose import wrap_angle
+from lirs_wct.geometry import wrap_angle
 
 
 @dataclass(frozen=True, kw_only=True)

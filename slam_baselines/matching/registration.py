@@ -13,7 +13,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above, require_at_least, require_within
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.linalg import invert3
 from slam_baselines.mapping.occupancy_map import MapPyramid
 from slam_baselines.matching.correlative import SearchConfig, correlative_search

@@ -18,7 +18,7 @@ import math
 from dataclasses import dataclass
 
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2, wrap_angle
 
 Slope = tuple[float, float]
 """Descent of the ground per meter ahead and per meter to the left."""

@@ -12,8 +12,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.scan import Imu
+from lirs_wct.geometry import Imu, Pose2, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope

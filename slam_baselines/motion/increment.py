@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu
+from lirs_wct.geometry import Imu, Pose2
 from slam_baselines.linalg import solve3
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate, yaw_rate
 

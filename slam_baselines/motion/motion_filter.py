@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from lirs_wct.field_validators import require_at_least
-from lirs_wct.geometry.pose import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.scan.leveling import LeveledScan
 
 

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3
 from lirs_wct.kernels import njit
 
 

@@ -28,7 +28,7 @@ from lirs_envs.robot_model import (
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
 from lirs_wct.errors import SimulationError
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry import Pose3
 from lirs_wct.kernels import njit
 
 

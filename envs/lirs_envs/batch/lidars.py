@@ -16,7 +16,7 @@ from lirs_envs.lidar.terrain_rays import TerrainMipmap
 from lirs_envs.lidar.wall_rays import WallCells
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry import Pose3
 from lirs_wct.kernels import njit
 
 

@@ -22,9 +22,8 @@ from lirs_envs.walkers import WALKER_STREAM
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.export.mjcf import write_heights
+from lirs_wct.geometry import LaserScan, Pose2, Pose3
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
 
 PARTS = 4

@@ -27,7 +27,7 @@ from lirs_envs.tasks.traverse import MIXED, CourseScale, TraverseTask, course_sc
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, SimulationError, unknown_name
 from lirs_wct.field_validators import is_finite
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry import Pose3
 from lirs_wct.kernels import njit
 from lirs_wct.world import World
 

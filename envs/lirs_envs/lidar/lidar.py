@@ -13,9 +13,7 @@ from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry import LaserScan, PointCloud, Pose3
 from lirs_wct.kernels import njit
 
 

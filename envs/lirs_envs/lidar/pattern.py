@@ -13,7 +13,7 @@ from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry import Pose3
 
 
 def rings(count: int, beams: int, elevation: tuple[float, float]) -> FloatArray:

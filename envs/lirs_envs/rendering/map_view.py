@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from lirs_envs.rendering.scene import Snapshot
 from lirs_envs.walkers import RADIUS
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry import LaserScan, Pose2
 from lirs_wct.meshing.ground_texture import ground_texture
 from lirs_wct.world import World
 

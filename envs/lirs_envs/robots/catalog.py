@@ -16,7 +16,7 @@ import math
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct.errors import unknown_name
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry import Pose3
 
 ROBOTS: dict[str, Robot] = {
     robot.name: robot

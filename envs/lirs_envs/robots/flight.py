@@ -18,8 +18,8 @@ from lirs_envs.robots.command import Twist, Waypoint, clip
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.field_validators import require_above
+from lirs_wct.geometry import Pose3, wrap_angle
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose3, wrap_angle
 
 LEAST_THRUST = 0.3
 """Least vertical thrust as a share of the weight: a body in free fall cannot turn."""

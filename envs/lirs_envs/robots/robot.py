@@ -10,7 +10,7 @@ from typing import ClassVar
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above, require_at_least
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry import Pose3
 
 ASSETS = Path(__file__).parent / "assets"
 POSITIVE = (

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_envs.robots.robot import Robot
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry import Pose3
 
 
 def robot_urdf(robot: Robot) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.field_validators import require_above, require_at_least
-from lirs_wct.geometry.scan import Imu
+from lirs_wct.geometry import Imu
 from lirs_wct.kernels import njit
 
 RATE_BLOCK = 256

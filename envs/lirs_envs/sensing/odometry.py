@@ -11,7 +11,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.errors import unknown_name
 from lirs_wct.field_validators import require_above, require_within
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry import Pose2, Pose3
 from lirs_wct.kernels import njit
 
 Method = Literal["gyro", "ekf"]

@@ -16,9 +16,7 @@ from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.field_validators import require_type
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry import Imu, LaserScan, PointCloud, Pose2, Pose3
 
 LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM = 11, 12, 13
 """Random stream of each sensor: with one each, another lidar leaves the noise of the others as it was."""

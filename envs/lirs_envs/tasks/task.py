@@ -14,7 +14,7 @@ from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import SeenFrame, Site
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry import Pose2, Pose3
 
 DRAWS = 100
 """Number of draws of start and goal before a reset fails."""

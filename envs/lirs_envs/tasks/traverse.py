@@ -14,7 +14,7 @@ from lirs_envs.tasks.site import SeenFrame, seen_frame
 from lirs_envs.tasks.task import Stage, Task
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import SimulationError, unknown_name
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import Pose2
 
 SUCCESS = 10.0
 """Reward at the goal."""

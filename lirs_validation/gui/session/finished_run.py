@@ -22,8 +22,7 @@ from lirs_wct.errors import SourceError, WctError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry import LaserScan, Pose3
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World
 

@@ -15,9 +15,9 @@ from trimesh.visual.material import PBRMaterial
 from lirs_envs.robots.robot import Robot
 from lirs_wct.arrays import ByteArray
 from lirs_wct.export.appearance import world_parts
+from lirs_wct.geometry import Pose3
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.pose import Pose3
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World

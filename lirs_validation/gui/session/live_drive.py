@@ -19,8 +19,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry import LaserScan, Pose2, Pose3
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.world import World
 

@@ -14,9 +14,8 @@ from lirs_validation.gui.session.construction import Facts
 from lirs_validation.metrics.alignment import rigid_alignment, rms
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray
 from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
-from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2, Pose3
+from lirs_wct.geometry.grid import FREE, OCCUPIED
 from lirs_wct.world import World
 
 BLACK, WHITE, UNKNOWN = 0, 254, 205

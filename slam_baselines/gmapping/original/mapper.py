@@ -12,10 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.gmapping.original.config import GmappingOriginalConfig
 from slam_baselines.gmapping.original.drand48 import Drand48
 from slam_baselines.gmapping.original.hit_maps import HitMaps

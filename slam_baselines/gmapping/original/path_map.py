@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.mapping.growing_grid import GrowingGrid
 from slam_baselines.mapping.ray_tracing import line_cells
