@@ -86,5 +86,5 @@ def unknown_name(kind: str, name: str, legal: Iterable[str]) -> ConfigError:
 
 def did_you_mean(name: str, legal: Iterable[str]) -> str:
     """Return a clause with the most similar legal name; empty if none is similar."""
-    similar = get_close_matches(name, tuple(legal), n=1)
+    similar = get_close_matches(str(name), tuple(legal), n=1)
     return f"; did you mean {similar[0]}?" if similar else ""

@@ -151,7 +151,7 @@ BAD = {
     "binary": (("map", "binary.clf"), "binary.clf: not a text file"),
     "damaged gzip": (("map", "cut.clf.gz"), "cut.clf.gz: the gzip stream is damaged or cut off"),
     "a picture": (("map", "picture.png"), "picture.png: not a text file, a CARMEN log is one"),
-    "a bundled world": (("map", "simple"), "simple: cannot be read: No such file"),
+    "a bundled world": (("map", "simple"), "simple: is a bundled world, map takes a CARMEN log or a ROS bag"),
     "no mapper": (("map", "my room.clf", "--mapper", "slam"), "unknown mapper 'slam'; legal: cartographer,"),
     "particles": (("map", "my room.clf", "--mapper", "hector", "--particles", "3"), "has no particles"),
     "relations": (("map", "my room.clf", "--relations", "empty.clf"), "empty.clf: holds no relation"),

@@ -12,6 +12,7 @@ from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field
 
 COLOR = "is in color"
+LIKE_MAP = "looks like a laser map"
 HOLES = "pixels have no height"
 PAGES = "pages, the first is taken"
 
@@ -31,7 +32,7 @@ OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
     "height/gz-common__heightmap_bowl.png": ((129, 129), ""),
     "height/gz-common__heightmap_flat_257x257.png": ((257, 257), ""),
     "height/gz-sim__lookup_slip_heightmap.png": ((129, 129), ""),
-    "height/hmstl__mask.png": ((104, 138), ""),
+    "height/hmstl__mask.png": ((104, 138), LIKE_MAP),
     "height/hmstl__scene.png": ((104, 138), ""),
     "height/mujoco-terrain-based-on-grayscale-images__terrain0.png": ((100, 100), ""),
     "height/mujoco__hfield.png": COLOR,
@@ -47,7 +48,7 @@ OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
     "broken/Pillow__broken.png": "is damaged: the PNG does not begin with IHDR",
     "broken/Pillow__broken_exif_dpi.jpg": COLOR,
     "broken/Pillow__decompression_bomb.gif": "image is 65535x1321 px = 86571735 pixels, at most",
-    "broken/Pillow__hopper_bw_500.png": ((500, 500), ""),
+    "broken/Pillow__hopper_bw_500.png": ((500, 500), LIKE_MAP),
     "broken/Pillow__pil_sample_cmyk.jpg": COLOR,
     "broken/gen_1x1.png": "image is 1x1 px, a terrain needs at least 2x2",
     "broken/gen_1x64.png": "image is 1x64 px, a terrain needs at least 2x2",
@@ -60,9 +61,9 @@ OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
     "broken/gen_float32_nan.tif": ((65, 97), f"15 of 6305 {HOLES}"),
     "broken/gen_float32_nodata-9999.tif": ((65, 97), f"15 of 6305 {HOLES}"),
     "broken/gen_gray16_97x65.png": ((65, 97), ""),
-    "broken/gen_gray1bit.png": ((64, 64), ""),
-    "broken/gen_gray2bit.png": ((64, 64), ""),
-    "broken/gen_p2_ascii.pgm": ((3, 4), ""),
+    "broken/gen_gray1bit.png": ((64, 64), LIKE_MAP),
+    "broken/gen_gray2bit.png": ((64, 64), LIKE_MAP),
+    "broken/gen_p2_ascii.pgm": ((3, 4), LIKE_MAP),
     "broken/gen_palette.png": ((65, 97), ""),
     "broken/gen_palette_trns.png": ((65, 97), ""),
     "broken/gen_pgm_short.pgm": "is damaged or uses a feature that cannot be decoded",
