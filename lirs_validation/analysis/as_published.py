@@ -17,7 +17,7 @@ from lirs_validation.metrics.verdict import VerdictClass
 from lirs_validation.record.formatting import Entry, value_at
 from lirs_validation.record.metric_catalog import ATE
 from lirs_validation.record.run_record import succeeded
-from lirs_validation.record.verdict import class_counts, judge
+from lirs_validation.record.verdict import Verdict, class_counts, judge
 
 SUFFIX = "_original"
 """Ends the name of a method as published: `hector_original` beside `hector`."""
@@ -36,23 +36,23 @@ class MethodOutcome:
     """Verdicts and accuracy of a method's runs in a world.
 
     Attributes:
-        classes: class of each counted run.
+        verdicts: of the counted runs.
         ate: median over successful runs, meters; None without any.
     """
 
-    classes: tuple[VerdictClass, ...]
+    verdicts: tuple[Verdict, ...]
     ate: float | None = None
 
     @property
     def shared(self) -> VerdictClass | None:
         """Class of the share MOST of the runs; None if there is none."""
-        for kind, count in Counter(self.classes).most_common(1):
-            if count >= MOST * len(self.classes):
+        for kind, count in Counter(verdict.kind for verdict in self.verdicts).most_common(1):
+            if count >= MOST * len(self.verdicts):
                 return kind
         return None
 
     def __str__(self) -> str:
-        return class_counts(Counter(self.classes)) if self.classes else "not evaluated"
+        return class_counts(self.verdicts) or "not evaluated"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,10 +104,11 @@ def attitude_pairs(entries: Iterable[Entry]) -> tuple[MethodPair, ...]:
 
 def outcome_of(entries: Sequence[Entry]) -> MethodOutcome:
     """Return verdicts and accuracy of the runs of one method in one world."""
-    judged = [(entry, judge(entry).kind) for entry in entries]
-    counted = [(entry, kind) for entry, kind in judged if kind != "not evaluated"]
+    judged = [(entry, judge(entry)) for entry in entries]
+    counted = [(entry, verdict) for entry, verdict in judged if verdict.kind != "not evaluated"]
     errors = [ate for e, _ in counted if succeeded(e) and (ate := value_at(e, ATE)) is not None]
-    return MethodOutcome(classes=tuple(kind for _, kind in counted), ate=median(errors) if errors else None)
+    verdicts = tuple(verdict for _, verdict in counted)
+    return MethodOutcome(verdicts=verdicts, ate=median(errors) if errors else None)
 
 
 def conclusion(planar: MethodOutcome, aware: MethodOutcome, how: Planar) -> str:

@@ -111,9 +111,7 @@ def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: 
     )
 
 
-def observed_support(
-    world: World, scans: Sequence[LaserScan], poses: Sequence[Pose3]
-) -> dict[str, float | int | None]:
+def observed_support(world: World, scans: Sequence[LaserScan], poses: Sequence[Pose3]) -> dict[str, float]:
     """Count returns and hits on walls of recorded scans.
 
     Args:
@@ -124,7 +122,9 @@ def observed_support(
     Returns:
         beams, range_max (meters), returns_median and walls_median per scan.
     """
-    points = [_hit_points(scan, pose) for scan, pose in zip(scans, poses, strict=True)]
+    points = [
+        (pose @ scan.T_base_laser).apply(scan.points)[:, :2] for scan, pose in zip(scans, poses, strict=True)
+    ]
     near = near_obstacle(np.concatenate(points), world.surface, world.walls, NEAR)
     scan = np.repeat(np.arange(len(points)), [len(each) for each in points])
     walls = np.bincount(scan[near], minlength=len(points))
@@ -134,16 +134,6 @@ def observed_support(
         "returns_median": float(np.median([len(each) for each in points])),
         "walls_median": float(np.median(walls)),
     }
-
-
-def _hit_points(scan: LaserScan, T_world_base: Pose3) -> FloatArray:
-    """Return (hits, 2) end points of a scan's beams in the world, meters."""
-    T_world_laser = T_world_base @ scan.T_base_laser
-    hits = scan.hits
-    ranges, angles = scan.ranges[hits].astype(np.float64), scan.angles[hits]
-    flat = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))))
-    points: FloatArray = flat @ T_world_laser.rotation.T + T_world_laser.position
-    return points[:, :2]
 
 
 def standing_on(world: World, robot: Robot, pose: Pose2) -> Pose3:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,7 @@ class Verdict:
     reasons: tuple[Reason, ...] = ()
 
     def __str__(self) -> str:
-        return f"{self.kind}: {self.sentence}"
+        return self.sentence
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict as a record stores it."""
@@ -74,9 +74,10 @@ def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Ver
     mapper, robot = text_at(entry, "config.mapper"), text_at(entry, "config.robot")
     who = method or f"{mapper.rpartition(':')[2]} on {robot}"
     lead = LEADS[kind].format(who=who, world=entry["world"]["name"])
-    parts = (_lead(lead, kind, entry), _path_sentence(figures), _map_sentence(figures), _extent(entry))
-    told = parts[:1] + parts[3:] if kind in ("failed", "not evaluated") else parts
-    return Verdict(kind, " ".join(part for part in told if part), reasons)
+    unjudged = kind in ("failed", "not evaluated")
+    results = () if unjudged else (_path_sentence(figures), _map_sentence(figures))
+    parts = (_lead(lead, kind, entry, limits), *results, _extent(entry))
+    return Verdict(kind, " ".join(part for part in parts if part), reasons)
 
 
 def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
@@ -92,21 +93,10 @@ def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
     return Verdict(kind, " ".join(part for part in parts if part), reasons)
 
 
-def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:
-    """Return the verdict of one run, or the count of each class by world, robot and mapper of more."""
-    if len(entries) == 1:
-        return [f"verdict: {judge(entries[0], limits)}"]
-    classes: dict[str, Counter[str]] = {}
-    for entry in entries:
-        key = ", ".join(text_at(entry, name) for name in ("world.name", "config.robot", "config.mapper"))
-        classes.setdefault(key, Counter())[judge(entry, limits).kind] += 1
-    return [f"verdict, {method}: {class_counts(counts)}" for method, counts in classes.items()]
-
-
-def class_counts(counts: Counter[str]) -> str:
-    """Return the classes of several runs with their numbers, the most frequent first."""
-    total = counts.total()
-    return ", ".join(f"{kind} ({count} of {total})" for kind, count in counts.most_common())
+def class_counts(verdicts: Iterable[Verdict]) -> str:
+    """Return the classes of several verdicts with their numbers, the most frequent first."""
+    counts = Counter(verdict.kind for verdict in verdicts)
+    return ", ".join(f"{kind} ({count} of {counts.total()})" for kind, count in counts.most_common())
 
 
 def run_figures(entry: Entry) -> VerdictFigures:
@@ -149,13 +139,13 @@ def log_figures(entry: Entry) -> VerdictFigures:
     )
 
 
-def _lead(lead: str, kind: VerdictClass, entry: Entry) -> str:
+def _lead(lead: str, kind: VerdictClass, entry: Entry, limits: VerdictLimits) -> str:
     """Return the first sentence, with the cause where one is known."""
     cause = ""
     if kind in ("failed", "not evaluated", "loses its way"):
         cause = entry["reason"] or ("" if entry["status"] == "ok" else entry["status"])
     if kind == "not evaluated" and not cause:
-        needed = LIMITS.robot_lengths * value_at(entry, "world.robot_length")
+        needed = limits.robot_lengths * value_at(entry, "world.robot_length")
         cause = f"it drove {value_at(entry, 'trajectory.length'):.1f} m, at least {needed:.1f} m are needed"
     if kind in ("adds nothing", "loses its way") and not cause:
         cause = _few_walls(entry)
@@ -180,10 +170,8 @@ def _path_sentence(figures: VerdictFigures) -> str:
     error = f"Its path error is {figures.error:.3f} m{driven}"
     if figures.odometry_error is None:
         return f"{error}; there is no odometry to compare with."
-    worse = ", worse than" if is_worse(figures.error, figures.odometry_error) else ", the odometry's"
-    if worse.endswith("than"):
-        return f"{error}{worse} the odometry's {figures.odometry_error:.3f} m."
-    return f"{error}{worse} {figures.odometry_error:.3f} m."
+    worse = "worse than " if is_worse(figures.error, figures.odometry_error) else ""
+    return f"{error}, {worse}the odometry's {figures.odometry_error:.3f} m."
 
 
 def _map_sentence(figures: VerdictFigures) -> str:
@@ -233,7 +221,7 @@ def read_limits(path: Path) -> tuple[VerdictLimits, frozenset[str]]:
     """
     try:
         entry = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise ConfigError(f"{path}: cannot be read as YAML: {reason_of(error)}") from error
     names = [field.name for field in fields(VerdictLimits)]
     if not isinstance(entry, dict):

@@ -13,6 +13,7 @@ from lirs_validation.analysis.groups import FIELDS, distinguishing_fields
 from lirs_validation.analysis.score import Score
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import WORSE, metrics_in, worse_than_odometry
+from lirs_validation.record.verdict import Verdict
 from lirs_validation.report.table import ReportTable
 from lirs_wct.files import write_csv, write_json
 
@@ -171,12 +172,15 @@ def score_table(score: Score, record: Mapping[str, Any]) -> ReportTable:
     return ReportTable("score", score.run, caption, ("metric", *entries), tuple(rows))
 
 
-def write_score(path: Path, score: Score, trajectory: Path | None, map_yaml: Path | None) -> None:
-    """Write the score as JSON: sections and metrics as in record.json.
+def write_score(
+    path: Path, score: Score, verdict: Verdict | None, trajectory: Path | None, map_yaml: Path | None
+) -> None:
+    """Write the score as JSON: sections, metrics and verdict as in record.json.
 
     Raises:
         OutputError: the file cannot be written.
     """
     given = {"trajectory": trajectory, "map": map_yaml}
     files = {key: None if p is None else str(p) for key, p in given.items()}
-    write_json(path, {"files": files} | asdict(score))
+    judged = None if verdict is None else verdict.to_dict()
+    write_json(path, {"files": files} | asdict(score) | {"verdict": judged})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -21,6 +20,7 @@ from lirs_validation.analysis.as_published import (
 from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group, distinguishing_fields, unusual_fields
 from lirs_validation.analysis.statistics import repeats
 from lirs_validation.config import RUN_AXES
+from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_validation.record.formatting import Entry, as_entry, text_at
 from lirs_validation.record.metric_catalog import (
     ATE,
@@ -313,6 +313,18 @@ def _remarks(entries: Sequence[Entry]) -> str:
     return "\n".join((*lines, *worse_lines(entries)))
 
 
+def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:
+    """Return the verdict of one run, or the count of each class by group of more."""
+    if len(entries) == 1:
+        return [f"verdict: {judge(entries[0], limits)}"]
+    groups = by_group(entries)
+    fields = tuple(name for name in FIELDS if name in {"world", "robot", "mapper", *_fields(groups)})
+    return [
+        f"verdict, {group.label(fields)}: {class_counts(judge(run, limits) for run in runs)}"
+        for group, runs in groups.items()
+    ]
+
+
 def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:
     """Return the verdicts by group; of one run, with its sentence."""
     groups = by_group(entries)
@@ -321,8 +333,7 @@ def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:
     for group, runs in groups.items():
         judged = [judge(entry) for entry in runs]
         first = next((v for v in judged if v.kind != "works"), judged[0])
-        counts = class_counts(Counter(v.kind for v in judged))
-        rows.append((*group_texts(group, fields), counts, first.sentence))
+        rows.append((*group_texts(group, fields), class_counts(judged), first.sentence))
     caption = "Class of each run (docs/results.md), and the sentence of the first that does not work, if any."
     headings = (*fields, "verdict", "sentence")
     return ReportTable("verdicts", "Verdict", caption, headings, tuple(rows), len(headings))

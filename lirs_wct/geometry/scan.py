@@ -61,6 +61,13 @@ class LaserScan(ShownAsPicture):
         """(n,) whether each beam has a return within the sensor's range."""
         return np.isfinite(self.ranges) & (self.ranges >= self.range_min) & (self.ranges <= self.range_max)
 
+    @property
+    def points(self) -> FloatArray:
+        """(hits, 3) end points of the beams with a return, sensor frame, meters."""
+        hits = self.hits
+        ranges, angles = self.ranges[hits].astype(np.float64), self.angles[hits]
+        return np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles), np.zeros_like(ranges)))
+
 
 @dataclass(frozen=True, slots=True)
 class Imu:

@@ -77,11 +77,7 @@ class MapView:
         return fractions
 
     def _draw_scan(self, picture: ByteArray, snapshot: Snapshot, scan: LaserScan) -> None:
-        hits = np.isfinite(scan.ranges)
-        ranges, angles = scan.ranges[hits].astype(np.float64), scan.angles[hits]
-        in_laser = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(len(ranges))))
-        T = snapshot.T_world_base @ scan.T_base_laser
-        points = in_laser @ T.rotation.T + np.array(T.position)
+        points = (snapshot.T_world_base @ scan.T_base_laser).apply(scan.points)
         for x, y in self._pixel(points[:, :2]).tolist():
             cv2.circle(picture, (x, y), 2**FRACTION, SCAN, cv2.FILLED, cv2.LINE_AA, FRACTION)
 

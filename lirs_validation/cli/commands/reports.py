@@ -147,9 +147,9 @@ def score(
     named = check_frame(frame)
     result = scored(recorded, trajectory=trajectory, topic=topic, map_yaml=map_yaml, frame=named)
     out.print(score_table(result, recorded.entry))
-    write_score(output, result, trajectory, map_yaml)
-    out.print(f"{output}", soft_wrap=True, highlight=False)
     verdict = result.verdict(recorded.entry)
+    write_score(output, result, verdict, trajectory, map_yaml)
+    out.print(f"{output}", soft_wrap=True, highlight=False)
     if verdict is not None:
         out.print(f"verdict: {verdict}", soft_wrap=True, highlight=False, markup=False)
     if result.status != "ok":

@@ -170,8 +170,8 @@ def _check_free(folder: Path, experiment: SlamExperiment) -> None:
 def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
     """Print tables, folders and verdicts of a sweep; return the verdicts."""
     from lirs_validation.record.run_record import read_record
-    from lirs_validation.record.verdict import judge, verdict_lines
-    from lirs_validation.report.run_tables import sweep_tables
+    from lirs_validation.record.verdict import judge
+    from lirs_validation.report.run_tables import sweep_tables, verdict_lines
 
     if not sweep.outcomes:
         return []

@@ -140,20 +140,12 @@ class Playback(ABC):
         return Moment(
             time=reading.stamp,
             T_world_base=T_world_base,
-            scan=scan_points(reading, T_world_base),
+            scan=(T_world_base @ reading.T_base_laser).apply(reading.points).astype(np.float32),
             truth=truth,
             estimate=estimate,
             map=self.map_at(reading.stamp),
             facts=self.facts(scan, ate(truth[:, :2], estimate)),
         )
-
-
-def scan_points(scan: LaserScan, T_world_base: Pose3) -> Float32Array:
-    """Return (n, 3) hit points of a scan's beams, world frame, meters."""
-    hits = scan.hits
-    r, angle = scan.ranges[hits].astype(np.float64), scan.angles[hits]
-    points = np.stack((r * np.cos(angle), r * np.sin(angle), np.zeros_like(r)), axis=-1)
-    return (T_world_base @ scan.T_base_laser).apply(points).astype(np.float32)
 
 
 def ate(true: FloatArray, estimated: FloatArray) -> float:

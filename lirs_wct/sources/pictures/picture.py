@@ -123,7 +123,7 @@ def _to_terrain(
         resized = options.size or options.pixel_size or options.height
         return surface, "as given" if resized else "as bundled", None
     warn_slope_change(path, raster, surface, options)
-    if looks_like_map(raster.pixels):
+    if options.kind is None and looks_like_map(raster.pixels):
         warnings.warn(
             f"{path}: looks like a laser map: give its YAML file, or --as map with --pixel-size",
             stacklevel=4,

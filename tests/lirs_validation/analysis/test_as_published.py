@@ -15,6 +15,7 @@ from lirs_validation.analysis.as_published import (
 )
 from lirs_validation.metrics.verdict import VerdictClass
 from lirs_validation.record.formatting import Entry
+from lirs_validation.record.verdict import Verdict
 from lirs_validation.report.run_tables import method_tables
 from lirs_validation.report.table import MetricSpread
 from tests.lirs_validation.records import entry
@@ -23,7 +24,8 @@ from tests.lirs_validation.records import entry
 def outcome(
     works: int, *, runs: int = 5, other: VerdictClass = "loses its way", ate: float | None = 0.1
 ) -> MethodOutcome:
-    return MethodOutcome(classes=("works",) * works + (other,) * (runs - works), ate=ate)
+    kinds = ("works",) * works + (other,) * (runs - works)
+    return MethodOutcome(verdicts=tuple(Verdict(kind, "") for kind in kinds), ate=ate)
 
 
 def runs(mapper: str, ates: Sequence[float], world: str = "medium", **more: str) -> list[Entry]:
@@ -40,9 +42,9 @@ def test_ends_of_the_drive_are_not_counted_and_those_of_the_mapper_are() -> None
             entry(status="timeout"),
         ]
     )
-    assert found == MethodOutcome(
-        classes=("works", "loses its way", "works", "loses its way", "failed", "failed"), ate=0.1
-    )
+    kinds = [verdict.kind for verdict in found.verdicts]
+    assert kinds == ["works", "loses its way", "works", "loses its way", "failed", "failed"]
+    assert found.ate == 0.1
 
 
 @pytest.mark.parametrize(

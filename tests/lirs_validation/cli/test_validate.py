@@ -95,3 +95,38 @@ def test_a_failed_cell_is_told_in_table_and_exit_code_and_the_rest_stand(wct: An
     code, _, notes = wct("validate", "simple", "--seeds", "1-2")
     assert code == 0
     assert "kept 2 of 2 from before" in notes
+
+
+@pytest.mark.parametrize(
+    ("limits", "code"),
+    [
+        (None, 0),
+        ("f1_aligned: 0.9\n", 0),
+        ("f1_aligned: 0.99\n", 4),
+        ("f1_aligned: 0.99\naccept: [path only]\n", 0),
+        ("f1_aligned: 0.99\naccept: [no reference]\n", 4),
+    ],
+)
+@pytest.mark.usefixtures("quick")
+def test_the_gate_fails_unless_every_verdict_is_accepted(
+    limits: str | None, code: int, wct: Any, tmp_path: Path
+) -> None:
+    options = ["--gate"]
+    if limits is not None:
+        (tmp_path / "limits.yaml").write_text(limits)
+        options += ["--limits", "limits.yaml"]
+    assert wct("validate", "simple", "--seeds", "1,2", *options)[0] == code
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_failed_run_ends_with_code_3_and_not_that_of_the_gate(wct: Any) -> None:
+    assert wct("validate", "simple", "--seeds", "1,3", "--gate")[0] == 3
+
+
+@pytest.mark.usefixtures("quick")
+def test_limits_need_the_gate(wct: Any, tmp_path: Path) -> None:
+    (tmp_path / "limits.yaml").write_text("f1_aligned: 0.9\n")
+    code, _, message = wct("validate", "simple", "--limits", "limits.yaml")
+    assert (code, message.count("\n")) == (2, 1)
+    assert "--limits is for --gate" in message
+    assert not (tmp_path / "out").exists()

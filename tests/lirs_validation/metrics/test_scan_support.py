@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from lirs_envs.robots.catalog import make_robot
-from lirs_validation.metrics.scan_support import POSES, ScanSupport, scan_support, standing_on
+from lirs_validation.metrics.scan_support import (
+    POSES,
+    ScanSupport,
+    observed_support,
+    scan_support,
+    standing_on,
+)
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import RECIPES
@@ -104,3 +111,17 @@ def test_a_robot_that_fits_nowhere_has_no_forecast() -> None:
     found = scan_support(terrain(x * math.tan(math.radians(40))), HUSKY)
     assert found == ScanSupport(robot="husky", beams=541, poses=0)
     assert found.expectation == "the robot can stand nowhere"
+
+
+def test_recorded_hits_are_of_walls_where_they_end_at_steep_faces() -> None:
+    x, _ = axes()
+    world = terrain(np.where(np.abs(x) > 5.0, 3.0, 0.0))  # walls 5 m to the west and to the east
+    angles = np.linspace(-math.pi, math.pi, 360, endpoint=False)
+    ranges = np.minimum(5.05 / np.maximum(np.abs(np.cos(angles)), 1e-9), 10.0)
+    ranges[ranges >= 10.0] = np.inf
+    scan = LaserScan(ranges.astype(np.float32), -math.pi, 2 * math.pi / 360, 0.1, 20.0, 0.0)
+    turned = Pose3.from_pose2(Pose2(0.0, 1.0, math.pi), 0.5)
+    found = observed_support(world, [scan, scan], [Pose3(z=0.5), turned])
+    hits = float(scan.hits.sum())
+    assert found == {"beams": 360, "range_max": 20.0, "returns_median": hits, "walls_median": hits}
+    assert hits == (np.abs(np.cos(angles)) > 0.505).sum()

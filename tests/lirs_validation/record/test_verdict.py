@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from lirs_validation.metrics.verdict import VerdictLimits
-from lirs_validation.record.verdict import judge, judge_log, read_limits, verdict_lines
+from lirs_validation.record.verdict import judge, judge_log, read_limits
 from lirs_wct.errors import ConfigError
 
 ENTRY: dict[str, Any] = {
@@ -62,11 +62,10 @@ def test_a_log_without_truth_has_no_reference_but_says_that_it_is_lost() -> None
     assert "The mapper is lost: contradicts itself." in verdict.sentence
 
 
-def test_several_runs_are_counted_by_method() -> None:
-    good = ENTRY | {"trajectory": ENTRY["trajectory"] | {"ate_rmse": 0.02}, "map": {"occupied_cells": 9}}
-    assert verdict_lines([ENTRY, good, good]) == [
-        "verdict, quarry, jackal, gmapping: works (2 of 3), adds nothing (1 of 3)"
-    ]
+def test_a_short_drive_uses_the_given_limit() -> None:
+    trajectory = ENTRY["trajectory"] | {"robot_lengths": 48.0, "length": 31.0}
+    verdict = judge(ENTRY | {"trajectory": trajectory}, VerdictLimits(robot_lengths=100))
+    assert "drove 31.0 m, at least 64.0 m are needed" in verdict.sentence
 
 
 def test_limits_are_read(tmp_path: Path) -> None:
@@ -83,6 +82,7 @@ def test_limits_are_read(tmp_path: Path) -> None:
         ("accept: [failed]\n", "accept must be a list of no reference, path only"),
         ("[1]\n", "must have fields"),
         ("a: [\n", "cannot be read as YAML"),
+        ("[" * 5000, "cannot be read as YAML"),
     ],
 )
 def test_unusable_limits_are_one_line(tmp_path: Path, text: str, message: str) -> None:

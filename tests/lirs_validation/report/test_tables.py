@@ -9,7 +9,13 @@ import pytest
 from rich.console import Console
 
 from lirs_validation.record.metric_catalog import picture_lines
-from lirs_validation.report.run_tables import failure_lines, method_tables, results_table, summary_table
+from lirs_validation.report.run_tables import (
+    failure_lines,
+    method_tables,
+    results_table,
+    summary_table,
+    verdict_lines,
+)
 from lirs_validation.report.table import ReportTable
 from tests.lirs_validation.records import entry
 
@@ -154,3 +160,13 @@ def test_values_that_all_runs_share_stand_in_the_title() -> None:
 def test_brackets_in_a_name_are_no_markup() -> None:
     assert "map[1]" in shown(results_table([run("map[1]")]))
     assert "| a\\|b |" in results_table([run("a|b")]).as_markdown()
+
+
+def test_verdicts_are_counted_by_group_and_one_run_has_its_sentence() -> None:
+    errors = ((1, 0.02), (2, 0.9))
+    runs = [entry(seed=seed, ate=ate, attitude=a) for a in ("imu", "none") for seed, ate in errors]
+    assert verdict_lines(runs) == [
+        "verdict, simple, husky, hector, attitude: imu: works (1 of 2), loses its way (1 of 2)",
+        "verdict, simple, husky, hector, attitude: none: works (1 of 2), loses its way (1 of 2)",
+    ]
+    assert verdict_lines(runs[:1])[0].startswith("verdict: hector on husky works on simple.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.sources.build import build_world
+from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import looks_like_map
 
 MAPS = (
@@ -20,19 +22,28 @@ MAPS = (
 )
 TERRAINS = ("PX4-SITL_gazebo-classic__terrain.png", "mujoco__hfield_240_280.png", "vrc_driving_heightmap.png")
 
+ROOM = np.full((40, 40), 205, np.uint8)
+ROOM[5:35, 5:35] = 254
+ROOM[5, 5:35] = 0
+
 
 def test_a_map_without_its_yaml_is_suggested(tmp_path: Path) -> None:
-    picture = np.full((40, 40), 205, np.uint8)
-    picture[5:35, 5:35] = 254
-    picture[5, 5:35] = 0
-    cv2.imwrite(str(tmp_path / "room.png"), picture)
+    cv2.imwrite(str(tmp_path / "room.png"), ROOM)
     with pytest.warns(UserWarning, match=r"looks like a laser map: give its YAML file, or --as map"):
         build_world(tmp_path / "room.png")
 
 
+def test_a_picture_that_is_declared_one_is_not_suggested_as_a_map(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "room.png"), ROOM)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        build_world(tmp_path / "room.png", BuildOptions(kind="picture"))
+
+
 @pytest.mark.parametrize("bits", [np.uint16, np.float32])
 def test_pictures_of_more_bits_are_terrains(bits: type) -> None:
-    assert not looks_like_map(np.zeros((4, 4), bits))
+    assert looks_like_map(ROOM)
+    assert not looks_like_map(ROOM.astype(bits))
 
 
 @pytest.mark.shared
