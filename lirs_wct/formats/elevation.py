@@ -1,4 +1,7 @@
-"""Elevation data: GeoTIFF, ESRI ASCII grids, SRTM's HGT, encoded map tiles; all others through GDAL."""
+"""Elevation data: ESRI ASCII grids, encoded map tiles; GeoTIFF, SRTM's HGT and all others through GDAL.
+
+GDAL reads a damaged number of an ASCII grid as 0, so these grids have a reader here.
+"""
 
 from __future__ import annotations
 
@@ -14,27 +17,51 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.images.gdal import DRIVERS, read_gdal
-from lirs_wct.formats.images.geotiff import (
-    DEGREES,
-    RasterInfo,
-    georeference_raster,
-    height_unit,
-    looks_geographic,
-    raster_info,
-    tell_turn,
-)
+from lirs_wct.formats.images import tiff
+from lirs_wct.formats.images.gdal import DRIVERS, GdalRaster, read_gdal
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.formats.images.picture import check_size, read_picture
 from lirs_wct.formats.suffixes import RASTERS
 from lirs_wct.geometry.geodesy import (
+    TURNED,
     WGS84,
     Affine,
     CoordinateSystem,
     Georeference,
+    OutsideSystemError,
     middle_of_pixels,
-    system_of_text,
+    system_of_wkt,
 )
+
+UNITS = {
+    1.0: ("m", "meter", "meters"),
+    0.3048: ("ft", "foot", "feet", "international foot"),
+    1200 / 3937: ("us survey foot", "us-ft", "ftus", "us_survey_foot", "us survey feet"),
+    0.01: ("cm", "centimeter"),
+    0.001: ("mm", "millimeter"),
+    0.1: ("dm", "decimeter"),
+    1000.0: ("km", "kilometer"),
+}
+"""Meters in a unit -> its names in lower case and American spelling."""
+
+
+@dataclass(frozen=True, slots=True)
+class RasterInfo:
+    """Georeference and value conversion of a raster.
+
+    Attributes:
+        georeference: of the pixels; None = unknown.
+        nodata: value of pixels without height, which may be NaN; None = not declared.
+        scale: height = scale value + offset, in units of height.
+        offset: see scale.
+        unit: meters per unit of height; None if the values are not heights.
+    """
+
+    georeference: Georeference | None = None
+    nodata: float | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,63 +88,118 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS) -> Raster:
     pixels: NDArray[Any]
     if suffix == ".asc":
         pixels, info = read_ascii_grid(path, max_pixels)
-    elif suffix == ".hgt":
-        pixels, info = read_hgt(path, max_pixels)
     elif suffix in RASTERS:
         pixels, info = _read_by_gdal(path, max_pixels)
     else:
         picture = read_picture(path, max_pixels)
         pixels = picture.pixels
-        info = raster_info(path, picture.tags) if picture.tags else RasterInfo()
+        info = _tiff_info(path, picture.tags)
     if pixels.dtype.kind == "c":
         raise SourceError(f"{path}: holds complex numbers, heights must be integers or real numbers")
     if info.georeference is None:
         return Raster(pixels, info)
-    georeference = _by_proj(path, info.georeference, pixels.shape[:2])
-    pixels, georeference = georeference.upright(pixels)
-    tell_turn(path, georeference)
+    pixels, georeference = info.georeference.upright(pixels)
+    _warn_turned(path, georeference)
     return Raster(pixels, replace(info, georeference=georeference))
 
 
-def _by_proj(path: Path, found: Georeference, shape: tuple[int, ...]) -> Georeference:
-    """Locate a GeoTIFF with a user-defined coordinate system through GDAL."""
-    if found.system.name or not found.located or path.suffix.lower() == ".asc":
-        return found
-    system = system_of(read_gdal(path, DRIVERS[".tif"], 0).crs)
-    if system.form != "other":
-        return found
-    try:
-        return Georeference.of(system, found.affine, (shape[0], shape[1]))
-    except ConfigError:
-        return replace(found, system=system)  # on another celestial body
+def _tiff_info(path: Path, tags: tiff.Tags) -> RasterInfo:
+    """Return georeference and value conversion of a TIFF.
+
+    Without a georeference, values have no unit of height.
+    """
+    if not tags.keys() & tiff.GEOREFERENCE:
+        return RasterInfo()
+    info = _info(path, read_gdal(path, DRIVERS[".tif"], 0))
+    if tiff.PIXEL_SCALE in tags and info.georeference is None:
+        raise SourceError(f"{path}: pixel scale must be above 0, got {tiff.floats(tags, tiff.PIXEL_SCALE)}")
+    if tiff.PIXEL_SCALE in tags and tiff.TIE_POINT not in tags:
+        warnings.warn(f"{path}: has a pixel scale but no tie point, its coordinates begin at 0", stacklevel=3)
+    return info if info.georeference is not None else replace(info, unit=None)
 
 
 def _read_by_gdal(path: Path, max_pixels: int) -> tuple[NDArray[Any], RasterInfo]:
     """Read the first band of a raster and its metadata through GDAL."""
-    found = read_gdal(path, DRIVERS[path.suffix.lower()], max_pixels)
+    try:
+        found = read_gdal(path, DRIVERS[path.suffix.lower()], max_pixels)
+    except SourceError as error:
+        hint = " An HGT file is named by its south-west corner, like N40W074.hgt."
+        raise SourceError(f"{error}{hint}" if path.suffix.lower() == ".hgt" else str(error)) from error
     check_size(path, found.width, found.height, max_pixels)
     assert found.pixels is not None
-    info = RasterInfo(None, found.nodata, found.scale, found.offset, height_unit(path, found.unit))
-    if found.transform is not None:
-        affine = middle_of_pixels(found.transform)
-        try:
-            info = replace(
-                info, georeference=georeference_raster(path, system_of(found.crs), affine, found.pixels.shape)
-            )
-        except ConfigError as error:
+    return found.pixels, _info(path, found)
+
+
+def _info(path: Path, found: GdalRaster) -> RasterInfo:
+    """Return georeference and value conversion of a raster from GDAL's metadata."""
+    info = RasterInfo(None, found.nodata, found.scale, found.offset, _height_unit(path, found.unit))
+    if found.transform is None:
+        return info
+    affine, shape = middle_of_pixels(found.transform), (found.height, found.width)
+    return replace(info, georeference=_georeference(path, found.wkt, affine, shape))
+
+
+def _height_unit(path: Path, name: str) -> float:
+    """Return meters per unit of height by its name; warn of an unknown one."""
+    american = re.sub("tre(s?)$", r"ter\1", name.strip().lower())
+    for meters, names in UNITS.items():
+        if american in names:
+            return meters
+    if name.strip():
+        warnings.warn(f"{path}: its values are in {name.strip()!r}, which is taken for meters", stacklevel=2)
+    return 1.0
+
+
+def _georeference(path: Path, wkt: str, affine: Affine, shape: tuple[int, int]) -> Georeference:
+    """Return the georeference of (rows, cols) pixels; small coordinates without a system are degrees."""
+    sizes = math.hypot(affine[0], affine[3]), math.hypot(affine[1], affine[4])
+    if not all(0 < size < math.inf for size in sizes):
+        raise SourceError(f"{path}: pixels must be above 0, got {sizes[0]:g} x {sizes[1]:g}")
+    if wkt:
+        return georeference_raster(path, system_of_wkt(wkt)[0], affine, shape)
+    if not _looks_geographic(affine):
+        return Georeference.on_grid(CoordinateSystem(), affine)
+    warnings.warn(f"{path}: names no coordinate system, its coordinates are taken for degrees", stacklevel=2)
+    return georeference_raster(path, CoordinateSystem.of_code(4326), affine, shape)
+
+
+def georeference_raster(
+    path: Path, system: CoordinateSystem, affine: Affine, shape: tuple[int, int]
+) -> Georeference:
+    """Return the georeference of (rows, cols) pixels in a coordinate system.
+
+    Without one, its units count as ground meters; likewise, with a warning, where PROJ does not know it.
+
+    Raises:
+        SourceError: the raster's middle is no place on the earth.
+    """
+    if system.form == "unknown":
+        return Georeference.on_grid(system, affine)
+    try:
+        return Georeference.of(system, affine, shape)
+    except ConfigError as error:
+        if system.form != "other" or isinstance(error, OutsideSystemError):
             raise SourceError(f"{path}: {error}") from error
-    return found.pixels, info
+        warnings.warn(f"{path}: its units are taken for ground meters: {error}", stacklevel=2)
+        return Georeference.on_grid(system, affine)
 
 
-def system_of(crs: Any) -> CoordinateSystem:
-    """Convert rasterio's CRS to a coordinate system; None = unknown."""
-    if crs is None:
-        return CoordinateSystem()
-    code = crs.to_epsg()
-    unit = 1.0 if crs.is_geographic else float(crs.linear_units_factor[1])
-    if code is not None:
-        return CoordinateSystem.of_code(code, unit)
-    return CoordinateSystem(crs.to_wkt(), "geographic" if crs.is_geographic else "other", unit)
+def _looks_geographic(affine: Affine) -> bool:
+    """Whether coordinates are likely degrees: pixels below 1/50 unit, and on the globe."""
+    a, b, c, d, e, f = affine
+    return max(map(abs, (a, b, d, e))) < 0.02 and 0 < abs(c) <= 360 and 0 < abs(f) <= 90
+
+
+def _warn_turned(path: Path, georeference: Georeference) -> None:
+    """Warn of a raster that is rotated or skewed in its coordinates."""
+    if abs(math.sin(math.radians(georeference.turn))) > TURNED:
+        warnings.warn(
+            f"{path}: is turned by {georeference.turn:.4g} deg; x of the world goes along its rows, "
+            f"{georeference.heading:.4g} deg north of east",
+            stacklevel=2,
+        )
+    if georeference.skewed:
+        warnings.warn(f"{path}: is skewed, which is left out; gdalwarp straightens it", stacklevel=2)
 
 
 _KEYS = (
@@ -156,13 +238,10 @@ def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo
         raise SourceError(f"{path}: holds a value that is no number: {error}") from error
     if values.size != rows * cols:
         raise SourceError(f"{path}: holds {values.size} heights, {cols} x {rows} are announced")
-    affine = _affine(path, header, rows)
-    try:
-        georeference = georeference_raster(path, _system(path, affine), affine, (rows, cols))
-    except ConfigError as error:
-        raise SourceError(f"{path}: {error}") from error
-    nodata = header.get("nodata_value")
-    return values.reshape(rows, cols), RasterInfo(georeference, nodata, unit=1.0)
+    projection = path.with_suffix(".prj")
+    wkt = projection.read_text(encoding="utf-8", errors="replace") if projection.is_file() else ""
+    georeference = _georeference(path, wkt, _affine(path, header, rows), (rows, cols))
+    return values.reshape(rows, cols), RasterInfo(georeference, header.get("nodata_value"), unit=1.0)
 
 
 def _header(path: Path, file: TextIO) -> tuple[dict[str, float], str]:
@@ -192,51 +271,6 @@ def _affine(path: Path, header: dict[str, float], rows: int) -> Affine:
     west = header["xllcenter"] if "xllcenter" in header else header["xllcorner"] + dx / 2
     south = header["yllcenter"] if "yllcenter" in header else header["yllcorner"] + dy / 2
     return dx, 0.0, west, 0.0, -dy, south + dy * (rows - 1)
-
-
-def _system(path: Path, affine: Affine) -> CoordinateSystem:
-    """Return the system of a projection file next to the grid, else plausible degrees."""
-    projection = path.with_suffix(".prj")
-    if projection.is_file():
-        return system_of_text(projection.read_text(encoding="utf-8", errors="replace"))
-    if looks_geographic(affine):
-        warnings.warn(f"{path}: {DEGREES}", stacklevel=2)
-        return CoordinateSystem.of_code(4326)
-    return CoordinateSystem()
-
-
-SHAPES = {rows * cols * 2: (rows, cols) for rows, cols in ((1201, 1201), (3601, 3601), (3601, 1801))}
-"""Bytes of a file -> rows and columns: 3 and 1 arc seconds, and beyond 50 degrees 1 by 2."""
-VOID = -32768.0
-_NAME = re.compile(r"([NS])(\d{2})([EW])(\d{3})", re.IGNORECASE)
-
-
-def read_hgt(path: Path, max_pixels: int) -> tuple[NDArray[np.int16], RasterInfo]:
-    """Read (rows, cols) heights of an SRTM file in meters and their metadata.
-
-    Row 0 is north. A file holds 16-bit heights of a square degree; its name is that of the south-west corner.
-
-    Raises:
-        SourceError: the file is missing, of another length, or its name states no place.
-    """
-    named = _NAME.match(path.stem)
-    if named is None:
-        raise SourceError(f"{path}: an HGT file is named by its south-west corner, like N40W074.hgt")
-    try:
-        size = path.stat().st_size
-        if size not in SHAPES:
-            legal = ", ".join(f"{rows}x{cols}" for rows, cols in SHAPES.values())
-            raise SourceError(f"{path}: has {size} bytes, legal are 16-bit heights of {legal}")
-        rows, cols = SHAPES[size]
-        check_size(path, cols, rows, max_pixels)
-        heights = np.fromfile(path, ">i2").reshape(rows, cols).astype(np.int16)
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
-    south = int(named[2]) * (1 if named[1].upper() == "N" else -1)
-    west = int(named[4]) * (1 if named[3].upper() == "E" else -1)
-    affine = (1 / (cols - 1), 0.0, float(west), 0.0, -1 / (rows - 1), south + 1.0)
-    georeference = Georeference.of(CoordinateSystem.of_code(4326), affine, (rows, cols))
-    return heights, RasterInfo(georeference, VOID, unit=1.0)
 
 
 Encoding = Literal["gray", "terrain-rgb", "terrarium"]

@@ -15,14 +15,14 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.formats.images.geotiff import system_of_keys
-from lirs_wct.formats.images.tiff import METERS
 from lirs_wct.formats.limited import run_limited
 from lirs_wct.formats.meshes.mesh_reader import ply_elements, require_positions, require_xyz
-from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_text, units_of_text
+from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_wkt
 
 VERTICAL_UNITS = 4099
 """GeoKey of the vertical unit."""
+METERS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
+"""Meters in a unit of length (EPSG): meter, foot, US survey foot."""
 EXTRA = "pip install 'lirs-wct[clouds]'"
 GROUND, NOISE = 2, (7, 18)
 """Classes of the ASPRS LAS specification 1.4, table 17."""
@@ -119,12 +119,13 @@ def _las_system(header: Any) -> tuple[CoordinateSystem, float]:
     for record in (*header.vlrs, *(header.evlrs or ())):
         text = getattr(record, "string", None)
         if record.record_id == 2112 and text:
-            return system_of_text(text.strip("\0 ")), units_of_text(text)[1]
+            return system_of_wkt(text)
     for record in header.vlrs:
         if record.record_id == 34735:
-            keys = {key.id: float(key.value_offset) for key in record.geo_keys if not key.tiff_tag_location}
-            system = system_of_keys(keys)
-            return system, METERS.get(int(keys.get(VERTICAL_UNITS, 0)), system.unit)
+            crs = record.parse_crs()
+            system = CoordinateSystem() if crs is None else system_of_wkt(crs.to_wkt())[0]
+            keys = {key.id: key.value_offset for key in record.geo_keys}
+            return system, METERS.get(keys.get(VERTICAL_UNITS, 0), system.unit)
     return CoordinateSystem(), 1.0
 
 

@@ -6,7 +6,6 @@ Projected coordinates are converted by PROJ, without network.
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +17,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 
 if TYPE_CHECKING:
-    from pyproj import Transformer
+    from pyproj import CRS, Transformer
 
 WGS84 = (6378137.0, 298.257223563)
 """Semi-major axis, meters, and inverse flattening."""
@@ -115,10 +114,7 @@ def _by_proj(system: CoordinateSystem, x: FloatArray, y: FloatArray) -> tuple[Fl
     from pyproj.exceptions import ProjError  # imported here to keep the start of other commands fast
 
     try:
-        transformer, metric = _transformer(system.name)
-        # Files may state another unit for a system in meters.
-        factor = system.unit if metric else 1.0
-        longitude, latitude = transformer.transform(x * factor, y * factor)
+        longitude, latitude = _transformer(system.name).transform(x, y)
     except ProjError as error:
         raise ConfigError(f"PROJ knows no latitudes and longitudes of {system.label}") from error
     if not (np.isfinite(latitude).all() and np.isfinite(longitude).all()):
@@ -127,8 +123,8 @@ def _by_proj(system: CoordinateSystem, x: FloatArray, y: FloatArray) -> tuple[Fl
 
 
 @lru_cache(maxsize=64)
-def _transformer(name: str) -> tuple[Transformer, bool]:
-    """Return PROJ's conversion of a system to WGS 84, and whether its unit is the meter."""
+def _transformer(name: str) -> Transformer:
+    """Return PROJ's conversion of a system to WGS 84."""
     from pyproj import CRS, Transformer, network
 
     network.set_network_enabled(active=False)
@@ -136,48 +132,42 @@ def _transformer(name: str) -> tuple[Transformer, bool]:
     if code in MERCATOR:
         code = MERCATOR[0]
     crs = CRS.from_wkt(name) if code is None else CRS.from_epsg(code)
-    metric = bool(crs.axis_info) and crs.axis_info[0].unit_conversion_factor == 1.0
-    return Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True), metric
+    return Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
 
 
-_NAMED = re.compile(r'(?:AUTHORITY|ID)\["EPSG",\s*"?(\d+)"?\]\]\s*$')
-"""The EPSG code of the whole system is the last one in its WKT."""
-_UTM_TEXT = re.compile(r"UTM[_ ]zone[_ ](\d+)[_ ]?([NS])", re.IGNORECASE)
+def system_of_wkt(text: str) -> tuple[CoordinateSystem, float]:
+    """Return the coordinate system of a WKT text, and the meters per unit of height.
 
-_UNIT = re.compile(r'(?:LENGTH)?UNIT\["([^"]*)",\s*([0-9.eE+-]+)')
-_VERTICAL = re.compile(r"VERT_?CR?S\[")
-
-
-def units_of_text(text: str) -> tuple[float, float]:
-    """Return meters per horizontal and vertical unit of a projected system's WKT.
-
-    Without a vertical unit, z has the unit of x and y.
+    Without a vertical system, heights have the unit of x and y.
     """
-    plane, _, upright = text.partition(found[0] if (found := _VERTICAL.search(text)) else "\0")
-    # The last unit is that of the system; those of angles, ellipsoid and parameters precede it.
-    lengths, heights = (
-        [float(size) for name, size in _UNIT.findall(part) if not name.lower().startswith(("deg", "rad"))]
-        for part in (plane, upright)
-    )
-    unit = lengths[-1] if lengths else 1.0
-    return unit, heights[-1] if heights else unit
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    text = text.strip("\0 \n")
+    try:
+        crs = CRS.from_wkt(text)
+    except CRSError:
+        return CoordinateSystem(text, "other"), 1.0
+    plane, *vertical = crs.sub_crs_list if crs.is_compound else [crs]
+    if plane.is_bound and plane.source_crs is not None:
+        plane = plane.source_crs
+    unit = 1.0 if plane.is_geographic else _unit(plane)
+    height_unit = _unit(vertical[0]) if vertical else unit
+    code = plane.to_epsg()
+    if code is not None:
+        return CoordinateSystem.of_code(code, unit), height_unit
+    geod = plane.get_geod()
+    if plane.is_geographic and geod is not None:
+        ellipsoid = geod.a, 1 / geod.f if geod.f else 0.0
+        return CoordinateSystem(plane.to_wkt(), "geographic", unit, ellipsoid), height_unit
+    if geod is None:
+        return CoordinateSystem("", "unknown", unit), height_unit  # a local system
+    return CoordinateSystem(plane.to_wkt(), "other", unit), height_unit
 
 
-def system_of_text(text: str) -> CoordinateSystem:
-    """Return the coordinate system of a WKT text, parsed without PROJ."""
-    named = _NAMED.search(text)
-    if named or "MERCATOR_AUXILIARY_SPHERE" in text.upper():
-        return CoordinateSystem.of_code(int(named[1]) if named else 3857, units_of_text(text)[0])
-    zone = _UTM_TEXT.search(text)
-    if zone and "WGS" in text.upper():
-        return CoordinateSystem.of_code((32600 if zone[2].upper() == "N" else 32700) + int(zone[1]))
-    if zone and "ETRS" in text.upper():
-        return CoordinateSystem.of_code(25800 + int(zone[1]))
-    if text.lstrip().upper().startswith(("GEOGCS", "GEOGCRS")):
-        known = {"WGS_1984": 4326, "NORTH_AMERICAN_1983": 4269, "ETRS": 4258}
-        code = next((code for word, code in known.items() if word in text.upper().replace(" ", "_")), 0)
-        return CoordinateSystem.of_code(code) if code else CoordinateSystem(text.strip(), "geographic")
-    return CoordinateSystem(text.strip(), "other", units_of_text(text)[0])
+def _unit(crs: CRS) -> float:
+    """Return meters in the unit of a system's first axis."""
+    return float(crs.axis_info[0].unit_conversion_factor) if crs.axis_info else 1.0
 
 
 Affine = tuple[float, float, float, float, float, float]
@@ -195,13 +185,11 @@ class Georeference:
         affine: map from column and row of a pixel's middle (whole numbers) to coordinates.
         steps: meters eastward and northward on the ground, at the raster's middle, from one column to the
             next, and from one row to the next: ((east, north), (east, north)).
-        located: whether the coordinates are known; False = only their spacing is.
     """
 
     system: CoordinateSystem
     affine: Affine
     steps: tuple[tuple[float, float], tuple[float, float]]
-    located: bool = True
 
     @staticmethod
     def of(system: CoordinateSystem, affine: Affine, shape: tuple[int, int]) -> Georeference:
@@ -217,10 +205,10 @@ class Georeference:
         return Georeference(system, affine, (tuple(column), tuple(row)))
 
     @staticmethod
-    def on_grid(system: CoordinateSystem, affine: Affine, *, located: bool = True) -> Georeference:
+    def on_grid(system: CoordinateSystem, affine: Affine) -> Georeference:
         """Return the georeference of a raster; its units are treated as ground meters."""
         a, b, _, d, e, _ = (value * system.unit for value in affine)
-        return Georeference(system, affine, ((a, d), (b, e)), located)
+        return Georeference(system, affine, ((a, d), (b, e)))
 
     @property
     def pixel(self) -> tuple[float, float]:

@@ -53,7 +53,7 @@ class GdalRaster:
         offset: added to the scaled pixels.
         unit: name of the heights' unit, or empty.
         transform: of the pixels' corners, the six numbers in rasterio's order; None where it is not known.
-        crs: rasterio's CRS, or None.
+        wkt: coordinate system as WKT; empty where it is not known.
     """
 
     width: int
@@ -64,7 +64,7 @@ class GdalRaster:
     offset: float
     unit: str
     transform: tuple[float, float, float, float, float, float] | None
-    crs: Any
+    wkt: str
 
 
 def read_gdal(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
@@ -133,7 +133,7 @@ def _read(path: Path, drivers: tuple[str, ...], max_pixels: int) -> GdalRaster:
                 dataset.offsets[0],
                 dataset.units[0] or "",
                 None if dataset.transform.is_identity else tuple(dataset.transform)[:6],
-                dataset.crs,
+                dataset.crs.to_wkt() if dataset.crs else "",
             )
     except RasterioError as error:
         raise SourceError(f"{path}: cannot be read by GDAL: {str(error).splitlines()[0]}") from error

@@ -1,6 +1,6 @@
-"""Tags of TIFF and GeoTIFF that decoders do not report (keys, nodata, pages, truncation).
+"""Tags of TIFF that decoders do not report: size before decoding, pages, truncation.
 
-Layouts: TIFF 6.0, section 2; BigTIFF; OGC GeoTIFF 1.1 (19-008r4), annexes B and C.
+Layouts: TIFF 6.0, section 2; BigTIFF.
 """
 
 from __future__ import annotations
@@ -17,16 +17,9 @@ REDUCED, MASK = 1, 4
 """Bits of a page's kind: an overview of another page, and a mask of its pixels."""
 EXTENTS = ((273, 279), (324, 325))
 """Tags of offsets and byte counts: of strips, of tiles."""
-PIXEL_SCALE, TIEPOINT, TRANSFORMATION = 33550, 33922, 34264
-GEO_KEYS, GEO_DOUBLES, GDAL_METADATA, GDAL_NODATA = 34735, 34736, 42112, 42113
-MODEL_TYPE, RASTER_TYPE, GEODETIC, PROJECTED, VERTICAL = 1024, 1025, 2048, 3072, 4096
-SEMI_MAJOR_AXIS, INVERSE_FLATTENING, LINEAR_UNITS, VERTICAL_UNITS = 2057, 2059, 3076, 4099
-GEOGRAPHIC = 2
-"""Model type of coordinates in degrees."""
-POINT = 2
-"""Raster type of pixels whose tie points are their middles."""
-METERS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
-"""Meters in a unit of length (EPSG): meter, foot, US survey foot."""
+PIXEL_SCALE, TIE_POINT = 33550, 33922
+GEOREFERENCE = frozenset((PIXEL_SCALE, TIE_POINT, 34264, 34735, 42112, 42113))
+"""Tags whose meaning GDAL knows: pixel scale, tie points, matrix, GeoKeys, metadata and nodata of GDAL."""
 _TYPES = {1: "B", 2: "s", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 16: "Q", 17: "q", 18: "Q"}
 
 
@@ -78,28 +71,6 @@ def _directory(
         value = struct.unpack(layout, data[where : where + size])
         tags[tag] = value[0].rstrip(b"\0") if kind == 2 else value
     return tags, following
-
-
-def nodata(tags: Tags) -> float | None:
-    """Return GDAL's nodata value, which may be NaN; None without one."""
-    text = tags.get(GDAL_NODATA)
-    try:
-        return float(text) if isinstance(text, bytes) else None
-    except ValueError:
-        return None
-
-
-def geo_keys(tags: Tags) -> dict[int, float]:
-    """Return the numeric GeoKeys."""
-    directory, doubles = floats(tags, GEO_KEYS), floats(tags, GEO_DOUBLES)
-    keys: dict[int, float] = {}
-    for i in range(4, len(directory) - 3, 4):
-        key, location, _, value = map(int, directory[i : i + 4])
-        if location == 0:
-            keys[key] = value
-        elif location == GEO_DOUBLES and value < len(doubles):
-            keys[key] = doubles[value]
-    return keys
 
 
 def floats(tags: Tags, tag: int) -> tuple[float, ...]:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation import Raster, decode, guess, tile_georeference
-from lirs_wct.formats.images.geotiff import RasterInfo
+from lirs_wct.formats.elevation import Raster, RasterInfo, decode, guess, tile_georeference
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.sources.options import BuildOptions
@@ -68,7 +67,7 @@ def place_of(
 ) -> Place | None:
     """Return the georeference of the terrain, if the raster has one."""
     found = raster.info.georeference
-    if found is None or not found.located:
+    if found is None:
         return None
     left, top, cols, rows = options.crop or (0, 0, *raster.pixels.shape[1::-1])
     (west, south), (width, depth) = surface.origin, surface.size

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation import Raster, read_raster
-from lirs_wct.formats.images.geotiff import RasterInfo
+from lirs_wct.formats.elevation import Raster, RasterInfo, read_raster
 from lirs_wct.formats.images.picture import check_size
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import rasterio
+from pyproj import CRS
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation import decode, guess, read_raster
@@ -59,7 +60,7 @@ def test_corners_centers_and_two_spacings(header: str, affine: tuple[float, ...]
 
 def test_a_grid_lies_where_its_projection_file_says(tmp_path: Path) -> None:
     path = grid(tmp_path, HEADER + HEIGHTS)
-    (tmp_path / "a.prj").write_text('PROJCS["WGS_1984_UTM_Zone_18N",GEOGCS["GCS_WGS_1984"]]')
+    (tmp_path / "a.prj").write_text(CRS.from_epsg(32618).to_wkt("WKT1_ESRI"))
     assert georeference(path).system.name == "EPSG:32618"
     assert georeference(path).pixel == pytest.approx(
         (10 / 0.9996, 10 / 0.9996), rel=2e-7
@@ -67,7 +68,7 @@ def test_a_grid_lies_where_its_projection_file_says(tmp_path: Path) -> None:
     path = grid(
         tmp_path, HEADER.replace("500000", "-74").replace("4000000", "40").replace("10", "0.001") + HEIGHTS
     )
-    (tmp_path / "a.prj").write_text('GEOGCS["GCS_WGS_1984",DATUM["D_WGS_1984"]]')
+    (tmp_path / "a.prj").write_text(CRS.from_epsg(4326).to_wkt("WKT1_ESRI"))
     assert georeference(path).pixel == pytest.approx((85.39, 111.03), rel=1e-4)
     (tmp_path / "a.prj").unlink()
     with pytest.warns(
@@ -128,13 +129,14 @@ def test_hgt_lies_where_its_name_says(srtm: Path) -> None:
 
 def test_hgt_of_another_name_or_length(srtm: Path, tmp_path: Path) -> None:
     srtm.rename(tmp_path / "andes.hgt")
-    with pytest.raises(SourceError, match=r"andes\.hgt: an HGT file is named by its south-west corner"):
-        read_raster(tmp_path / "andes.hgt")
     (tmp_path / "N01E001.hgt").write_bytes(bytes(100))
-    with pytest.raises(SourceError, match=r"N01E001\.hgt: has 100 bytes"):
-        read_raster(tmp_path / "N01E001.hgt")
-    with pytest.raises(SourceError, match="cannot be read: No such file"):
-        read_raster(tmp_path / "N01E002.hgt")
+    for name, reason in (
+        ("andes.hgt", "cannot be read by GDAL: .* An HGT file is named by its south-west corner"),
+        ("N01E001.hgt", "cannot be read by GDAL"),
+        ("N01E002.hgt", "no such file"),
+    ):
+        with pytest.raises(SourceError, match=rf"{name}: {reason}"):
+            read_raster(tmp_path / name)
 
 
 # ---- heights in colors

@@ -11,8 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-from lirs_wct.formats.elevation import Raster, read_raster
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.elevation import Raster, RasterInfo, read_raster
+from lirs_wct.formats.images import tiff
 
 HERE = Path(__file__).parent / "rasters"
 RECORDS: dict[str, Any] = json.loads((HERE / "rasters.json").read_text())
@@ -126,3 +130,50 @@ def test_other_rasters_are_read_by_gdal(suffix: str, tmp_path: Path) -> None:
     assert found.info.georeference is not None
     assert known.info.georeference is not None
     assert found.info.georeference.pixel == pytest.approx(known.info.georeference.pixel)
+
+
+def georeferenced(path: Path, crs: str) -> RasterInfo:
+    place = rasterio.transform.from_origin(10, 60, 0.01, 0.02)
+    shape = {"width": 8, "height": 6, "count": 1, "dtype": "float32"}
+    with rasterio.open(path, "w", driver="GTiff", crs=crs, transform=place, **shape) as file:
+        file.write(np.ones((6, 8), np.float32), 1)
+    return read_raster(path).info
+
+
+@pytest.mark.parametrize(("vertical", "meters"), [(5703, 1.0), (6360, 1200 / 3937), (8228, 0.3048)])
+def test_heights_have_the_unit_of_their_vertical_system(vertical: int, meters: float, tmp_path: Path) -> None:
+    info = georeferenced(tmp_path / "a.tif", f"EPSG:4269+{vertical}")
+    assert info.unit == meters
+    assert info.georeference is not None
+    assert info.georeference.system.name == "EPSG:4269"
+
+
+def test_degrees_of_another_body_have_its_radius(tmp_path: Path) -> None:
+    """The moon's center pixel: 60 deg - 3 x .02 deg north."""
+    georeference = georeferenced(tmp_path / "moon.tif", "+proj=longlat +R=1737400 +no_defs").georeference
+    assert georeference is not None
+    degree = math.radians(1_737_400.0)
+    expected = 0.01 * degree * math.cos(math.radians(59.94)), 0.02 * degree
+    assert georeference.pixel == pytest.approx(expected, rel=1e-6)
+
+
+def scaled(path: Path, *scale: float) -> Path:
+    tags = ImageFileDirectory_v2()
+    tags.tagtype[tiff.PIXEL_SCALE] = 12
+    tags[tiff.PIXEL_SCALE] = scale
+    Image.new("L", (9, 9)).save(path, tiffinfo=tags)
+    return path
+
+
+def test_a_pixel_scale_without_a_tie_point_is_told(tmp_path: Path) -> None:
+    path = scaled(tmp_path / "a.tif", 2.0, 3.0, 0.0)
+    with pytest.warns(UserWarning, match=r"a\.tif: has a pixel scale but no tie point"):
+        georeference = read_raster(path).info.georeference
+    assert georeference is not None
+    assert georeference.pixel == (2.0, 3.0)
+
+
+@pytest.mark.parametrize("scale", [(0.0, 1.0), (1.0, 0.0), (1.0, math.inf), (math.nan, 1.0)])
+def test_a_pixel_scale_that_is_none(scale: tuple[float, float], tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"a\.tif: pixel.* must be above 0"):
+        read_raster(scaled(tmp_path / "a.tif", *scale, 0.0))

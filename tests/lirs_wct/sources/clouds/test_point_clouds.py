@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from pyproj import CRS
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.build import build_world
@@ -139,8 +140,7 @@ def test_las_brings_its_place_and_its_classes(suffix: str, scene: Scene, tmp_pat
     path = tmp_path / f"a{suffix}"
     las = laspy.create(point_format=6, file_version="1.4")
     las.header.offsets, las.header.scales = (*UTM, 0.0), (0.001,) * 3
-    wkt = 'PROJCS["WGS 84 / UTM zone 18N",AUTHORITY["EPSG","32618"]]'
-    las.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    las.header.add_crs(CRS.from_epsg(32618))
     las.x, las.y, las.z = scene.xyz[:, 0] + UTM[0], scene.xyz[:, 1] + UTM[1], scene.xyz[:, 2]
     las.write(path)
     by_filter = build_world(path, BuildOptions(resolution=1.0))
@@ -267,24 +267,27 @@ def test_clouds_that_are_none(tmp_path: Path) -> None:
             build_world(tmp_path / f"{name}.ply")
 
 
-FEET = (
-    'PROJCS["NAD83 / New York Long Island (ftUS)",GEOGCS["NAD83",DATUM["North_American_Datum_1983",'
-    'SPHEROID["GRS 1980",6378137,298.257222101]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],'
-    'PROJECTION["Lambert_Conformal_Conic_2SP"],UNIT["US survey foot",0.3048006096012192],'
-    'AUTHORITY["EPSG","2263"]]'
-)
-METERS_UP = ',VERT_CS["NAVD88",VERT_DATUM["NAVD88",2005],UNIT["metre",1.0]]]'
-
-
 @pytest.mark.parametrize(
-    ("wkt", "unit"), [(FEET, 0.3048006), ('COMPD_CS["both",' + FEET + METERS_UP, 1.0)], ids=["feet", "both"]
+    ("system", "keys", "unit"),
+    [
+        ("EPSG:2263", False, 1200 / 3937),
+        ("EPSG:2263", True, 1200 / 3937),
+        ("EPSG:2263+5703", False, 1.0),
+        ("EPSG:2263+8228", False, 0.3048),
+    ],
 )
-def test_a_las_in_feet(wkt: str, unit: float, tmp_path: Path) -> None:
+def test_a_las_in_feet(system: str, keys: bool, unit: float, tmp_path: Path) -> None:
     """Its extent was in meters, its heights were not."""
     laspy = pytest.importorskip("laspy")
     las = laspy.create(point_format=6, file_version="1.4")
     las.header.offsets, las.header.scales = (980_000, 200_000, 0), (0.001,) * 3
-    las.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    if keys:
+        directory = laspy.vlrs.known.GeoKeyDirectoryVlr()
+        directory.geo_keys = [laspy.vlrs.known.GeoKeyEntryStruct(id=3072, count=1, value_offset=2263)]
+        las.header.vlrs.append(directory)
+    else:
+        text = CRS(system).to_wkt("WKT1_GDAL")
+        las.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(text))
     x, y = np.random.default_rng(0).uniform(0, 300, (2, 20_000))
     las.x, las.y, las.z = 980_000 + x, 200_000 + y, 50 + 0.1 * x
     las.write(tmp_path / "a.las")

@@ -38,6 +38,8 @@ def png(path: Path, pixels: np.ndarray) -> Path:
 def tiff(path: Path, pixels: np.ndarray, **tags: object) -> Path:
     """Write a GeoTIFF; `scale`, `tie`, `keys`, `nodata`."""
     numbers = {"scale": (33550, 12), "tie": (33922, 12), "keys": (34735, 3), "nodata": (42113, 2)}
+    if "scale" in tags:
+        tags = {"tie": (0.0, 0.0, 0.0, 5e5, 6e6, 0.0), **tags}
     info = ImageFileDirectory_v2()
     for name, value in tags.items():
         number, kind = numbers[name]

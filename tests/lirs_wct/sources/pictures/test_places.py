@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from pyproj import CRS
 
 from lirs_validation.cli.commands.info import facts_table, world_facts
 from lirs_validation.gui.session.construction import built_facts
@@ -34,7 +35,7 @@ def tile(path: Path, first: int, *, cols: int = 33, rows: int = 25) -> Path:
         *(" ".join(f"{value:.6f}" for value in row) for row in z),
     ]  # fmt: skip
     path.write_text("\n".join(lines) + "\n")
-    path.with_suffix(".prj").write_text('PROJCS["WGS 84 / Pseudo-Mercator",AUTHORITY["EPSG","3857"]]')
+    path.with_suffix(".prj").write_text(CRS.from_epsg(3857).to_wkt("WKT1_ESRI"))
     return path
 
 

@@ -26,7 +26,7 @@ OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
     "height/gazebo_models__NAC_DTM_APOLLO15_E261N0036_257x257+7472+2152.png": ((257, 257), ""),
     "height/gazebo_terrain_generator__prayag_height_map.tif": ((1025, 1025), ""),
     "height/gz-common__dem_landscape.tif": ((125, 200), ""),
-    "height/gz-common__dem_moon.tif": ((33, 33), ""),
+    "height/gz-common__dem_moon.tif": ((33, 33), "its units are taken for ground meters"),
     "height/gz-common__dem_squared.tif": ((129, 129), ""),
     "height/gz-common__dem_unfinished.tif": ((33, 33), f"282 of 1089 {HOLES}"),
     "height/gz-common__heightmap_bowl.png": ((129, 129), ""),
