@@ -275,8 +275,9 @@ def _affine(path: Path, header: dict[str, float], rows: int) -> Affine:
 
 Encoding = Literal["gray", "terrain-rgb", "terrarium"]
 ENCODINGS: tuple[Encoding, ...] = ("gray", "terrain-rgb", "terrarium")
-LOWEST, HIGHEST = -11_500.0, 9_000.0
-"""Heights on the earth, meters; colors that encode others belong to a photo."""
+LOWEST, LAND, HIGHEST = -11_500.0, -500.0, 9_000.0
+"""Heights of the deepest sea, the lowest land and the highest land, meters; colors that encode others belong
+to a photo."""
 _TILE = re.compile(r"(\d{1,2})/(\d+)/(\d+)(@2x)?")
 _WORLD = 2 * math.pi * WGS84[0]
 """Meters of web Mercator around the world."""
@@ -298,19 +299,28 @@ def guess(pixels: NDArray[Any]) -> Encoding | None:
     """Guess the encoding of heights in the colors of a picture; None for plain colors.
 
     Heights of the earth fill a hundredth of either encoding's range. Red, the largest digit, then hardly
-    changes, green jumps where red changes, and blue, the smallest digit, is seldom constant.
+    changes, and green jumps where red changes. Blue, the smallest digit, seldom stays the same; on flat
+    ground it jumps where green changes, or changes alone.
     """
     if pixels.ndim != 3 or pixels.dtype != np.uint8:
         return None
     blue, green, red = (np.abs(np.diff(pixels[..., k].astype(np.int16), axis=1)) for k in range(3))
-    jumps = green[red > 0]
-    if np.median(blue) < 3 or (red > 0).mean() > 0.2 or (jumps.size and np.median(jumps) < 128):
+    if (red > 0).mean() > 0.2 or not _carries(green, red):
+        return None
+    alone = not (green.any() or red.any()) and blue.any()
+    if not (alone or np.median(blue) >= 3 or (green.any() and _carries(blue, green))):
         return None
     for encoding in ENCODINGS[1:]:
         meters = decode(pixels, encoding)
-        if LOWEST <= meters.min() < meters.max() <= HIGHEST:
+        if (LAND if alone else LOWEST) <= meters.min() < meters.max() <= HIGHEST:
             return encoding
     return None
+
+
+def _carries(digit: NDArray[np.int16], larger: NDArray[np.int16]) -> bool:
+    """Whether a digit mostly jumps where the next larger digit changes."""
+    jumps = digit[larger > 0]
+    return not jumps.size or bool(np.median(jumps) >= 128)
 
 
 def tile_georeference(path: Path, shape: tuple[int, int]) -> Georeference | None:

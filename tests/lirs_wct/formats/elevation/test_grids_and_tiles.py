@@ -191,6 +191,27 @@ def test_a_tile_of_another_name_needs_an_extent(tmp_path: Path) -> None:
         build_world(tmp_path / "gray.png", BuildOptions(encoding="terrarium", pixel_size=3.0))
 
 
+@pytest.mark.parametrize("encoding", ["terrain-rgb", "terrarium"])
+@pytest.mark.parametrize("relief", [0.5, 5.0, 20.0, 60.0])
+def test_flat_ground_in_colors_is_suggested(encoding: str, relief: float) -> None:
+    """With steps of 0.1 m, blue changes by 2 or less from pixel to pixel."""
+    for lowest in (-400.0, 3.0, 1800.0):
+        meters = lowest + relief * (METERS - METERS.min()) / np.ptp(METERS)
+        assert guess(encoded(cv2.resize(meters, (256, 256)), encoding)) == encoding
+
+
+@pytest.mark.shared
+def test_real_pictures_with_heights_in_colors(shared_data: Path) -> None:
+    """One tile is Terrain-RGB (its publisher's word); photos, textures and gray pictures are not."""
+    found = {}
+    for path in sorted((*shared_data.glob("height/*"), *shared_data.glob("textures/*"))):
+        picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        if picture is not None:
+            found[path.name] = guess(picture)
+    assert len(found) > 25
+    assert {name: kind for name, kind in found.items() if kind} == {"pydelatin__fuji.png": "terrain-rgb"}
+
+
 def test_photographs_are_no_heights(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     for _ in range(5):
