@@ -21,6 +21,12 @@ NODES = 1025
 """Default number of nodes along the longer side."""
 FINEST = 0.02
 """Smallest default node spacing, meters; finer detail does not affect a wheel."""
+UNITLESS = (".stl", ".obj", ".ply")
+"""Files that do not state their unit; those of this program name meters in their first bytes."""
+HEAD = 80
+"""Bytes of a file that may name its unit."""
+LARGE = 1000.0
+"""Longest side from which coordinates without a unit are likely millimeters."""
 
 
 def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | ClosedMesh, str]:
@@ -37,6 +43,8 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | Close
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
         raise SourceError(f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m")
+    if not (options.size or options.scale):
+        _warn_millimeters(path, low, high)
     surface, overhangs, no_ground = _surface(path, mesh, options)
     closed = mesh.is_watertight
     if not closed:
@@ -60,6 +68,20 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | Close
     if closed and options.window is None:
         return ClosedMesh(surface, mesh, overhangs, gaps), scale
     return Terrain(surface, gaps), scale
+
+
+def _warn_millimeters(path: Path, low: FloatArray, high: FloatArray) -> None:
+    """Warn of a large mesh from a file without a unit."""
+    if path.suffix.lower() not in UNITLESS or (high - low)[:2].max() < LARGE:
+        return
+    with path.open("rb") as file:
+        if b"meters" in file.read(HEAD):
+            return
+    warnings.warn(
+        f"{path}: is {_size(low, high)} m, as its unit counts as the meter; "
+        "if it is the millimeter, give --scale 0.001",
+        stacklevel=4,
+    )
 
 
 def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[HeightField, bool, BoolArray]:

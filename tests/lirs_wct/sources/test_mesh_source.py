@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -120,6 +121,42 @@ def test_what_is_no_terrain_is_refused(tmp_path: Path) -> None:
     (tmp_path / "none.obj").write_text("# nothing\n")
     with pytest.raises(SourceError, match=r"none\.obj: "):
         build_world(tmp_path / "none.obj")
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
+def test_likely_millimeters_are_told(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"steps{suffix}"
+    trimesh.creation.box((2000, 800, 150)).export(path)
+    with pytest.warns(UserWarning, match=r"steps\..*: is 2000 x 800 x 150 m, .* give --scale 0\.001") as told:
+        build_world(path)
+    assert len(told) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert build_world(path, BuildOptions(scale=(1e-3,) * 3)).surface.size == pytest.approx((2, 0.8))
+
+
+@pytest.mark.parametrize("name", ["large.dae", "large.glb", "ours.stl", "ours.obj", "small.stl"])
+def test_files_that_are_in_meters_are_not(name: str, tmp_path: Path) -> None:
+    side = 900 if name == "small.stl" else 3000
+    box = trimesh.creation.box((side, side, 100))
+    write_mesh(tmp_path / name, TriangleMesh(np.asarray(box.vertices), np.asarray(box.faces, np.int32)))
+    if name == "small.stl":
+        box.export(tmp_path / name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        assert build_world(tmp_path / name).surface.size == pytest.approx((side, side))
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("unitree_mujoco__terrain.STL", True), ("map2gazebo__map.stl", False), ("mujoco__pyramid.stl", False)],
+)
+def test_real_millimeters(name: str, told: bool, shared_data: Path) -> None:
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        build_world(shared_data / "stl" / name)
+    assert any("--scale 0.001" in str(w.message) for w in found) == told
 
 
 @pytest.mark.shared
