@@ -11,14 +11,13 @@ import numpy as np
 
 from lirs_envs.batch.bodies import SingleBody
 from lirs_envs.batch.robot_group import RobotGroup, make_body, make_walkers
-from lirs_envs.collisions import Collisions, check_divergence
+from lirs_envs.collisions import Collisions
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.ray_casting import WalkerCaster, make_caster
-from lirs_envs.placement import check_fit, check_settled, resolve_start, standing_pose
+from lirs_envs.placement import check_fit, resolve_start
 from lirs_envs.robots.command import Twist, Waypoint, check_command
 from lirs_envs.sensing.sensors import Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_envs.walkers import WALKER_STREAM
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.errors import ConfigError, SimulationError
@@ -139,12 +138,7 @@ class Simulation:
         start = resolve_start(self.world, self.config.start if start is None else start)
         seed = self._seed if seed is None else seed
         require_seed(seed)
-        T_world_base = standing_pose(self.world, self.robot, start)
-        if self.walkers is not None:
-            self.walkers.reset(start, np.random.default_rng((seed, WALKER_STREAM)))
-        self.body.settle(T_world_base, None if self.walkers is None else self.walkers.touchable)
-        check_divergence(self.body.data)
-        check_settled(self.robot, start, self.T_world_base, tipped=self.tipped)
+        self._row.place(0, self.world, start, seed)
         self._seed = seed
         self._begin()
         self._initial_state = self.body.state()

@@ -296,6 +296,10 @@ class SingleBody:
         self.body.step(steps)
         return {}
 
+    def settle(self, i: int, T_world_base: Pose3, walkers: FloatArray | None = None) -> None:
+        """Release the robot in a pose with its wheels held, and settle (see `RobotModel.settle`)."""
+        self.body.settle(T_world_base, walkers)
+
     def add_touching(self, touched: BoolArray, dt: float) -> None:
         """Record the contacts, which last for `dt` seconds; mark in (1,) whether the robot collides."""
         touched[0] |= self.contacts.record(self.body.data, dt)

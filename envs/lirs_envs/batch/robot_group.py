@@ -11,16 +11,19 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from lirs_envs.batch.bodies import Bodies, SingleBody
+from lirs_envs.placement import check_settled, standing_pose
 from lirs_envs.props import footprint
-from lirs_envs.robot_model import RobotModel
+from lirs_envs.robot_model import RobotModel, base_pose, is_tipped
 from lirs_envs.robots.command import Waypoint
 from lirs_envs.robots.drive import make_controllers
 from lirs_envs.sensing.imu import ImuSensors
 from lirs_envs.sensing.odometry import WheelJoints, WheelOdometries
 from lirs_envs.sensing.sensors import Odometries
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_envs.walkers import Walkers
+from lirs_envs.walkers import WALKER_STREAM, Walkers
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.errors import SimulationError
+from lirs_wct.geometry import Pose2
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
@@ -72,6 +75,24 @@ class RobotGroup(Generic[B]):
     def odometry(self) -> FloatArray:
         """(n, 3) `T_odom_base`: x, y, yaw, meters and radians."""
         return self._odometry.pose
+
+    def place(self, k: int, world: World, start: Pose2, seed: int) -> None:
+        """Put robot `k` at rest on the ground, and the walkers around it on new paths.
+
+        Raises:
+            SimulationError: it cannot stand there.
+        """
+        bodies, robot = self.bodies, self.bodies.robot
+        T_world_base, touchable = standing_pose(world, robot, start), None
+        if self.walkers:
+            self.walkers[k].reset(start, np.random.default_rng((seed, WALKER_STREAM)))
+            touchable = self.walkers[k].touchable
+        bodies.settle(k, T_world_base, touchable)
+        divergence = bodies.divergence(k)
+        if divergence:
+            raise SimulationError(divergence)
+        settled = base_pose(bodies.qpos[k])
+        check_settled(robot, start, settled, tipped=is_tipped(settled))
 
     def begin(self, k: int, odometry: np.random.Generator, imu: np.random.Generator, dt: float) -> None:
         """Start robot `k` where it stands; its readings come every `dt` seconds."""

@@ -14,13 +14,11 @@ from lirs_envs.batch.robot_group import RobotGroup, make_body, make_groups, make
 from lirs_envs.batch.work_threads import Work, WorkThreads
 from lirs_envs.lidar.lidar import BaseVelocity
 from lirs_envs.lidar.ray_casting import Caster, make_caster
-from lirs_envs.placement import check_settled, standing_pose
-from lirs_envs.robot_model import TIPPED, is_tipped
+from lirs_envs.robot_model import TIPPED
 from lirs_envs.sensing.sensors import Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_envs.walkers import WALKER_STREAM
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.errors import ConfigError
 from lirs_wct.export.mjcf import write_heights
 from lirs_wct.geometry import LaserScan, Pose2, Pose3
 from lirs_wct.geometry.heightfield import HeightField
@@ -183,19 +181,10 @@ class BatchSimulation:
         Raises:
             SimulationError: it cannot stand there.
         """
-        (group, k), robot = self._places[i], self.config.robot
+        group, k = self._places[i]
         self.errors[i] = "a robot must be reset before it is advanced"
-        T_world_base, touchable = standing_pose(self.worlds[i], robot, start), None
-        if group.walkers:
-            group.walkers[k].reset(start, np.random.default_rng((seed, WALKER_STREAM)))
-            touchable = group.walkers[k].touchable
-        group.bodies.settle(k, T_world_base, touchable)
-        divergence = group.bodies.divergence(k)
-        if divergence:
-            raise SimulationError(divergence)
+        group.place(k, self.worlds[i], start, seed)
         self._read_poses(group, np.array((k,)))
-        there = self.pose(i)
-        check_settled(robot, start, there, tipped=is_tipped(there))
         self._begin(i, seed)
 
     def _begin(self, i: int, seed: int) -> None:
