@@ -23,21 +23,12 @@ from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, S
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_validation.bench.tasks import TASKS, BenchTask
 from lirs_validation.driving.choice import MARGIN
-from lirs_validation.driving.coverage import ground_height
 from lirs_validation.driving.driver import Driver, Frame
+from lirs_validation.driving.free_ground import FreeGround
 from lirs_validation.driving.frontier_route import FrontierRoute, GoalRoute
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
 from lirs_validation.driving.path_driver import Path as DrivenPath
-from lirs_validation.driving.paths import (
-    area_round,
-    nearest,
-    path_weight,
-    penalize_behind,
-    room_at,
-    room_in,
-    smooth_path,
-)
-from lirs_validation.driving.pursuit import speed_profile
+from lirs_validation.driving.paths import penalize_behind
 from lirs_validation.driving.waypoint_route import WaypointRoute
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
@@ -196,45 +187,40 @@ class UnseenRoute:
         config: DriverConfig,
         surface: HeightField,
     ) -> None:
-        self._grid, self._unseen, self._config, self._surface = free, unseen, config, surface
-        self._free = area_round(free, start)
-        self._room = room_in(self._free, free.resolution)
-        self._weight = path_weight(self._free, self._room)
-        self._tried = np.zeros_like(self._free)
+        self._unseen, self._config = unseen, config
+        self._ground = FreeGround(free, start, surface)
+        self._tried = np.zeros_like(self._ground.free)
         self._goal: tuple[int, int] | None = None
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> DrivenPath | None:
         """Return the path to the best place; None without reachable unseen ground."""
-        resolution = self._grid.resolution
-        first = nearest(self._free, self._grid.cells((pose.x, pose.y)))
+        ground, grid = self._ground, self._ground.grid
+        resolution = grid.resolution
+        first = ground.nearest(pose.x, pose.y)
         unseen = self._unseen_cells()
-        heading = pose.yaw - self._grid.origin.yaw
-        weight = penalize_behind(self._weight, first, heading, ARC / resolution)
+        weight = penalize_behind(ground.weight, first, pose.yaw - grid.origin.yaw, ARC / resolution)
         reach = search(weight, first[None], resolution)
         # A cell that is not seen from close by cannot be seen at all.
         self._tried |= unseen & (reach.cost <= 2 * self._config.step)
-        possible = unseen & self._free & ~self._tried & np.isfinite(reach.cost)
+        possible = unseen & ground.free & ~self._tried & np.isfinite(reach.cost)
         if not possible.any():
             return None
         if self._goal is None or not possible[self._goal]:
             worth = np.where(possible, _around(unseen, resolution) * np.exp(-DECAY * reach.cost), 0.0)
             row, col = divmod(int(np.argmax(worth)), worth.shape[1])
             self._goal = row, col
-        cells = self._grid.centers(reach.path(self._goal))
-        points = smooth_path(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
-        room, height = room_at(self._grid, self._room, points), ground_height(self._surface, points)
-        return DrivenPath(points, speed_profile(points, room, self._config.pursuit, height))
+        pursuit = self._config.pursuit
+        points = ground.smooth(grid.centers(reach.path(self._goal)), pursuit.careful_room)
+        return ground.path(points, pursuit)
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
         """Penalize the ground around a place."""
-        cells = np.argwhere(self._free)
-        near = cells[np.linalg.norm(self._grid.centers(cells) - np.array(point), axis=1) < radius]
-        self._weight[near[:, 0], near[:, 1]] += 50.0
+        self._ground.avoid(point, radius)
 
     def _unseen_cells(self) -> BoolArray:
         """Return (rows, cols) mask of grid cells that hold the center of an unseen cell."""
-        unseen = np.zeros(self._free.shape, np.bool_)
-        cells = np.clip(self._grid.cells(self._unseen()), 0, np.array(unseen.shape) - 1)
+        unseen = np.zeros(self._ground.free.shape, np.bool_)
+        cells = np.clip(self._ground.grid.cells(self._unseen()), 0, np.array(unseen.shape) - 1)
         unseen[cells[:, 0], cells[:, 1]] = True
         return unseen
 

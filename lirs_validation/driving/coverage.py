@@ -13,20 +13,9 @@ import cv2
 import numpy as np
 
 from lirs_validation.driving.driver import Frame
+from lirs_validation.driving.free_ground import FreeGround
 from lirs_validation.driving.path_driver import DriverConfig, Path, PathDriver
-from lirs_validation.driving.paths import (
-    COMFORTABLE,
-    NARROW,
-    arc_length,
-    area_round,
-    cells_ahead,
-    path_weight,
-    penalize_behind,
-    room_at,
-    room_in,
-    smooth_path,
-)
-from lirs_validation.driving.pursuit import speed_profile
+from lirs_validation.driving.paths import COMFORTABLE, NARROW, arc_length, cells_ahead, penalize_behind
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry import OccupancyGrid, Pose2
@@ -67,11 +56,17 @@ class TourConfig:
 class CoveragePlanner:
     """Planner of tours over free cells; remembers the covered cells.
 
+    Attributes:
+        config: how to choose goals.
+        ground: free ground to cover.
+        radius: distance within which a cell is covered, meters.
+
     Args:
         free: free cells = where the robot's center may be.
         start: any pose; only cells reachable from there count.
         rng: chooses among goals.
-        config: how to choose.
+        config: how to choose goals.
+        surface: the ground, for slower driving where it is steep.
 
     Raises:
         ConfigError: no cell is free.
@@ -83,20 +78,20 @@ class CoveragePlanner:
         start: Pose2,
         rng: np.random.Generator,
         config: TourConfig | None = None,
+        surface: HeightField | None = None,
     ) -> None:
-        self.config = config or TourConfig()
+        self.config = c = config or TourConfig()
         self._grid, self._rng = free, rng
-        self._free = area_round(free, start)
+        self.ground = FreeGround(free, start, surface, comfortable=c.room, narrow=c.narrow)
+        self._free = self.ground.free
         # In a small place as large a radius would cover all from anywhere, and the robot would only turn.
         side = math.sqrt(float(self._free.sum())) * free.resolution
-        self.radius = min(self.config.radius, max(0.8, 0.2 * side))
-        self.room = room_in(self._free, free.resolution)
-        self._weight = path_weight(self._free, self.room, self.config.room, self.config.narrow)
+        self.radius = min(c.radius, max(0.8, 0.2 * side))
         self._plain = np.where(self._free, 1.0, np.inf)
         self._covered_at = np.full(free.shape, -np.inf)
         self._driven: FloatArray = np.array([[start.x, start.y]])
         self._length = 0.0
-        self._next_loop = self.config.loop
+        self._next_loop = c.loop
 
     @property
     def coverage(self) -> float:
@@ -134,11 +129,7 @@ class CoveragePlanner:
             tail = points[-1] - points[max(0, len(points) - 8)]
             heading = math.atan2(tail[1], tail[0])
         points = np.concatenate(legs)
-        return smooth_path(points, self._grid, self.room, keep=self.config.room / 2, hold=len(ahead) - 1)
-
-    def room_at(self, points: FloatArray) -> FloatArray:
-        """Return (n,) meters from points (n, 2) to the nearest blocked cell; 0 in one."""
-        return room_at(self._grid, self.room, points)
+        return self.ground.smooth(points, self.config.room / 2, hold=len(ahead) - 1)
 
     def forget(self, undriven: float) -> None:
         """Remove the last meters, planned but not driven, from the tour."""
@@ -146,12 +137,6 @@ class CoveragePlanner:
         self._length = max(0.0, self._length - undriven)
         self._driven = self._driven[arc <= max(arc[-1] - undriven, 0.0)]
         self._covered_at[self._covered_at > self._length] = -np.inf
-
-    def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Penalize cells round a point in the grid's frame: only the last resort leads there."""
-        cells = np.argwhere(self._free)
-        near = cells[np.linalg.norm(self._grid.centers(cells) - np.array(point), axis=1) < radius]
-        self._weight[near[:, 0], near[:, 1]] += 50.0
 
     def _leg(self, cell: IntArray, heading: float) -> IntArray:
         """Return cells (n, 2) from here to the next goal."""
@@ -161,7 +146,7 @@ class CoveragePlanner:
         slack = self.config.turn + self.radius
         # Turning in place grinds all wheels sideways, and on a slope the robot slides down meanwhile.
         arc, local = self.config.arc / self._grid.resolution, heading - self._grid.origin.yaw
-        weight = penalize_behind(self._weight, cell, local, arc)
+        weight = penalize_behind(self.ground.weight, cell, local, arc)
         reach = search(weight, cell[None], self._grid.resolution, goals=goals, slack=slack)
         return reach.path(self._choice(reach, goals, cell, heading))
 
@@ -178,7 +163,7 @@ class CoveragePlanner:
             if old.any():
                 return old
         # Where there is room to turn round first: a dead end is mostly covered from its mouth.
-        roomy: BoolArray = other & (self.room >= self.config.room)
+        roomy: BoolArray = other & (self.ground.room >= self.config.room)
         for candidates in (roomy, other):
             never: BoolArray = candidates & (self._covered_at == -np.inf)
             if never.any():
@@ -242,18 +227,15 @@ class TourRoute:
         planner: plans tours from any pose.
         seconds: how long they must last.
         config: how they are driven.
-        surface: the ground, for slower driving where it is steep.
     """
 
     frame: Frame = "world"
     refresh = math.inf
     ends = "the tour is over"
 
-    def __init__(
-        self, planner: CoveragePlanner, seconds: float, config: DriverConfig, surface: HeightField | None
-    ) -> None:
+    def __init__(self, planner: CoveragePlanner, seconds: float, config: DriverConfig) -> None:
         self.planner = planner
-        self._seconds, self._config, self._surface = seconds, config, surface
+        self._seconds, self._config = seconds, config
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> Path:
         """Plan a tour long enough for the rest of the time at full speed."""
@@ -264,12 +246,11 @@ class TourRoute:
         # From rest straight ahead: turning wheels slip most while a mapper knows least.
         straight = self.planner.config.straight if time == 0.0 else 0.0
         points = self.planner.tour(pose, length, straight=straight)
-        height = None if self._surface is None else ground_height(self._surface, points)
-        return Path(points, speed_profile(points, self.planner.room_at(points), self._config.pursuit, height))
+        return self.planner.ground.path(points, self._config.pursuit)
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
         """Penalize the ground round a place: only the last resort leads there."""
-        self.planner.avoid(point, radius)
+        self.planner.ground.avoid(point, radius)
 
 
 class CoverageDriver(PathDriver):
@@ -308,11 +289,5 @@ def plan_coverage(
         ConfigError: no cell is free.
     """
     config = config or DriverConfig()
-    planner = CoveragePlanner(free, start, rng)
-    return CoverageDriver(TourRoute(planner, seconds, config, surface), start, config)
-
-
-def ground_height(surface: HeightField, points: np.ndarray) -> np.ndarray:
-    """Return (n,) meters of the ground at points (n, 2); 0 where there is none."""
-    height: np.ndarray = np.nan_to_num(surface.height_at(points[:, 0], points[:, 1]))
-    return height
+    planner = CoveragePlanner(free, start, rng, surface=surface)
+    return CoverageDriver(TourRoute(planner, seconds, config), start, config)

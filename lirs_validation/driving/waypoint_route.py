@@ -8,19 +8,10 @@ from pathlib import Path as File
 
 import numpy as np
 
-from lirs_validation.driving.coverage import ground_height
 from lirs_validation.driving.driver import Frame
+from lirs_validation.driving.free_ground import FreeGround
 from lirs_validation.driving.path_driver import DriverConfig, Path
-from lirs_validation.driving.paths import (
-    arc_length,
-    area_round,
-    nearest,
-    path_weight,
-    room_at,
-    room_in,
-    smooth_path,
-)
-from lirs_validation.driving.pursuit import speed_profile
+from lirs_validation.driving.paths import arc_length, area_round
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.waypoints import RoutePoint
@@ -54,10 +45,8 @@ class WaypointRoute:
         surface: HeightField | None,
     ) -> None:
         self._left = list(waypoints)
-        self._config, self._surface, self._grid = config, surface, free
-        self._free = area_round(free, Pose2(waypoints[0].x, waypoints[0].y))
-        self._room = room_in(self._free, free.resolution)
-        self._weight = path_weight(self._free, self._room)
+        self._config = config
+        self._ground = FreeGround(free, Pose2(waypoints[0].x, waypoints[0].y), surface)
         self._ends_at: list[float] = []
         """Meters of the present path after which each of its waypoints is reached."""
         self._length = 0.0
@@ -79,26 +68,22 @@ class WaypointRoute:
                 break
         points = np.concatenate(legs)[1:]
         self._length = self._ends_at[-1]
-        height = None if self._surface is None else ground_height(self._surface, points)
-        room = room_at(self._grid, self._room, points)
-        return Path(points, speed_profile(points, room, self._config.pursuit, height), waypoint.yaw)
+        return self._ground.path(points, self._config.pursuit, waypoint.yaw)
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
         """Penalize the ground round a place: only the last resort leads there."""
-        cells = np.argwhere(self._free)
-        near = cells[np.linalg.norm(self._grid.centers(cells) - np.array(point), axis=1) < radius]
-        self._weight[near[:, 0], near[:, 1]] += 50.0
+        self._ground.avoid(point, radius)
 
     def _leg(self, start: FloatArray, waypoint: RoutePoint) -> FloatArray:
         """Return (n, 2) points from the free cell nearest to a point to a waypoint."""
-        first = nearest(self._free, self._grid.cells(start))
-        goal = nearest(self._free, self._grid.cells((waypoint.x, waypoint.y)))
-        goals = np.zeros_like(self._free)
+        ground, grid = self._ground, self._ground.grid
+        first, goal = ground.nearest(start[0], start[1]), ground.nearest(waypoint.x, waypoint.y)
+        goals = np.zeros_like(ground.free)
         goals[goal[0], goal[1]] = True
-        reach = search(self._weight, first[None], self._grid.resolution, goals=goals)
-        cells = self._grid.centers(reach.path((int(goal[0]), int(goal[1]))))
-        cells[-1] = waypoint.x, waypoint.y
-        return smooth_path(cells, self._grid, self._room, keep=self._config.pursuit.careful_room)
+        reach = search(ground.weight, first[None], grid.resolution, goals=goals)
+        points = grid.centers(reach.path((int(goal[0]), int(goal[1]))))
+        points[-1] = waypoint.x, waypoint.y
+        return ground.smooth(points, self._config.pursuit.careful_room)
 
 
 def check_waypoints(

@@ -11,6 +11,7 @@ import pytest
 
 from lirs_validation.driving.coverage import CoverageDriver, CoveragePlanner, TourConfig, plan_coverage
 from lirs_validation.driving.path_driver import DriverConfig
+from lirs_validation.driving.paths import room_at
 from lirs_validation.driving.pursuit import PursuitConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -74,7 +75,7 @@ def test_a_tour_is_long_enough_evenly_spaced_and_free() -> None:
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert steps.max() < 0.101
     assert 150.0 < steps.sum() < 260.0
-    assert (planner.room_at(points) > 0).all()
+    assert (room_at(planner.ground.grid, planner.ground.room, points) > 0).all()
 
 
 def test_a_small_world_is_covered_completely_and_then_driven_again() -> None:
@@ -101,7 +102,7 @@ def test_a_straight_beginning_ends_before_an_obstacle() -> None:
     free = corridor(length=5.0, width=2.0)
     planner = CoveragePlanner(free, Pose2(4.5, 1.0, 0.0), np.random.default_rng(0))
     points = planner.tour(Pose2(4.5, 1.0, 0.0), 10.0, straight=2.0)
-    assert (planner.room_at(points) > 0).all()
+    assert (room_at(planner.ground.grid, planner.ground.room, points) > 0).all()
     assert points[:, 0].max() > 4.6
 
 
