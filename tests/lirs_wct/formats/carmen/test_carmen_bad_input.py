@@ -103,13 +103,6 @@ def test_ranges_that_are_no_numbers_are_no_walls(tmp_path: Path) -> None:
     assert log.scans[0].hits[7:].all()
 
 
-def test_a_stamp_of_another_year_is_left_out(tmp_path: Path) -> None:
-    lines, _ = room_lines(120)
-    lines[7] = lines[7].replace(f"{START + 1.4:.6f}", "3.5")
-    log = read(tmp_path, lines)
-    assert (len(log.scans), log.skipped) == (119, {"stamp more than a day from the others": 1})
-
-
 def test_unknown_messages_are_counted_by_name(tmp_path: Path) -> None:
     other = ["TRUEPOS 1 2 3", "SYNC x", "SYNC y", "Laser: 1 2", "12 13", "NMEAGGA 1 49.0 N"]
     log = read(tmp_path, [*LINES, *other])

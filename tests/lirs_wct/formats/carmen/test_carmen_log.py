@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import math
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,6 @@ import pytest
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.geometry.pose import Pose2
 
 
 def flaser(stamp: float, n: int = 180, r: str = "2.50", x: float = 1.0) -> str:
@@ -22,14 +19,6 @@ def write(folder: Path, *lines: str) -> Path:
     path = folder / "x.clf"
     path.write_text("\n".join(("# a comment", *lines)) + "\n")
     return path
-
-
-def test_late_lines_stay_where_they_are_and_are_counted(tmp_path: Path) -> None:
-    with pytest.warns(UserWarning, match="go back at 1 of 2 steps"):
-        log = read_carmen(write(tmp_path, flaser(10.0), flaser(12.0, x=2.0), flaser(11.0, x=3.0)))
-    assert (np.diff(log.stamps) > 0).all()
-    assert [p.x for p in log.odometry if p] == [1.0, 2.0, 3.0]
-    assert log.late == 1
 
 
 def test_unusable_lines_are_counted_by_reason(tmp_path: Path) -> None:
@@ -46,54 +35,6 @@ def test_unusable_lines_are_counted_by_reason(tmp_path: Path) -> None:
         "not a message": 1,
         "scan that is in the log already": 1,
     }
-
-
-@pytest.mark.parametrize(
-    ("text", "meaning"),
-    [("81.83", math.inf), ("51.2", math.inf), ("81.91", math.nan), ("0.0", -math.inf), ("nan", math.nan)],
-)
-def test_codes_are_never_hits(tmp_path: Path, text: str, meaning: float) -> None:
-    scan = read_carmen(write(tmp_path, flaser(1.0, r=text))).scans[0]
-    np.testing.assert_array_equal(scan.ranges, np.full(180, meaning, np.float32))
-    assert not scan.hits.any()
-
-
-@pytest.mark.parametrize(
-    ("n", "first", "last"),
-    [(180, -90, 89), (181, -90, 90), (360, -90, 89.5), (361, -90, 90), (541, -135, 135)],
-)
-def test_field_of_view_follows_from_the_number_of_beams(
-    tmp_path: Path, n: int, first: float, last: float
-) -> None:
-    scan = read_carmen(write(tmp_path, flaser(1.0, n=n))).scans[0]
-    np.testing.assert_allclose(np.degrees(scan.angles[[0, -1]]), (first, last), atol=1e-9)
-
-
-def test_robotlaser_tells_mount_and_odometry(tmp_path: Path) -> None:
-    # The laser is 0.3 m ahead of the base, which looks north.
-    sensor, poses = "0 -1.5707963 3.1415926 1.5707963 20.0 0.1 0", "1.0 2.3 1.5707963 1.0 2.0 1.5707963"
-    line = f"ROBOTLASER1 {sensor} 3 1.0 20.0 3.0 0 {poses} 0 0 0 0 0 7.5 host 0.1"
-    log = read_carmen(write(tmp_path, line))
-    scan = log.scans[0]
-    assert (scan.stamp, scan.T_base_laser.x) == (7.5, pytest.approx(0.3))
-    assert log.odometry[0] == Pose2(1.0, 2.0, 1.5707963)
-    np.testing.assert_array_equal(scan.ranges, np.array((1, np.inf, 3), np.float32))
-
-
-def test_odometry_lines_fill_the_track(tmp_path: Path) -> None:
-    log = read_carmen(write(tmp_path, "ODOM 0.5 2.0 0.5 0.1 0 0 9.5 host 0.1", flaser(10.0)))
-    assert (len(log.scans), log.track.stamps.tolist()) == (1, [9.5, 10.0])
-
-
-def test_gzip_is_known_by_its_content(tmp_path: Path) -> None:
-    path = tmp_path / "log.clf"
-    path.write_bytes(gzip.compress(flaser(3.0).encode()))
-    assert read_carmen(path).stamps.tolist() == [3.0]
-
-
-def test_missing_log(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"none\.clf: cannot be read: No such file"):
-        read_carmen(tmp_path / "none.clf")
 
 
 @pytest.mark.shared

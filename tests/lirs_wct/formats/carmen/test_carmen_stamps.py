@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.carmen.repairs import LEAST_STEP, in_file_order
+from lirs_wct.formats.carmen.repairs import in_file_order
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.geometry.pose import Pose2
 from tests.lirs_wct.formats.carmen.carmen_room import PERIOD, START, room_lines, write_log
@@ -76,49 +76,6 @@ def test_stamps_that_rise_stay_to_the_bit() -> None:
     assert (lines.moved, lines.furthest) == (0, 0.0)
 
 
-def test_an_odometry_line_may_share_the_stamp_of_its_scan() -> None:
-    logged, poses = np.repeat(steady(50), 2), np.repeat(0.05 * np.arange(50), 2)
-    assert repaired(logged, poses).moved == 0
-
-
-def test_lines_far_from_the_fault_keep_their_stamps() -> None:
-    logged = steady(200)
-    logged[100:103] = logged[103]
-    lines = repaired(logged)
-    moved = np.flatnonzero(lines.repaired != logged)
-    assert set(moved) <= set(range(98, 107))
-    assert lines.furthest < 0.6
-
-
-def test_a_pause_of_an_hour_stays() -> None:
-    logged = steady(100)
-    logged[50:] += 3600
-    logged[20] = logged[22]
-    lines = repaired(logged)
-    assert lines.repaired[50] - lines.repaired[49] == pytest.approx(3600 + PERIOD)
-
-
-def test_a_clock_that_was_set_back_runs_on() -> None:
-    logged = steady(100)
-    logged[60:] -= 5000
-    lines = repaired(logged)
-    np.testing.assert_allclose(lines.repaired, steady(100), atol=1e-6)
-
-
-def test_a_single_damaged_stamp_is_taken_from_between() -> None:
-    for wrong in (-3000.0, 4000.0):
-        logged = steady(60)
-        logged[30] += wrong
-        logged[10] = logged[9]  # forward leaps alone are pauses
-        np.testing.assert_allclose(repaired(logged).repaired[20:], steady(60)[20:], atol=1e-6)
-
-
-def test_a_log_without_a_clock_gets_one() -> None:
-    lines = repaired(np.full(40, START))
-    assert np.diff(lines.repaired).min() >= LEAST_STEP - 1e-7
-    assert np.ptp(lines.repaired) > 1.0
-
-
 def test_a_jump_of_the_odometry_does_not_stretch_the_stamps() -> None:
     logged, poses = late_in_bursts(steady(200)), np.asarray(SPEED * PERIOD * np.arange(200), np.float64)
     poses[100:] += 1e9
@@ -150,13 +107,6 @@ def test_logged_stamps_are_found_where_their_lines_went() -> None:
     np.testing.assert_allclose(
         lines.repaired_at(np.array([0.0, 1.1, 2.0, 3.0, 9.0])), [0, 1.1, 2.6, 3.0, 9.0]
     )
-
-
-def test_a_file_of_scans_after_odometry_is_merged_by_stamp() -> None:
-    scans, odoms = drive(steady(200))
-    blocks = [replace(m, line=k) for k, m in enumerate([*odoms, *scans])]
-    *_, lines = in_file_order(blocks[100:], blocks[:100])
-    assert lines.repaired.tolist() == steady(200).tolist()
 
 
 def read_with_stamps(tmp_path: Path, stamps: list[float]) -> LaserLog:
