@@ -31,32 +31,6 @@ def states(grid: OccupancyGrid) -> list[list[str]]:
     return [" ".join(row).split() for row in symbols[::-1]]
 
 
-SHADES = np.array([[0, 89, 90, 205, 206, 254, 255]], np.uint8).repeat(2, axis=0)
-
-
-def test_trinary_by_the_thresholds_of_the_yaml(tmp_path: Path) -> None:
-    assert states(a_map(tmp_path, SHADES, "negate: 0\n"))[0] == ["#", "#", "?", "?", ".", ".", "."]
-    assert states(a_map(tmp_path, SHADES, "negate: 1\n"))[0] == [".", "?", "?", "#", "#", "#", "#"]
-
-
-def test_trinary_averages_alpha_and_scale_takes_it_as_unknown(tmp_path: Path) -> None:
-    pixels = np.zeros((2, 3, 4), np.uint8)
-    pixels[..., 3] = (0, 255, 255)
-    pixels[:, 2, :3] = 255
-    assert states(a_map(tmp_path, pixels, "negate: 0\n"))[0] == ["#", "#", "."]
-    pixels[:, 1, 3] = 254
-    assert states(a_map(tmp_path, pixels, "negate: 0\nmode: scale\n"))[0] == ["?", "?", "."]
-
-
-def test_scale_and_raw_keep_what_lies_between(tmp_path: Path) -> None:
-    scaled = a_map(tmp_path, SHADES, "negate: 0\nmode: scale\n").probability[0]
-    p = (255 - 205) / 255
-    assert scaled[3] == pytest.approx((p - 0.196) / (0.65 - 0.196), abs=1e-6)
-    pixels = np.array([[0, 50, 100, 101, 255]], np.uint8).repeat(2, axis=0)
-    raw = a_map(tmp_path, pixels, "negate: 0\nmode: raw\n").probability[0]
-    np.testing.assert_allclose(raw, [0, 0.5, 1, np.nan, np.nan], atol=1e-5)
-
-
 def test_row_0_is_the_south_and_the_origin_its_corner(tmp_path: Path) -> None:
     pixels = np.full((4, 6), 254, np.uint8)
     pixels[3, 0] = 0  # lower left of the picture

@@ -57,14 +57,6 @@ def test_transparency_is_kept_where_it_is_asked_for(tmp_path: Path) -> None:
     assert read_picture(path).tags == {}
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_gray_pixels_are_as_stored(tmp_path: Path, dtype: type[np.generic]) -> None:
-    pixels = (np.arange(35).reshape(5, 7) * (1872 if dtype is np.uint16 else 7)).astype(dtype)
-    found = read_picture(png(tmp_path, pixels)).pixels
-    assert found.dtype == dtype
-    np.testing.assert_array_equal(found, pixels)
-
-
 def test_pages_and_bands_beyond_the_first_are_told(tmp_path: Path) -> None:
     pages = [Image.fromarray(COLOR[..., k]) for k in (0, 1)]
     path = tmp_path / "a.tif"

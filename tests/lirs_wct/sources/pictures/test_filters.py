@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import solid_mesh
@@ -74,38 +74,11 @@ def test_shrunk_folds_nothing_fine_into_the_coarse() -> None:
     assert resample(PLANE, 2, 2).shape == (2, 2)
 
 
-def test_crop_is_the_same_ground(tmp_path: Path) -> None:
-    pixels = noise()
-    whole, part = (
-        read(png(tmp_path, pixels), pixel_size=0.5),
-        read(png(tmp_path, pixels), pixel_size=0.5, crop=(10, 20, 31, 21), height=1.0),
-    )
-    assert part.size == pytest.approx((15, 10))
-    assert part.cell == pytest.approx(whole.cell)
-    cut = pixels[20:41, 10:41].astype(float)
-    np.testing.assert_allclose(part.z, (cut - cut.min()) / np.ptp(cut), atol=1e-6)
-
-
-def test_crop_beyond_the_picture_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"a\.png: image is 80x60 px, a crop of 30x30 at 60,0"):
-        read(png(tmp_path, noise()), crop=(60, 0, 30, 30))
-
-
 def test_resize_keeps_the_meters(tmp_path: Path) -> None:
     surface = read(png(tmp_path, noise()), pixel_size=0.5, resize=(20, 30))
     assert surface.shape == (30, 20)
     assert surface.size == pytest.approx((79 * 0.5, 59 * 0.5))
     assert surface.relief == pytest.approx(6)
-
-
-def test_scales_multiply_what_the_rest_gives(tmp_path: Path) -> None:
-    path = png(tmp_path, noise())
-    plain, scaled = (
-        read(path, size=10.0, height=2.0),
-        read(path, size=10.0, height=2.0, scale=(2.0, 3.0, 4.0), z_scale=0.5),
-    )
-    assert scaled.size == pytest.approx((plain.size[0] * 2, plain.size[1] * 3))
-    np.testing.assert_allclose(scaled.z, plain.z * 2, rtol=1e-6)
 
 
 @pytest.mark.parametrize("factor", [1, 257, 256])
@@ -114,12 +87,6 @@ def test_deterrace_knows_8_bits_stored_as_16(tmp_path: Path, factor: int) -> Non
     surface = read(png(tmp_path, levels * factor), deterrace=True, height=9.0)
     # Ten stairs of one level become a ramp: no step is left of more than a tenth of a level.
     assert np.abs(np.diff(surface.z[25])).max() < 0.1 * 1.2
-
-
-def test_deterrace_needs_levels(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "a.tif"), RAMP)
-    with pytest.raises(SourceError, match="holds floating-point heights, --deterrace needs gray levels"):
-        read(tmp_path / "a.tif", deterrace=True)
 
 
 @pytest.mark.parametrize(

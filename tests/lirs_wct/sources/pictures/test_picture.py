@@ -65,20 +65,6 @@ def test_the_top_row_is_north(tmp_path: Path) -> None:
     assert surface.height_at(0, -25) == 0
 
 
-@pytest.mark.parametrize(
-    ("options", "size", "relief"),
-    [
-        ({"size": 9.0}, (9, 6), 6),
-        ({"size": (5.0, 7.0), "height": 2.0}, (5, 7), 2),
-        ({"pixel_size": 0.5}, (1.5, 1.0), 6),
-    ],
-)
-def test_size_and_height(tmp_path: Path, options: dict[str, object], size: object, relief: float) -> None:
-    surface = read(png(tmp_path / "a.png", RAMP), **options)
-    assert surface.size == pytest.approx(size)
-    assert surface.z.max() == pytest.approx(relief)
-
-
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "int32", "float32"])
 def test_every_depth_gives_the_same_terrain(tmp_path: Path, dtype: str) -> None:
     surface = read(tiff(tmp_path / "a.tif", RAMP.astype(dtype)))
@@ -114,36 +100,6 @@ def test_exif_orientation_is_applied(tmp_path: Path, suffix: str) -> None:
     assert surface.z[0].max() < 1 < 5 < surface.z[-1].min()
 
 
-def test_pages_first_and_said(tmp_path: Path) -> None:
-    pages = [Image.fromarray((RAMP * k).astype(np.uint8)) for k in (1, 3)]
-    pages[0].save(tmp_path / "a.tif", save_all=True, append_images=pages[1:])
-    with pytest.warns(UserWarning, match=r"a\.tif: has 2 pages, the first is taken"):
-        z = read(tmp_path / "a.tif", height=11.0).z
-    np.testing.assert_allclose(z, RAMP, atol=1e-5)
-
-
-def test_geotiff_in_meters_is_read_as_it_is(tmp_path: Path) -> None:
-    heights = (100 + 3 * RAMP).astype(np.float32)
-    path = tiff(tmp_path / "a.tif", heights, scale=(2.0, 4.0, 0.0), tie=(0.0, 0, 0, 5e5, 6e6, 0))
-    surface = read(path)
-    assert surface.cell == (2, 4)
-    np.testing.assert_array_equal(surface.z, heights - 100)
-    assert read(path, height=1.0).z.max() == 1
-    assert read(path, height=1.0).cell == (2, 4)
-    assert read(path, size=12.0).cell == pytest.approx((3, 6))
-    assert read(path, size=12.0).z.max() == 33
-
-
-def test_geotiff_in_degrees_uses_the_latitude_of_its_center(tmp_path: Path) -> None:
-    keys = (1, 1, 0, 1, 1024, 0, 1, 2)
-    tie = (0.0, 0.0, 0.0, 10.0, 60.0 + 1.5 / 3600, 0.0)
-    path = tiff(
-        tmp_path / "a.tif", RAMP.astype(np.float32), scale=(1 / 3600, 1 / 3600, 0.0), tie=tie, keys=keys
-    )
-    # One degree at 60 N on WGS 84: 55,800 m eastward, 111,412 m northward.
-    assert read(path).cell == pytest.approx((55800 / 3600, 111412 / 3600), rel=1e-4)
-
-
 @pytest.mark.parametrize("suffix", ["png", "jpg", "gif", "bmp", "tif", "pgm"])
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.7, 0.97])
 def test_truncated_files_are_refused(tmp_path: Path, suffix: str, share: float) -> None:
@@ -158,14 +114,6 @@ def test_truncated_files_are_refused(tmp_path: Path, suffix: str, share: float) 
     message = str(refused.value)
     assert message.startswith(f"{cut}: ")
     assert "\n" not in message
-
-
-def test_a_wrong_checksum_is_refused(tmp_path: Path) -> None:
-    data = bytearray(png(tmp_path / "a.png", RAMP).read_bytes())
-    data[50] ^= 1
-    (tmp_path / "b.png").write_bytes(data)
-    with pytest.raises(SourceError, match=r"b\.png: is damaged: checksum of PNG chunk IDAT is wrong"):
-        read(tmp_path / "b.png")
 
 
 @pytest.mark.parametrize("size", [(100_000, 100_000), (0, 10), (1, 64)])
