@@ -36,7 +36,7 @@ from benchmarks.lidar_places import (
     triangles,
 )
 from lirs_envs.lidar.mesh_rays import MeshCaster
-from lirs_envs.lidar.pattern import rings
+from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
@@ -61,6 +61,12 @@ LIMITS = {
     "sensors_ms": ("all sensors of a Husky, worst bundled world [ms a simulated s]", "<=", 5.0),
 }
 """What is asked: in words, at most or at least, and how much."""
+
+
+def rings(count: int, beams: int, highest: float) -> Array:
+    """Return (count * beams, 3) directions of rings, evenly below and above the horizon."""
+    around = np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    return np.concatenate([ring_directions(around, up) for up in np.linspace(-highest, highest, count)])
 
 
 def milliseconds(cast: Cast, rays: list[Rays], rounds: int) -> Array:
@@ -151,7 +157,7 @@ def measure(quick: bool, console: Console) -> tuple[dict[str, float], list[dict[
             figures["laser_map_2000"] = map_ms(rounds) / row["ours_ms"]
             for name, beams in (
                 ("scan_541_ms", fan(541)),
-                ("rings_16x900_ms", rings(16, 900, (-0.26, 0.26))),
+                ("rings_16x900_ms", rings(16, 900, 0.26)),
             ):
                 times = milliseconds(ours, scans(surface, POSES, beams), rounds // 3)
                 figures[name] = float(np.median(times))

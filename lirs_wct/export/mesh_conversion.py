@@ -63,7 +63,7 @@ def _lost(found: TexturedMesh, target: Path) -> list[str]:
 def _write_textured(path: Path, mesh: TriangleMesh, picture: Image.Image | None) -> None:
     suffix = path.suffix.lower()
     if suffix == ".glb":
-        write_glb(path, mesh, picture)
+        write_glb(path, [("ground", mesh, picture)])
         return
     texture = None if picture is None else _write_beside(path, picture)
     if suffix == ".dae":

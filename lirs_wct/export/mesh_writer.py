@@ -34,7 +34,7 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         ".dae": write_collada,
         ".obj": write_obj,
         ".ply": _write_ply,
-        ".glb": write_glb,
+        ".glb": lambda path, mesh: write_glb(path, [("ground", mesh, None)]),
     }
     suffix = path.suffix.lower()
     if suffix not in writers:

@@ -86,15 +86,8 @@ def world_spec(
     return spec
 
 
-def box_geoms(walls: WallGrid) -> FloatArray:
-    """Return (n, 4) boxes of the walls: world x, y of the center, half extents.
-
-    Half extents are along the grid's axes, meters.
-    """
-    return _boxes(walls, merged_rectangles(walls.solid))
-
-
 def _boxes(walls: WallGrid, rectangles: IntArray) -> FloatArray:
+    """Return (n, 4) world x and y of the rectangles' centers, and half extents along the grid's axes."""
     boxes = np.asarray(rectangles, dtype=np.float64).reshape(-1, 4) * walls.resolution
     center = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
     half = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2

@@ -7,6 +7,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Literal
 
+from PIL import Image
+
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
 from lirs_wct.export.appearance import ground_wear, pad_to_square, world_extent, world_parts
 from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT, ground_truth_map
@@ -29,7 +31,7 @@ from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.meshes.collada import MeshPart
 from lirs_wct.formats.meshes.obj import write_obj_parts
 from lirs_wct.formats.meshes.stl import write_stl, write_triangles
-from lirs_wct.formats.meshes.textured import write_glb_parts
+from lirs_wct.formats.meshes.textured import write_glb
 from lirs_wct.formats.world_json import TEXTURES, recorded_source
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose3
@@ -157,8 +159,9 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         write_obj_parts(_mesh_path(world, folder, "obj"), [(p.name, p.mesh, p.texture) for p in parts])
     if "glb" in kinds:
         steps.begin(f"{world.name}.glb")
-        pictures = [(p.name, p.mesh, folder / str(p.texture).removeprefix("../")) for p in parts]
-        write_glb_parts(_mesh_path(world, folder, "glb"), pictures)
+        files = [folder / str(part.texture).removeprefix("../") for part in parts]
+        pictured = [(p.name, p.mesh, Image.open(file)) for p, file in zip(parts, files, strict=True)]
+        write_glb(_mesh_path(world, folder, "glb"), pictured)
     if "usd" in kinds:
         steps.begin(f"{world.name}.usd")
         write_usd(_mesh_path(world, folder, "usd"), world, parts)

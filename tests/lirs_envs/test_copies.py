@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.mesh_rays import MeshCaster
-from lirs_envs.lidar.pattern import rings
 from lirs_envs.props import Prop
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
@@ -21,6 +20,7 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
+from tests.lirs_envs.lidar.room import rings
 
 
 def through_pickle(value: Any) -> Any:
@@ -78,7 +78,7 @@ def test_props_and_mujoco_s_rays_follow_the_copy(walled: World, copied: Callable
 def test_rays_on_a_true_mesh_follow_the_copy(rough: World) -> None:
     pytest.importorskip("embreex")
     caster = MeshCaster(rough.mesh)
-    rays = (np.array((0.0, 0.0, 1.5)), rings(1, 90, (-0.2, -0.2)), 30.0)
+    rays = (np.array((0.0, 0.0, 1.5)), rings(1, 90, -0.2, -0.2), 30.0)
     assert np.isfinite(caster.ranges(*rays)).all()
     assert (through_pickle(caster).ranges(*rays) == caster.ranges(*rays)).all()
     assert copy.deepcopy(caster) is caster

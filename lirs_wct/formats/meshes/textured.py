@@ -61,50 +61,29 @@ def _picture(visual: trimesh.visual.base.Visuals) -> Image.Image | None:
     return getattr(material, "image", None) if picture is None else picture
 
 
-def write_glb(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None) -> None:
-    """Write a GLB with y up, as its standard requires, and with the picture inside.
+def write_glb(path: Path, parts: Sequence[tuple[str, TriangleMesh, Image.Image | None]]) -> None:
+    """Write a GLB of named z-up meshes with their texture pictures inside; y is up, as its standard requires.
 
     Raises:
-        OutputError: the file cannot be written.
-    """
-    import trimesh
-
-    turned = mesh.rotated_x(-90.0)
-    visual = None
-    if mesh.uv is not None:
-        material = trimesh.visual.material.PBRMaterial(
-            baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0
-        )
-        visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
-    shape = trimesh.Trimesh(
-        turned.vertices, turned.faces, vertex_normals=turned.normals, visual=visual, process=False
-    )
-    with atomic_write(path) as temporary:
-        shape.export(temporary, include_normals=turned.normals is not None)
-
-
-def write_glb_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, Path]]) -> None:
-    """Write a GLB of named z-up meshes, each with its texture picture inside.
-
-    Raises:
-        SourceError: a picture cannot be read.
         OutputError: the file cannot be written.
     """
     import trimesh
 
     scene = trimesh.Scene()
     for name, mesh, picture in parts:
-        material = trimesh.visual.material.PBRMaterial(
-            name=name, baseColorTexture=Image.open(picture), metallicFactor=0.0, roughnessFactor=1.0
-        )
-        turned = mesh.rotated_x(-90.0)
-        visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
+        turned, visual = mesh.rotated_x(-90.0), None
+        if mesh.uv is not None:
+            material = trimesh.visual.material.PBRMaterial(
+                name=name, baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0
+            )
+            visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
         shape = trimesh.Trimesh(
             turned.vertices, turned.faces, vertex_normals=turned.normals, visual=visual, process=False
         )
         scene.add_geometry(shape, node_name=name, geom_name=name)
+    normals = all(mesh.normals is not None for _, mesh, _ in parts)
     with atomic_write(path) as temporary:
-        temporary.write_bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=True))
+        temporary.write_bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=normals))
 
 
 def png(picture: Image.Image) -> bytes:

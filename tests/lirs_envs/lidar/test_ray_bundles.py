@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lirs_envs.lidar.pattern import rings
 from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.lidar.terrain_rays import BUNDLE, SMALLEST_FIELD, safe_distance
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.heightfield import HeightField
+from tests.lirs_envs.lidar.room import rings
 
 CELL = 0.05
 
@@ -32,7 +32,7 @@ def patterns() -> dict[str, FloatArray]:
     random = rng.standard_normal((200, 3))
     return {
         "fan": ring_directions(np.linspace(-2.3, 2.3, 541)),
-        "rings": rings(8, 90, (-0.4, 0.26)),
+        "rings": rings(8, 90, -0.4, 0.26),
         "random": random / np.linalg.norm(random, axis=1, keepdims=True),
         "down": np.tile((0.0, 0.0, -1.0), (BUNDLE + 3, 1)),
         "axes": np.concatenate((np.eye(3), -np.eye(3))),

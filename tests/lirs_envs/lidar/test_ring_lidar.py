@@ -11,8 +11,8 @@ import pytest
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, moved_frames
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
-from lirs_envs.lidar.pattern import BeamPattern, PatternLidar, rings
 from lirs_envs.lidar.presets import LIDARS, RING_LIDARS, LidarPreset
+from lirs_envs.props import Prop
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
@@ -20,10 +20,10 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
-from tests.lirs_envs.lidar.room import room
+from tests.lirs_envs.lidar.room import rings, room
 
 MOUNT = Pose3.from_rpy(0.2, 0.05, 0.3, 0.02, -0.03, 0.4)
 T_WORLD_BASE = Pose3.from_rpy(0.5, -0.4, 0.2, 0.05, -0.02, 1.0)
@@ -87,13 +87,29 @@ def test_points_lie_on_floor_and_walls(name: str) -> None:
 
 def test_the_beams_are_those_of_a_pattern() -> None:
     lidar = LIDARS["vlp16"]
-    directions = rings(16, 1800, (math.radians(-15), math.radians(15)))
+    directions = rings(16, 1800, math.radians(-15), math.radians(15))
     np.testing.assert_allclose(lidar.all_directions, directions, atol=1e-12)
-    pattern = BeamPattern(directions=directions, range_min=lidar.range_min, range_max=lidar.range_max)
-    independent = PatternLidar(pattern, room(), MOUNT, np.random.default_rng(0))
-    points = independent.points(independent.ranges(T_WORLD_BASE))
+    T = T_WORLD_BASE @ MOUNT
+    ranges = room().cast(T.position, directions @ T.rotation.T, lidar.range_max)
+    met = (ranges >= lidar.range_min) & (ranges <= lidar.range_max)
     _, cloud = sweep("vlp16")
-    np.testing.assert_allclose(MOUNT.apply(cloud.xyz), points, atol=2e-6)
+    np.testing.assert_allclose(cloud.xyz, ranges[met, None] * directions[met], atol=2e-6)
+
+
+def test_rings_see_props_and_not_their_own_robot(plane: World, husky: Robot) -> None:
+    box = Prop(shape="box", size=(0.3, 0.3, 0.5), place=Pose2(3.0, 0.0))
+    sim = Simulation(plane, SimulationConfig(robot=husky, props=(box,)))
+    sim.reset()
+    T = sim.T_world_base @ husky.T_base_laser
+    directions = rings(9, 720, -1.5, 0.3) @ T.rotation.T
+    ranges = sim.caster.ranges(T.position, np.ascontiguousarray(directions), 8.0)
+    met = np.isfinite(ranges) & (ranges < 8.0)
+    points = T.position + ranges[met, None] * directions[met]
+    floor = np.abs(points[:, 2]) < 1e-5
+    on_box = np.abs(np.maximum(np.abs(points[:, 0] - 3.0), np.abs(points[:, 1])) - 0.3) < 1e-4
+    assert (floor | on_box).all(), "nothing of the robot, though beams go down through it"
+    assert floor.sum() > 2000
+    assert on_box.sum() > 50
 
 
 @pytest.mark.parametrize("name", RING_LIDARS)
