@@ -405,6 +405,12 @@ class MapConfig(Options):
         panel=BAG_TOPICS,
         in_digest=False,
     )
+    second: str | None = option(
+        None,
+        "Mapper to compare with where no truth is given; default: hector (of hector: cartographer); or none.",
+        metavar="NAME|none",
+        in_digest=False,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -41,6 +41,7 @@ STEPS = {
     "compile": "compiling",
     "drive": "driving",
     "map": "mapping",
+    "compare": "comparing",
     "evaluate": "evaluating",
     "draw": "drawing",
     "collide": "colliding",

@@ -34,7 +34,10 @@ def resolve_source(
     if found.kind is not SourceKind.LOG:
         return source
     config = MapConfig(
-        log=str(source), mapper=SourceOptions.of(options).log_mapper, resolution=options.resolution
+        log=str(source),
+        mapper=SourceOptions.of(options).log_mapper,
+        resolution=options.resolution,
+        second="none",
     )
     out = Path(out)
     folder = out / folder_name(config)

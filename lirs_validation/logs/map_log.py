@@ -19,24 +19,27 @@ from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
 from lirs_validation.logs.log_mapper import check_log, log_mapper, warm_up_log_mapper
 from lirs_validation.logs.mapped_log import MappedLog
 from lirs_validation.logs.reference import odometry_accuracy, read_truth, reference_in_time, relations_in_time
-from lirs_validation.metrics.alignment import scan_coverage
-from lirs_validation.metrics.consistency import contradicted_share
-from lirs_validation.metrics.log_accuracy import trajectory_accuracy
+from lirs_validation.metrics.alignment import rms, scan_coverage
+from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
+from lirs_validation.metrics.log_accuracy import reference_errors, trajectory_accuracy
 from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import is_bag_file
-from lirs_wct.geometry import Imu
+from lirs_wct.geometry import Imu, Trajectory
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source, is_bag
 from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
+
+SECOND = "hector"
+"""Mapper that others are compared with: it takes a fraction of their time."""
 
 
 def map_log(
@@ -51,7 +54,7 @@ def map_log(
         out: folder that receives the map's folder; None = nothing is written.
         progress: of the mapping.
         **map_options: fields of `MapConfig`: mapper, seed, particles, resolution, fov, range_max, relations,
-            reference, imu, attitude, scan_topic, odom_topic, imu_topic, reference_topic.
+            reference, imu, attitude, scan_topic, odom_topic, imu_topic, reference_topic, second.
 
     Raises:
         WctError: a file, a name or an option cannot be used, or results cannot be written.
@@ -69,6 +72,8 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
             f"{config.log}: is a bundled world, map takes a CARMEN log or a ROS bag; to drive through it: "
             f"lirs-wct validate {config.log}"
         )
+    if config.second is not None and config.second not in ("none", *MAPPERS):
+        raise unknown_name("--second", config.second, ["none", *MAPPERS])
     with log_mapper(config) as mapper:
         mapped = _mapped_log(config, mapper, progress)
     return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
@@ -103,6 +108,9 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
     used = len(log.stamps) / (len(log.stamps) + log.left_out)
     coverage = used * scan_coverage(log.stamps, trajectory.stamps)
     contradicted = contradicted_share(log.scans, readings, trajectory)
+    quality = scan_consistency(log.scans, readings, trajectory)
+    judged = relations is not None or reference is not None
+    second = None if judged or mapper.reads_clouds else _compare(config, log, readings, trajectory, progress)
     lost, lacking = tracking.reason() or inconsistency(contradicted), incompleteness(coverage)
     record = MapRecord(
         name=name,
@@ -119,10 +127,39 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         },
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
+        quality=(asdict(quality) if quality else {}) | {"second": second},
         odometry=odometry_accuracy(log.track, relations, reference),
         cost=cost,
     )
     return MappedLog(record, log, grid, trajectory, reference, accuracy)
+
+
+def _compare(
+    config: MapConfig, log: LaserLog, readings: Sequence[Imu | None], path: Trajectory, progress: Progress
+) -> dict[str, Any] | None:
+    """Compare the path with a second mapper's.
+
+    Returns:
+        Its name, its revisit residual and the difference of the paths, meters; None if not requested, or if
+        the log lacks data that the second mapper needs.
+    """
+    name = config.second or ("cartographer" if config.mapper == SECOND else SECOND)
+    if name == "none":
+        return None
+    other = replace(config, mapper=name, particles=None, resolution=None)
+    with log_mapper(other) as mapper:
+        if mapper.requires_odometry and log.odometry[0] is None:
+            return None
+        warm_up_log_mapper(other)
+        replay(other, mapper, log, readings, lambda _, share: progress("compare", share))
+        second = mapper.trajectory()
+    distances = reference_errors(path, second).position
+    own = scan_consistency(log.scans, readings, second)
+    return {
+        "mapper": name,
+        "difference": rms(distances) if len(distances) else None,
+        "revisit_residual": own and own.revisit_residual,
+    }
 
 
 def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:

@@ -1,4 +1,4 @@
-"""Consistency of a trajectory with its scans: walls in space seen free.
+"""Consistency of a trajectory with its scans: contradictions and residuals between passes.
 
 Rays pass through no walls. Placed by a correct trajectory, the scan of one pass ends where the other passes
 see a wall as well, or where they cannot see. Placed by a wrong one, many of its beams end in space that the
@@ -11,14 +11,19 @@ A hit is contradicted where every beam of another scan that passes within `MARGI
 Limits: the test misses a place that was passed only once, a shift along a corridor whose walls look alike,
 and errors below `MARGIN`. A hillside seen from two heights contradicts itself: where the attitude is known
 and the robot tilts, there is no test; where it is unknown, the ground is taken for level.
+
+The revisit residual measures the same in meters: the mean distance from a hit to the nearest hit of another
+pass, at most `FARTHEST`; hits behind what the other scan sees by more than that are hidden and not counted.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lirs_validation.metrics.alignment import associated, planar
 from lirs_wct.arrays import FloatArray, IntArray
@@ -39,6 +44,10 @@ FEWEST = 30
 """Hits in view of other passes that a scan needs to be tested."""
 CONTRADICTED = 0.25
 """Share of these hits in free space above which the scan contradicts the other passes."""
+FARTHEST = 1.0
+"""Largest distance from a hit to the wall of another pass that counts, meters; larger ones count as this."""
+NEIGHBORHOOD, NEIGHBORS, PLACES = 0.5, 5, 4000
+"""Radius in meters, fewest hits in it and number of places of the wall thickness."""
 LEVEL_SHARE = 0.95
 """Share of the scans that must be level."""
 
@@ -60,6 +69,96 @@ def contradicted_share(
     Returns:
         None where there is no test: fewer than two poses, or scans that are not level.
     """
+    placed = _place_scans(scans, readings, trajectory)
+    if placed is None:
+        return None
+    seen, against = _compare(placed.ranges, placed.angles, placed.sensors, placed.driven)
+    return float(((seen >= FEWEST) & (against > CONTRADICTED * seen)).mean())
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanConsistency:
+    """Quality of a trajectory by its own scans, without a truth.
+
+    Attributes:
+        revisit_residual: mean distance from hits to walls that another pass saw, meters; None = no revisits.
+        pass_residual: the same between scans of one pass, meters; None = too few hits.
+        revisited: share of the scans that another pass can test.
+        wall_thickness: median deviation of hits across walls, meters; None = too few hits.
+    """
+
+    revisit_residual: float | None
+    pass_residual: float | None
+    revisited: float
+    wall_thickness: float | None
+
+
+def scan_consistency(
+    scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
+) -> ScanConsistency | None:
+    """Return distances between walls of several scans; None as in `contradicted_share`."""
+    placed = _place_scans(scans, readings, trajectory)
+    if placed is None:
+        return None
+    arrays = placed.ranges, placed.angles, placed.sensors, placed.driven
+    compared, total = _residuals(*arrays, PASS, math.inf)
+    compared_within, total_within = _residuals(*arrays, 0.0, PASS)
+    return ScanConsistency(
+        revisit_residual=_mean(total, compared),
+        pass_residual=_mean(total_within, compared_within),
+        revisited=float((compared >= FEWEST).mean()),
+        wall_thickness=_wall_thickness(placed.points()),
+    )
+
+
+def _mean(total: FloatArray, count: IntArray) -> float | None:
+    """Return the mean over all counted hits; None of fewer than one scan needs."""
+    return float(total.sum() / count.sum()) if count.sum() >= FEWEST else None
+
+
+def _wall_thickness(points: FloatArray) -> float | None:
+    """Return the median deviation of points (n, 2) across their walls, meters."""
+    chosen = points[:: max(1, len(points) // PLACES)]
+    near = (
+        [points[ids] for ids in cKDTree(points).query_ball_point(chosen, NEIGHBORHOOD)] if len(points) else []
+    )
+    across = [np.linalg.eigvalsh(np.cov(ends.T))[0] for ends in near if len(ends) >= NEIGHBORS]
+    return math.sqrt(max(0.0, float(np.median(across)))) if across else None
+
+
+@dataclass(frozen=True)
+class _PlacedScans:
+    """Spaced scans of a planar laser at a trajectory's poses.
+
+    Attributes:
+        ranges: (n, beams) NaN without return, meters.
+        angles: (n, 2) of the first beam, and between beams, radians.
+        sensors: (n, 3) poses of the laser in the map.
+        driven: (n,) meters driven up to each scan.
+    """
+
+    ranges: FloatArray
+    angles: FloatArray
+    sensors: FloatArray
+    driven: FloatArray
+
+    def points(self) -> FloatArray:
+        """Return (m, 2) hits of the tested beams up to `REACH` in the map, meters."""
+        beams = np.arange(0, self.ranges.shape[1], max(1, self.ranges.shape[1] // HITS))
+        ranges = self.ranges[:, beams]
+        bearings = self.sensors[:, 2:] + self.angles[:, :1] + beams * self.angles[:, 1:]
+        directions = np.stack((np.cos(bearings), np.sin(bearings)), axis=-1)
+        ends: FloatArray = self.sensors[:, None, :2] + ranges[..., None] * directions
+        return ends[ranges <= REACH]
+
+
+def _place_scans(
+    scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
+) -> _PlacedScans | None:
+    """Place spaced scans by a trajectory.
+
+    None of fewer than two poses, or of scans that are not level.
+    """
     i, j = associated(np.array([scan.stamp for scan in scans]), trajectory.stamps)
     poses = planar(trajectory)[j]
     chosen, driven = _select_spaced(poses)
@@ -79,8 +178,7 @@ def contradicted_share(
             for pose, mount in zip(poses[chosen].tolist(), mounts, strict=True)
         ]
     )
-    seen, against = _compare(ranges, angles, sensors, driven)
-    return float(((seen >= FEWEST) & (against > CONTRADICTED * seen)).mean())
+    return _PlacedScans(ranges, angles, sensors, driven)
 
 
 def _select_spaced(poses: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -181,3 +279,65 @@ def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
         if ranges[k] <= distance + MARGIN:
             return 0
     return 1
+
+
+@njit(cache=True)
+def _residuals(
+    ranges: FloatArray, angles: FloatArray, sensors: FloatArray, driven: FloatArray, least: float, most: float
+) -> tuple[IntArray, FloatArray]:
+    """Return (n,) compared hits of each scan and (n,) the sum of their distances, meters.
+
+    Args:
+        ranges: (n, beams) NaN without return, meters.
+        angles: (n, 2) of the first beam, and between beams, radians.
+        sensors: (n, 3) poses of the laser in the map.
+        driven: (n,) meters driven up to each scan.
+        least: smallest distance driven between two compared scans, meters.
+        most: their distance driven is smaller than this, meters.
+    """
+    n, beams = ranges.shape
+    compared, total = np.zeros(n, np.int64), np.zeros(n)
+    stride = max(1, beams // HITS)
+    for i in range(n):
+        for j in range(n):
+            dx, dy = sensors[i, 0] - sensors[j, 0], sensors[i, 1] - sensors[j, 1]
+            apart = abs(driven[i] - driven[j])
+            if i == j or apart < least or apart >= most or dx * dx + dy * dy > 4 * REACH * REACH:
+                continue
+            for k in range(0, beams, stride):
+                if not ranges[i, k] <= REACH:
+                    continue
+                bearing = sensors[i, 2] + angles[i, 0] + k * angles[i, 1]
+                x, y = dx + ranges[i, k] * math.cos(bearing), dy + ranges[i, k] * math.sin(bearing)
+                distance = math.sqrt(x * x + y * y)
+                if FARTHEST / 2 <= distance <= REACH:
+                    turn = (math.atan2(y, x) - sensors[j, 2] - angles[j, 0]) % math.tau
+                    residual = _nearest_hit(ranges[j], turn, angles[j, 1], distance)
+                    compared[i] += residual >= 0
+                    total[i] += max(0.0, residual)
+    return compared, total
+
+
+@njit(cache=True)
+def _nearest_hit(ranges: FloatArray, turn: float, step: float, distance: float) -> float:
+    """Return a point's distance from a scan's nearest hit.
+
+    Meters; -1 if hidden or out of view.
+
+    Args:
+        ranges: (beams,) of the scan, meters.
+        turn: from its first beam to the point, radians.
+        step: between beams, radians.
+        distance: of the point, meters.
+    """
+    beam = int(turn / step + 0.5)
+    if beam >= len(ranges) or ranges[beam] < distance - FARTHEST:
+        return -1.0
+    around = math.asin(min(1.0, FARTHEST / distance))
+    first, last = max(0, math.floor((turn - around) / step)), math.ceil((turn + around) / step)
+    nearest = FARTHEST * FARTHEST
+    for k in range(first, min(len(ranges), last + 1)):
+        r = ranges[k]
+        if not math.isnan(r):
+            nearest = min(nearest, distance * distance + r * r - 2 * distance * r * math.cos(turn - k * step))
+    return math.sqrt(max(0.0, nearest))

@@ -19,6 +19,9 @@ LOST_SCANS = 10
 LOST_SHARE = 0.05
 """... and so has one that does not know it for more than this share of the scans, or whose trajectory puts
 more than this share of them where they contradict other passes."""
+AGREEING, DISAGREEING = 0.25, 0.4
+"""Revisit residuals of a mapped log up to which passes agree, and above which they disagree, meters
+(docs/measured.md)."""
 VISIBLE = 0.0005
 """Meters that an ATE must exceed the odometry's to be visibly worse."""
 
@@ -105,6 +108,13 @@ def inconsistency(contradicted: float | None) -> str | None:
         f"{100 * contradicted:.1f} % of the scans end in space that other passes saw free, "
         f"at most {100 * LOST_SHARE:g} % may"
     )
+
+
+def revisit_agreement(residual: float) -> str:
+    """Return the agreement of passes in words, by the revisit residual in meters."""
+    if residual <= AGREEING:
+        return "the passes agree"
+    return "the passes agree in part" if residual <= DISAGREEING else "the passes disagree"
 
 
 def is_worse(ate: float | None, odometry: float | None) -> bool:

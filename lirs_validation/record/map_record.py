@@ -40,6 +40,9 @@ class MapRecord:
             other passes (contradicted; null where not tested).
         mapper: scans received, used, skipped, lost, milliseconds, bytes of its maps, its own counts.
         accuracy: `relations` (relative-pose constraints) and `reference`, null where not given.
+        quality: figures without truth: revisit_residual, pass_residual and wall_thickness (meters), revisited
+            (share); absent where the scans are not level. `second`: another mapper, the difference to its
+            path and its revisit_residual (meters); null where not compared.
         odometry: the same of the raw odometry alone; empty where the log has none.
         cost: seconds for reading, compiling and mapping; processor time; peak memory in bytes.
     """
@@ -54,6 +57,7 @@ class MapRecord:
     mapper: dict[str, Any]
     accuracy: dict[str, Any]
     cost: dict[str, Any]
+    quality: dict[str, Any] = field(default_factory=dict)
     odometry: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
     machine: dict[str, Any] = field(default_factory=machine)
@@ -144,6 +148,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
         ("scans while lost", f"{mapper['lost']}"),
         *_contradiction_line(record),
+        *_quality_lines(record),
         ("scans with a pose", f"{100 * record.trajectory['scan_coverage']:.1f} %"),
         (
             "ms a scan (p50, p95, max)",
@@ -174,6 +179,21 @@ def _contradiction_line(record: MapRecord) -> list[tuple[str, str]]:
     """Return the share of scans that contradict other passes, where the scans are level."""
     share = record.trajectory["contradicted"]
     return [] if share is None else [("scans in contradiction", f"{100 * share:.1f} %")]
+
+
+def _quality_lines(record: MapRecord) -> list[tuple[str, str]]:
+    """Return the figures that need no truth."""
+    found, second = record.quality, record.quality.get("second")
+    lines = []
+    if found.get("revisit_residual") is not None:
+        lines.append(("walls seen again differ by", f"{found['revisit_residual']:.3f} m"))
+    if found.get("pass_residual") is not None:
+        lines.append(("... within one pass by", f"{found['pass_residual']:.3f} m"))
+    if found.get("wall_thickness") is not None:
+        lines.append(("wall thickness", f"{found['wall_thickness']:.3f} m"))
+    if second is not None and second["difference"] is not None:
+        lines.append((f"path differs from {second['mapper']}'s by", f"{second['difference']:.3f} m"))
+    return lines
 
 
 def _inertial_line(record: MapRecord) -> list[tuple[str, str]]:

@@ -20,6 +20,7 @@ from lirs_validation.metrics.verdict import (
     VerdictLimits,
     classify,
     is_worse,
+    revisit_agreement,
 )
 from lirs_validation.record.formatting import Entry, text_at, value_at
 from lirs_wct.errors import ConfigError, reason_of
@@ -89,8 +90,23 @@ def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
     first = f"{lead}: {reason}." if reason and kind != "no reference" else f"{lead}."
     told = f"The mapper is lost: {reason}." if reason and kind == "no reference" else ""
     unmapped = "" if kind == "failed" else "The map was not evaluated."
-    parts = (first, told, _path_sentence(figures), unmapped)
+    quality = _quality_sentence(entry.get("quality", {})) if kind == "no reference" else ""
+    parts = (first, told, quality, _path_sentence(figures), "" if quality else unmapped)
     return Verdict(kind, " ".join(part for part in parts if part), reasons)
+
+
+def _quality_sentence(quality: Entry) -> str:
+    """Return a mapped log's quality by figures that need no truth; empty without any."""
+    residual, second = quality.get("revisit_residual"), quality.get("second") or {}
+    clauses = []
+    if residual is not None:
+        clauses.append(f"walls seen again lie {residual:.2f} m apart ({revisit_agreement(residual)})")
+    if second.get("difference") is not None:
+        apart = second["revisit_residual"]
+        own = "" if apart is None else f" (walls {apart:.2f} m apart)"
+        clauses.append(f"its path differs from {second['mapper']}'s{own} by {second['difference']:.2f} m")
+    told = "; ".join(clauses)
+    return f"{told[0].upper()}{told[1:]}." if told else ""
 
 
 def class_counts(verdicts: Iterable[Verdict]) -> str:

@@ -14,6 +14,8 @@ import pytest
 from benchmarks.degraded_logs import thin
 from lirs_validation import map_log
 from lirs_validation.config import MapConfig
+from lirs_validation.metrics.alignment import rms
+from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.record.map_record import map_lines
 from lirs_validation.record.metric_catalog import WORSE
 from lirs_wct.errors import ConfigError, MapperError, SourceError
@@ -172,6 +174,24 @@ def test_nothing_to_compare_with_is_told_and_null(room: Path, tmp_path: Path) ->
 
 
 @pytest.mark.usefixtures("without_warm_up")
+def test_quality_without_truth_is_recorded_and_stated(room: Path, tmp_path: Path) -> None:
+    mapped = map_log(room / "room.clf", mapper="hector", out=tmp_path)
+    second = mapped.record.quality["second"]
+    other = map_log(room / "room.clf", mapper="cartographer", second="none")
+    with_truth = map_log(room / "room.clf", mapper="hector", reference=room / "truth.tum")
+    difference = rms(reference_errors(mapped.trajectory, other.trajectory).position)
+    assert second["mapper"] == "cartographer"
+    assert second["difference"] == pytest.approx(difference)
+    assert second["revisit_residual"] == other.record.quality["revisit_residual"]
+    assert mapped.folder is not None
+    stored = json.loads((mapped.folder / "record.json").read_text())
+    assert stored["quality"] == mapped.record.quality
+    assert f"differs from cartographer's by {difference:.2f} m" in mapped.record.verdict.sentence
+    assert "wall thickness" in dict(map_lines(mapped.record))
+    assert with_truth.record.quality["second"] is other.record.quality["second"] is None
+
+
+@pytest.mark.usefixtures("without_warm_up")
 def test_an_interrupted_mapping_leaves_nothing(room: Path, tmp_path: Path) -> None:
     def stop(stage: str, share: float) -> None:
         if stage == "draw" or share > 0.5:
@@ -193,6 +213,7 @@ BAD = {
     "seed": ({"seed": -1}, ConfigError, "seed must be at least 0, got -1"),
     "cells": ({"resolution": 1e-5}, ConfigError, "resolution must be within [0.01, 1] m, got 1e-05"),
     "no field of view": ({"fov": 0.0}, ConfigError, "fov must be within (0, 360] deg, got 0.0"),
+    "second mapper": ({"second": "hectr"}, ConfigError, "unknown --second 'hectr'"),
     "no range": ({"range_max": float("nan")}, ConfigError, "range max must be a finite number above 0"),
     "no relations": ({"relations": "none.relations"}, SourceError, "none.relations: "),
     "no reference": ({"reference": "none.tum"}, SourceError, "none.tum: "),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.consistency import contradicted_share
+from lirs_validation.metrics.consistency import ScanConsistency, contradicted_share, scan_consistency
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
@@ -108,3 +108,74 @@ def test_a_robot_that_tilts_is_not_tested() -> None:
     for pitch, tested in ((0.02, True), (0.05, False)):
         readings = [Imu(pitch=pitch, stamp=s.stamp) for s in SCANS]
         assert (contradicted_share(SCANS, readings, trajectory) is not None) == tested
+
+
+def quality(poses: list[Pose2]) -> ScanConsistency:
+    trajectory = Trajectory.from_poses([s.stamp for s in SCANS], poses)
+    found = scan_consistency(SCANS, UNKNOWN, trajectory)
+    assert found is not None
+    return found
+
+
+def shifted(dx: float, dy: float) -> list[Pose2]:
+    """The second lap lies beside the first."""
+    return LAP + [Pose2(p.x + dx, p.y + dy, p.yaw) for p in LAP]
+
+
+def test_walls_seen_again_lie_where_they_were() -> None:
+    found = quality(TRUE)
+    assert found.revisit_residual == pytest.approx(found.pass_residual, abs=0.03)
+    assert found.revisit_residual is not None
+    assert found.revisit_residual < 0.1
+    assert found.revisited > 0.9
+
+
+def test_the_revisit_residual_is_the_distance_of_the_walls() -> None:
+    """A shift along both axes moves each wall by one of them; walls are nearly equally long."""
+    still = quality(TRUE).revisit_residual
+    for shift in (0.3, 0.6):
+        found = quality(shifted(shift, shift))
+        assert found.revisit_residual is not None
+        assert still is not None
+        assert still < found.revisit_residual < shift + still
+        assert found.revisit_residual == pytest.approx(shift, rel=0.35)
+        assert found.pass_residual == pytest.approx(quality(TRUE).pass_residual, abs=0.02)
+
+
+def test_walls_drawn_twice_are_thicker() -> None:
+    thin, thick = quality(TRUE).wall_thickness, quality(shifted(0.15, 0.15)).wall_thickness
+    assert thin is not None
+    assert thick is not None
+    assert thin == pytest.approx(0.02, abs=0.01)  # noise of the ranges
+    assert thick > 2 * thin
+
+
+def test_one_pass_alone_has_no_revisit_residual() -> None:
+    trajectory = Trajectory.from_poses([s.stamp for s in SCANS[:15]], LAP[:15])
+    found = scan_consistency(SCANS[:15], UNKNOWN, trajectory)
+    assert found is not None
+    assert (found.revisit_residual, found.revisited) == (None, 0.0)
+    assert found.pass_residual is not None
+
+
+def test_distances_are_those_to_the_nearest_hit() -> None:
+    """Two scans of one wall, checked by a search through all pairs of hits."""
+    poses = [Pose2(0.0, 0.0, 0.0), Pose2(0.0, 0.5, 0.1)]
+    wall = np.array([(5.0, -8.0, 5.0, 8.0)])
+    scans = [
+        LaserScan(
+            ranges_to(wall, pose, BEAMS).astype(np.float32), BEAMS[0], BEAMS[1] - BEAMS[0], 0.05, 30.0, k
+        )
+        for k, pose in enumerate(poses)
+    ]
+    wrong = [poses[0], Pose2(0.2, 0.5, 0.15)]
+    found = scan_consistency(scans, [None] * 2, Trajectory.from_poses([0.0, 1.0], wrong))
+    ends = [
+        pose.apply(np.column_stack((r * np.cos(BEAMS), r * np.sin(BEAMS)))[(r < 10.0) & scan.hits])
+        for scan, pose in zip(scans, wrong, strict=True)
+        for r in (scan.ranges.astype(np.float64),)
+    ]
+    between = np.linalg.norm(ends[0][::2, None] - ends[1][None], axis=2).min(axis=1)
+    back = np.linalg.norm(ends[1][::2, None] - ends[0][None], axis=2).min(axis=1)
+    assert found is not None
+    assert found.pass_residual == pytest.approx(np.minimum(np.append(between, back), 1.0).mean(), rel=0.05)
