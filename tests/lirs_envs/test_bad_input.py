@@ -74,18 +74,6 @@ def test_a_command_that_cannot_be(command: Any, plane: World, husky: Robot) -> N
     sim.advance(Twist(np.float32(0.5)))  # type: ignore[arg-type]
 
 
-def test_a_wall_a_border_and_a_small_world(
-    walled: World, T_world_wall: Pose2, husky: Robot, make_world: Callable[..., World]
-) -> None:
-    sim = Simulation(walled, SimulationConfig(robot=husky))
-    with pytest.raises(SimulationError, match=r"husky cannot start at .*: a wall or a hole is within"):
-        sim.reset(T_world_wall @ Pose2(3.05, 0.0))
-    with pytest.raises(SimulationError, match=r"husky cannot start at .*: it needs 0\.58 m to the border"):
-        sim.reset(Pose2(1000.0, 0.0))
-    with pytest.raises(ConfigError, match="too large for"):
-        Simulation(make_world(lambda x, y: 0 * x, nodes=11), SimulationConfig(robot=husky))
-
-
 def test_figures_that_cannot_be(husky: Robot) -> None:
     for bad in (math.nan, math.inf, -1.0, 0.0):
         with pytest.raises(ConfigError, match="track of robot 'husky' must be a finite number above 0"):

@@ -196,32 +196,11 @@ def test_start_against_a_wall_of_boxes(walled: World, husky: Robot, T_world_wall
             sim.reset(T_world_wall @ Pose2(x, 0.0))
 
 
-def test_bad_input(plane: World, husky: Robot) -> None:
-    with pytest.raises(ConfigError, match=r"unknown robot 'huksy'; legal: .*husky"):
-        make_robot("huksy")
-    with pytest.raises(ConfigError, match=r"unknown lidar 'nope'; legal: .*lms111"):
-        Simulation(plane, SimulationConfig(robot=husky, lidar="nope"))
-    with pytest.raises(ConfigError, match="seed must be 0 or above"):
-        Simulation(plane, SimulationConfig(robot=husky), seed=-1)
+def test_nothing_driven_is_not_replayed(plane: World, husky: Robot) -> None:
     sim = Simulation(plane, SimulationConfig(robot=husky))
-    with pytest.raises(ConfigError, match="finite"):
-        sim.reset(Pose2(math.nan, 0.0))
     sim.reset()
-    with pytest.raises(ConfigError, match="finite"):
-        sim.advance(Twist(math.nan, 0.0))
     with pytest.raises(SimulationError, match="nothing was driven"):
         sim.replay()
-
-
-def test_a_divergence_stops_with_its_reason(plane: World, husky: Robot, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
-    sim = Simulation(plane, SimulationConfig(robot=husky))
-    sim.reset()
-    sim.body.data.qvel[0] = 1e20
-    with pytest.raises(SimulationError, match=r"diverged at .* s: "):
-        sim.advance(Twist())
-    sim.reset()
-    sim.advance(Twist())
 
 
 def test_tipped_and_off_the_world_are_noticed(plane: World, husky: Robot) -> None:
@@ -268,12 +247,9 @@ def test_odometry_scale_is_what_it_claims(husky: Robot) -> None:
     assert np.std(lengths) == pytest.approx(config.scale_sigma, rel=0.1)
 
 
-def test_arguments_of_the_wrong_type(plane: World, husky: Robot, make_world: Callable[..., World]) -> None:
-    legal = SimulationConfig(robot=husky)
+def test_arguments_of_the_wrong_type(husky: Robot) -> None:
     with pytest.raises(ConfigError, match="world must be of type World, got 'simple'"):
-        Simulation("simple", legal)  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="seed must be a whole number, got 'one'"):
-        Simulation(plane, legal, seed="one")  # type: ignore[arg-type]
+        Simulation("simple", SimulationConfig(robot=husky))  # type: ignore[arg-type]
     for options, words in (
         ({"robot": "husky"}, "robot must be of type Robot, got 'husky'"),
         ({"noise": "much"}, "noise must be of type SensorNoise, got 'much'"),
@@ -285,13 +261,6 @@ def test_arguments_of_the_wrong_type(plane: World, husky: Robot, make_world: Cal
     ):
         with pytest.raises(ConfigError, match=words):
             SimulationConfig(**({"robot": husky} | options))  # type: ignore[arg-type]
-    sim = Simulation(plane, SimulationConfig(robot=husky))
-    with pytest.raises(ConfigError, match="a start must be a Pose2"):
-        sim.reset((0.0, 0.0))  # type: ignore[arg-type]
-    sim.reset()
-    for command in (None, (1.0, 0.0), Twist("fast")):  # type: ignore[arg-type]
-        with pytest.raises(ConfigError, match="a command must be"):
-            sim.advance(command)  # type: ignore[arg-type]
 
 
 def test_noise_of_the_wrong_type() -> None:

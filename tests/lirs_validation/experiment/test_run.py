@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import json
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lirs_envs.robots.command import Twist
-from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.metrics.real_time_factor import per_second
 from lirs_validation.metrics.verdict import LOST_SECONDS
-from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
+from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.hector.mapper import HectorMapper
+from tests.lirs_validation.experiment.puppets import Puppet, SlowPuppet
 
 FILES = {
     "record.json", "overview.png", "rtf.csv", "commands.csv", "truth.tum", "estimate.tum", "odometry.tum",
@@ -116,52 +113,10 @@ def test_a_record_that_is_none_is_named(tmp_path: Path) -> None:
             read_record(tmp_path)
 
 
-class Puppet:
-    """Simulation, driver and mapper in one, each of which can fail at a tick."""
-
-    walker_beams = None
-    period = 0.04
-    start = Pose2()
-    T_world_base = Pose3()
-
-    def __init__(self, fails: str, at: int) -> None:
-        self.fails, self.at, self.ticks = fails, at, 0
-
-    def _failing(self, name: str) -> bool:
-        return self.fails == name and self.ticks >= self.at
-
-    time = property(lambda self: self.ticks * self.period)
-    tipped = property(lambda self: self._failing("tipped"))
-    off_world = property(lambda self: self._failing("off world"))
-    stuck = property(lambda self: self._failing("stuck"))
-    frame, finished = "world", ""
-    lost = property(lambda self: self._failing("lost"))
-
-    def reset(self, start: Pose2) -> Observation:
-        return self.advance(Twist(0, 0))
-
-    def advance(self, command: Twist) -> Observation:
-        self.ticks += 1
-        if self._failing("diverged"):
-            raise SimulationError("the simulation diverged: NaN in qacc")
-        scan = LaserScan(np.ones(3, np.float32), 0, 0.1, 0.1, 9, self.ticks * self.period)
-        return Observation(scan, Pose2(), Imu())
-
-    def command(self, pose: Pose2, time: float) -> Twist:
-        return Twist(0, 0)
-
-    def update(self, *_: object) -> Pose2:
-        return Pose2()
-
-    @property
-    def under_test(self) -> MapperUnderTest:
-        return MapperUnderTest(lambda: self, "puppet")  # type: ignore[arg-type, return-value]
-
-
 @pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "lost"])
 def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
-    puppet = Puppet(fails, 10)
-    log = drive(puppet, puppet, puppet.under_test, 20.0)  # type: ignore[arg-type]
+    puppet, mapper = Puppet(fails, 10), SlowPuppet(0.0, lost_from=0.4 if fails == "lost" else 1e9)
+    log = drive(puppet, puppet, mapper.under_test, 20.0)  # type: ignore[arg-type]
     assert log.status == fails
     assert log.reason
     assert puppet.ticks <= 12 + (LOST_SECONDS / puppet.period if fails == "lost" else 0)
@@ -170,15 +125,14 @@ def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
 
 def test_a_run_without_failure_lasts_its_time() -> None:
     puppet = Puppet("nothing", 0)
-    assert drive(puppet, puppet, puppet.under_test, 2.0).status == "ok"  # type: ignore[arg-type]
+    assert drive(puppet, puppet, SlowPuppet(0.0).under_test, 2.0).status == "ok"  # type: ignore[arg-type]
     assert puppet.ticks == 1 + 50
 
 
 def test_a_driver_with_nothing_left_to_drive_ends_the_run() -> None:
-    puppet = Puppet("nothing", 0)
-    puppet.finished = "the last waypoint is reached"  # type: ignore[misc]
-    log = drive(puppet, puppet, puppet.under_test, 20.0)  # type: ignore[arg-type]
-    assert (log.status, log.reason) == ("ok", "the last waypoint is reached at 0.1 s")
+    puppet = Puppet("nothing", 0, finished="the last waypoint is reached")
+    log = drive(puppet, puppet, SlowPuppet().under_test, 20.0)  # type: ignore[arg-type]
+    assert (log.status, log.reason) == ("ok", "the last waypoint is reached at 0.0 s")
     assert len(log.commands) == 1
 
 
@@ -189,21 +143,17 @@ def test_seconds_are_summed_by_simulated_second() -> None:
 
 def test_a_drive_stops_at_its_wall_limit_and_says_so() -> None:
     puppet = Puppet("nothing", 0)
-    slow = puppet.update
-    puppet.update = lambda *_: (time.sleep(0.01), slow())[1]  # type: ignore[method-assign]
-    log = drive(puppet, puppet, puppet.under_test, 20.0, wall_limit=0.2)  # type: ignore[arg-type]
+    log = drive(puppet, puppet, SlowPuppet(0.01).under_test, 20.0, wall_limit=0.2)  # type: ignore[arg-type]
     assert log.status == "wall limit"
     assert 0.2 <= sum(log.walls) < 0.4
     assert "of 20 simulated seconds" in log.reason
-    long = drive(Puppet("nothing", 0), puppet, Puppet("nothing", 0).under_test, 2.0, wall_limit=60.0)  # type: ignore[arg-type]
-    assert long.status == "ok"
 
 
 def test_a_pose_of_nan_ends_the_drive_with_the_scans_stamp() -> None:
-    puppet = Puppet("nothing", 0)
-    puppet.update = lambda *_: Pose2(float("nan"), 0, 0)  # type: ignore[method-assign]
-    with pytest.raises(MapperError, match=r"scan at 0\.040 s"):
-        drive(puppet, puppet, puppet.under_test, 1.0)  # type: ignore[arg-type]
+    puppet, mapper = Puppet("nothing", 0), SlowPuppet()
+    mapper.update = lambda *_: Pose2(float("nan"), 0, 0)  # type: ignore[method-assign]
+    with pytest.raises(MapperError, match=r"scan at 0\.000 s"):
+        drive(puppet, puppet, mapper.under_test, 1.0)  # type: ignore[arg-type]
 
 
 class QueueingMapper(HectorMapper):

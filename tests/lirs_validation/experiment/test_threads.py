@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import Run, RunConfig, read_record, validate
 from lirs_validation.experiment import loop
@@ -25,11 +24,10 @@ from lirs_validation.experiment.run import prepare, run
 from lirs_validation.record.schema import schema_error
 from lirs_validation.sweep.engines import Processes
 from lirs_validation.sweep.slam_experiment import SlamExperiment
-from lirs_wct.errors import ConfigError, MapperError, SimulationError
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.progress import no_progress
 from tests.lirs_validation.experiment.mapper_processes import mapper_processes
+from tests.lirs_validation.experiment.puppets import Puppet, SlowPuppet
 
 TIMED = ("rtf.csv", "record.json", "overview.png", "manifest-sha256.txt")
 """Files that hold what the clock says."""
@@ -196,58 +194,8 @@ def test_the_parts_of_the_time_add_up() -> None:
     assert parts["waiting"] < parts["mapper"]  # it worked beside the simulation
 
 
-class Sim:
-    """A simulation and its driver, which fail at a tick, or see what the mapper was given."""
-
-    walker_beams = None
-    period = 0.04
-    start = Pose2()
-    T_world_base = Pose3()
-    frame, finished = "world", ""
-
-    def __init__(self, fails: str, at: int) -> None:
-        self.fails, self.at, self.ticks = fails, at, 0
-
-    def _failing(self, name: str) -> bool:
-        return self.fails == name and self.ticks >= self.at
-
-    time = property(lambda self: (self.ticks - 1) * self.period)
-    tipped = property(lambda self: self._failing("tipped"))
-    off_world = property(lambda self: self._failing("off world"))
-    stuck = property(lambda self: self._failing("stuck"))
-
-    def reset(self, start: Pose2) -> Observation:
-        return self.advance(Twist())
-
-    def advance(self, command: Twist) -> Observation:
-        self.ticks += 1
-        if self._failing("diverged"):
-            raise SimulationError("the simulation diverged: NaN in qacc")
-        scan = LaserScan(np.ones(3, np.float32), 0, 0.1, 0.1, 9, self.time)
-        return Observation(scan, Pose2(), Imu())
-
-    def command(self, pose: Pose2, time: float) -> Twist:
-        if self._failing("driver"):
-            raise ValueError("the driver has a bug")
-        return Twist(time, 0.0)
-
-
-class SlowPuppet:
-    """A mapper that takes its time, and says its place by the scan's stamp."""
-
-    lost = False
-
-    def __init__(self, seconds: float = 0.002) -> None:
-        self.seconds, self.stamps = seconds, list[float]()
-
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        time.sleep(self.seconds)
-        self.stamps.append(scan.stamp)
-        return Pose2(scan.stamp, 0.0, 0.0)
-
-
-def puppets(fails: str, threads: int, **options: Any) -> tuple[DriveLog, Sim, SlowPuppet]:
-    sim, mapper = Sim(fails, 40), SlowPuppet()
+def puppets(fails: str, threads: int, **options: Any) -> tuple[DriveLog, Puppet, SlowPuppet]:
+    sim, mapper = Puppet(fails, 40), SlowPuppet()
     log = drive(sim, sim, under_test(mapper, threads), 4.0, **options)  # type: ignore[arg-type]
     return log, sim, mapper
 
@@ -275,7 +223,7 @@ class LateMapper(MapperUnderTest):
 
 
 def under_test(mapper: Any, threads: int = 2) -> MapperUnderTest:
-    return LateMapper(mapper) if threads > 1 else MapperUnderTest(lambda: mapper, "puppet")
+    return LateMapper(mapper) if threads > 1 else mapper.under_test
 
 
 @pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "nothing"])
@@ -292,14 +240,14 @@ def test_a_failure_ends_both_at_the_same_tick(fails: str) -> None:
 
 def test_an_error_of_the_driver_comes_after_the_ticks_before_it() -> None:
     for threads in (1, 2):
-        sim, mapper = Sim("driver", 40), SlowPuppet()
+        sim, mapper = Puppet("driver", 40), SlowPuppet()
         with pytest.raises(ValueError, match="a bug"):
             drive(sim, sim, under_test(mapper, threads), 4.0)  # type: ignore[arg-type]
         assert len(mapper.stamps) == 40
 
 
 def test_a_simulation_that_is_ahead_stays_within_its_limit() -> None:
-    sim, mapper = Sim("nothing", 0), SlowPuppet(0.005)
+    sim, mapper = Puppet("nothing", 0), SlowPuppet(0.005)
     taken = Drive(sim, sim, under_test(mapper), 4.0)  # type: ignore[arg-type]
     steps = iter(taken)
     for _ in range(50):

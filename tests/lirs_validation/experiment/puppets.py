@@ -1,0 +1,69 @@
+"""A simulation, its driver and a mapper, each of which can fail at a tick."""
+
+from __future__ import annotations
+
+import time as clock
+
+import numpy as np
+
+from lirs_envs.robots.command import Twist
+from lirs_envs.sensing.sensors import Observation
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
+from lirs_wct.errors import SimulationError
+from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import Imu, LaserScan
+
+
+class Puppet:
+    """Simulation and driver in one; `fails` names the failure that begins at tick `at`."""
+
+    walker_beams = None
+    period = 0.04
+    start = Pose2()
+    T_world_base = Pose3()
+    frame = "world"
+
+    def __init__(self, fails: str, at: int, finished: str = "") -> None:
+        self.fails, self.at, self.finished, self.ticks = fails, at, finished, 0
+
+    def _failing(self, name: str) -> bool:
+        return self.fails == name and self.ticks >= self.at
+
+    time = property(lambda self: (self.ticks - 1) * self.period)
+    tipped = property(lambda self: self._failing("tipped"))
+    off_world = property(lambda self: self._failing("off world"))
+    stuck = property(lambda self: self._failing("stuck"))
+
+    def reset(self, start: Pose2) -> Observation:
+        return self.advance(Twist())
+
+    def advance(self, command: Twist) -> Observation:
+        self.ticks += 1
+        if self._failing("diverged"):
+            raise SimulationError("the simulation diverged: NaN in qacc")
+        return Observation(LaserScan(np.ones(3, np.float32), 0, 0.1, 0.1, 9, self.time), Pose2(), Imu())
+
+    def command(self, pose: Pose2, time: float) -> Twist:
+        if self._failing("driver"):
+            raise ValueError("the driver has a bug")
+        return Twist(time, 0.0)
+
+
+class SlowPuppet:
+    """A mapper that takes its time, and answers with the scan's stamp as x."""
+
+    def __init__(self, seconds: float = 0.002, *, lost_from: float = 1e9) -> None:
+        self.seconds, self.lost_from, self.stamps = seconds, lost_from, list[float]()
+
+    @property
+    def lost(self) -> bool:
+        return bool(self.stamps) and self.stamps[-1] >= self.lost_from
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        clock.sleep(self.seconds)
+        self.stamps.append(scan.stamp)
+        return Pose2(scan.stamp, 0.0, 0.0)
+
+    @property
+    def under_test(self) -> MapperUnderTest:
+        return MapperUnderTest(lambda: self, "puppet")  # type: ignore[arg-type, return-value]
