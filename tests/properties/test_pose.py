@@ -47,12 +47,6 @@ def test_spatial_composition_applies_right_to_left(
     np.testing.assert_allclose((T_ab @ T_bc).apply(point), T_ab.apply(T_bc.apply(point)), atol=1e-8)
 
 
-@given(poses3, points3)
-def test_spatial_inverse(T: Pose3, point: tuple[float, float, float]) -> None:
-    np.testing.assert_allclose(T.inverse().apply(T.apply(point)), point, atol=1e-8)
-    np.testing.assert_allclose((T @ T.inverse()).rotation, np.eye(3), atol=1e-12)
-
-
 @given(angles, angles, angles)
 def test_roll_pitch_yaw_are_scipys_fixed_axes(roll: float, pitch: float, yaw: float) -> None:
     T = Pose3.from_rpy(0, 0, 0, roll, pitch, yaw)

@@ -26,43 +26,6 @@ from lirs_wct.geometry.trajectory import Trajectory
 STAMPS = [0.0, 1.0, 2.0]
 
 
-def test_the_frame_of_the_estimate_does_not_matter() -> None:
-    poses = [Pose2(), Pose2(1.0, 0.0, 0.3), Pose2(2.0, 0.5, -0.2)]
-    relations = (
-        RelativePoseConstraint(0.0, 2.0, poses[2]),
-        RelativePoseConstraint(1.0, 2.0, poses[1].inverse() @ poses[2]),
-    )
-    estimate = Trajectory.from_poses(STAMPS, [Pose2(5.0, -3.0, 2.0) @ p for p in poses])
-    errors = constraint_errors(estimate, relations, estimate)
-    np.testing.assert_allclose(errors.translation, 0, atol=1e-12)
-    np.testing.assert_allclose(errors.rotation, 0, atol=1e-12)
-
-
-def test_errors_are_those_of_the_relative_pose() -> None:
-    estimate = Trajectory.from_poses(STAMPS, [Pose2(), Pose2(1.0, 0.0, 0.0), Pose2(1.0, 0.0, 0.0)])
-    errors = constraint_errors(estimate, (RelativePoseConstraint(0.0, 1.0, Pose2(0.7, 0.4, -0.1)),), estimate)
-    assert errors.translation[0] == pytest.approx(math.hypot(0.3, 0.4))
-    assert errors.rotation[0] == pytest.approx(0.1)
-
-
-def test_relations_outside_are_counted() -> None:
-    estimate = Trajectory.from_poses(STAMPS, [Pose2(float(t), 0.0, 0.0) for t in STAMPS])
-    errors = constraint_errors(
-        estimate,
-        (RelativePoseConstraint(0.0, 60.0, Pose2()), RelativePoseConstraint(0.0, 1.0, Pose2(1.0))),
-        estimate,
-    )
-    assert (len(errors.translation), errors.outside) == (1, 1)
-
-
-def test_far_stamps_are_reached_by_odometry() -> None:
-    odometry = Trajectory.from_poses([0.0, 2.0], [Pose2(7.0, 0.0, 0.0), Pose2(9.0, 0.0, 0.0)])
-    estimate = Trajectory.from_poses([0.0], [Pose2(0.0, 0.0, math.pi / 2)])
-    near, far = poses_at(estimate, np.array((0.05, 0.5)), odometry)
-    np.testing.assert_allclose(near, (0, 0, math.pi / 2))
-    np.testing.assert_allclose(far, (0, 0.5, math.pi / 2), atol=1e-12)
-
-
 @given(seed=st.integers(0, 2**32 - 1))
 def test_all_at_once_is_one_after_the_other(seed: int) -> None:
     """The array code against the metric written down pose by pose."""

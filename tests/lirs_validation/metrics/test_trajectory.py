@@ -9,13 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.metrics import associated, rigid_alignment, trajectory_errors
-from lirs_validation.metrics.alignment import planar
-from lirs_validation.metrics.relative_pose_error import (
-    RelativePoseConstraint,
-    close_pairs,
-    constraint_errors,
-)
+from lirs_validation.metrics import trajectory_errors
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
@@ -60,87 +54,16 @@ def test_moving_both_changes_nothing(T: Pose2, shift: Pose2) -> None:
     assert elsewhere.ate_rmse == pytest.approx(one.ate_rmse, abs=1e-9)
 
 
-@given(poses)
-def test_alignment_finds_the_pose(T: Pose2) -> None:
-    points = np.random.default_rng(3).normal(size=(30, 2))
-    found = rigid_alignment(points, T.apply(points))
-    assert found.distance(T) < 1e-9
-    assert math.cos(found.yaw - T.yaw) == pytest.approx(1.0)
-
-
-def test_alignment_keeps_the_scale() -> None:
-    truth, twice = circle(radius=1.0), circle(radius=2.0)
-    assert trajectory_errors(truth, twice).ate_rmse > 0.3
-
-
-def test_a_constant_offset_is_unaligned_error_only() -> None:
-    truth = circle()
-    errors = trajectory_errors(truth, truth.moved(Pose2(3.0, 4.0, 0.0)))
-    assert errors.ate_rmse_unaligned == pytest.approx(5.0)
-    assert errors.final_drift == pytest.approx(5.0)
-    assert errors.length == pytest.approx(1.5 * math.pi * 3, rel=1e-3)
-    assert errors.poses == len(truth)
-
-
 def test_a_robot_that_stands_still() -> None:
     still = Trajectory.from_poses([0.0, 0.1, 0.2], [Pose2(1, 2, 3)] * 3)
     errors = trajectory_errors(still, still)
     assert (errors.ate_rmse, errors.length, errors.rpe_metre, errors.rpe_second) == (0.0, 0.0, None, None)
 
 
-def test_association_takes_the_nearest_and_drops_the_lonely() -> None:
-    first, second = np.array([0.0, 1.0, 2.0, 9.0]), np.array([0.01, 0.5, 0.99, 1.3, 2.015, 3.0])
-    i, j = associated(first, second, max_gap=0.02)
-    assert i.tolist() == [0, 1, 2]
-    assert j.tolist() == [0, 2, 4]
-    back, forth = associated(second, first, max_gap=0.02)
-    assert (back.tolist(), forth.tolist()) == (j.tolist(), i.tolist())
-
-
 def test_trajectories_of_other_times_are_refused() -> None:
     late = Trajectory.from_poses([100.0, 101.0], [Pose2(), Pose2(1, 0, 0)])
     with pytest.raises(ConfigError, match="at least 2 poses"):
         trajectory_errors(circle(), late)
-
-
-def test_relations_are_kuemmerles() -> None:
-    """The same relations through the reader's own implementation of the metric, and by hand."""
-    truth = circle()
-    bent = Trajectory.from_poses(
-        truth.stamps.tolist(),
-        [Pose2(p.x + 0.01 * k, p.y, p.yaw + 0.002 * k) for k, p in enumerate(map(truth.pose2, range(200)))],
-    )
-    errors = trajectory_errors(truth, bent).relations
-    pairs = list(zip(*(k.tolist() for k in close_pairs(planar(truth))), strict=True))
-    relations = tuple(
-        RelativePoseConstraint(truth.stamps[i], truth.stamps[j], truth.pose2(i).inverse() @ truth.pose2(j))
-        for i, j in pairs
-    )
-    theirs = constraint_errors(bent, relations, bent)
-    assert errors is not None
-    assert errors.relations == len(pairs)
-    assert errors.translation_mean == pytest.approx(theirs.translation.mean(), abs=1e-9)
-    assert errors.rotation_mean == pytest.approx(theirs.rotation.mean(), abs=1e-9)
-    assert errors.rotation_mean == pytest.approx(np.mean([0.002 * (j - i) for i, j in pairs]), abs=1e-9)
-
-
-def test_places_passed_again_are_related() -> None:
-    # Out and back along a line: each meter's mark meets its neighbors of both ways.
-    x = np.concatenate((np.linspace(0, 9.7, 101), np.linspace(9.7, 0, 101)[1:])).tolist()
-    there_and_back = Trajectory.from_poses(
-        (np.arange(201) * 0.1).tolist(), [Pose2(a, 0.0, 0.0 if k < 101 else math.pi) for k, a in enumerate(x)]
-    )
-    i, j = close_pairs(planar(there_and_back))
-    distance = np.abs(there_and_back.xy[i, 0] - there_and_back.xy[j, 0])
-    assert distance.max() <= 2.0 + 1e-9
-    assert (j - i).max() > 150
-    again = close_pairs(planar(there_and_back.moved(Pose2(5, 6, 1))))
-    assert np.array_equal(again[0], i)
-
-
-def test_a_short_path_has_no_relations() -> None:
-    stub = Trajectory.from_poses([0.0, 0.1, 0.2], [Pose2(), Pose2(0.1), Pose2(0.2)])
-    assert trajectory_errors(stub, stub).relations is None
 
 
 def test_two_poses_by_hand() -> None:

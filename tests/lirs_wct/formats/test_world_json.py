@@ -45,30 +45,6 @@ def test_what_every_world_has(tmp_path: Path) -> None:
     assert found.export_options == {"texture": None}
 
 
-@pytest.mark.parametrize("hole", [None, HOLE])
-def test_walls_and_their_map(tmp_path: Path, hole: np.ndarray | None) -> None:
-    walls = WallGrid(SOLID, 0.125, WALLS.origin, 1.75, hole)
-    found = again(tmp_path, kind="map", walls=walls, truth=TRUTH)
-    assert found.walls is not None
-    assert found.truth is not None
-    np.testing.assert_array_equal(found.walls.solid, SOLID)
-    np.testing.assert_array_equal(found.walls.hole, hole)
-    assert (found.walls.resolution, found.walls.origin, found.walls.height) == (0.125, WALLS.origin, 1.75)
-    np.testing.assert_array_equal(found.truth.log_odds, TRUTH.log_odds)
-    assert (found.truth.resolution, found.truth.origin) == (TRUTH.resolution, TRUTH.origin)
-
-
-@pytest.mark.parametrize("overhangs", [True, False])
-def test_a_closed_mesh(tmp_path: Path, overhangs: bool) -> None:
-    bare = RNG.random((3, 4)) < 0.5
-    found = again(tmp_path, kind="mesh", solid=MESH, overhangs=overhangs, no_ground=bare)
-    assert found.solid is not None
-    np.testing.assert_array_equal(found.solid.vertices, MESH.vertices)
-    np.testing.assert_array_equal(found.solid.faces, MESH.faces)
-    assert found.overhangs is overhangs
-    np.testing.assert_array_equal(found.no_ground, bare)
-
-
 def test_the_texture_is_kept_beside_the_world(tmp_path: Path) -> None:
     picture = tmp_path / "my grass.PNG"
     picture.write_bytes(b"a picture")

@@ -84,6 +84,7 @@ def test_the_slope_of_a_plane(east: float, north: float, cx: float, cy: float) -
         (np.zeros((1, 2), np.float32), (1.0, 1.0)),
         (np.zeros((2, 1), np.float32), (1.0, 1.0)),
         (np.zeros((2, 2)), (1.0, 1.0)),
+        (np.zeros(4, np.float32), (1.0, 1.0)),
         (np.zeros((2, 2, 2), np.float32), (1.0, 1.0)),
         (np.zeros((2, 2), np.float32), (0.0, 1.0)),
         (np.zeros((2, 2), np.float32), (1.0, 0.0)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -24,12 +23,6 @@ def test_cells_are_wall_hole_or_floor() -> None:
     assert walls.floor.tolist() == [[False, False, True], [True, True, False]]
     assert WallGrid(WALLS, 0.5).floor.tolist() == (~WALLS).tolist()
     assert (walls.origin, walls.height, WallGrid(WALLS, 0.5).hole) == (Pose2(), 1.0, None)
-
-
-def test_corners_of_a_turned_map() -> None:
-    """Three cells east and two north of half a meter, a quarter turn to the left."""
-    corners = WallGrid(WALLS, 0.5, Pose2(10.0, -4.0, math.pi / 2)).corners
-    np.testing.assert_allclose(corners, [(10, -4), (10, -2.5), (9, -2.5), (9, -4)], atol=1e-12)
 
 
 @given(st.integers(1, 5), st.integers(1, 5), st.floats(0.01, 3.0), st.floats(-3, 3))
