@@ -9,8 +9,6 @@ from hypothesis.extra import numpy as hnp
 
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 from tests.reference.triangle_rays import triangle_ranges, triangles_of
 
 HEIGHTS = st.floats(-2.0, 2.0, width=32)
@@ -82,35 +80,3 @@ def test_straight_down_and_up_measure_the_height(surface, fx: float, fy: float, 
     z = float(surface.height_at(np.clip(x, west, east), np.clip(y, south, north)))
     t = RayCaster(surface).cast((x, y, z + sign * gap), [[0.0, 0.0, -sign]])[0]
     assert abs(t - gap) < 1e-6
-
-
-@settings(max_examples=100)
-@given(FIELDS, POINTS, DIRECTIONS, st.floats(0.0, 2.0))
-def test_moving_along_the_ray_shortens_it(surface: HeightField, point, direction, step: float) -> None:
-    caster = RayCaster(surface)
-    before = caster.cast(point, direction[None])[0]
-    if step < before - 1e-3:
-        after = caster.cast(np.array(point) + step * direction, direction[None])[0]
-        # A ray within the surface may meet it anywhere.
-        assert after >= before - step - 1e-6 or before == np.inf
-
-
-@settings(max_examples=100)
-@given(
-    hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=12)),
-    POINTS,
-    DIRECTIONS,
-    st.sampled_from((0.0, np.pi / 2, 0.3)),
-)
-def test_a_wall_hit_touches_a_wall_cell(solid: np.ndarray, point, direction, yaw: float) -> None:
-    walls = WallGrid(solid, 0.25, Pose2(-0.5, 0.25, yaw), 1.5)
-    floor = HeightField(np.full((2, 2), -100.0, np.float32), (1.0, 1.0), (0.0, 0.0))
-    t = RayCaster(floor, walls).cast(point, direction[None], 20.0)[0]
-    assert t >= 0.0
-    if np.isfinite(t):
-        hit = np.array(point) + t * direction
-        assert -1e-9 <= hit[2] <= walls.height + 1e-9
-        u, v = walls.origin.inverse().apply(hit[:2]) / walls.resolution
-        rows, cols = np.nonzero(solid)
-        gap = np.maximum(abs(u - cols - 0.5), abs(v - rows - 0.5)) - 0.5
-        assert gap.min(initial=np.inf) < 1e-9

@@ -81,14 +81,6 @@ def test_mixed_pixels_lie_between_the_two_sides_of_an_edge() -> None:
         np.testing.assert_allclose(measured(calm, LidarNoise(mixed_pixels=1.0)), calm, atol=1e-6)
 
 
-def test_rep_117_beyond_the_limits() -> None:
-    exact = np.array((0.05, 3.0, 31.0, np.inf))
-    ranges = measured(exact, LidarNoise())
-    assert ranges[0] == -np.inf
-    assert ranges[1] == 3.0
-    assert np.isposinf(ranges[2:]).all()
-
-
 def test_levels() -> None:
     preset = LIDARS["utm30lx"]
     assert lidar_noise(preset, "none") == LidarNoise()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from lirs_validation.metrics import map_scores, scan_coverage, start_alignment, trajectory_errors
+from lirs_validation.metrics import map_scores, start_alignment, trajectory_errors
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
@@ -88,17 +88,6 @@ def test_two_poses_cover_two_scans() -> None:
     assert errors.ate_rmse == pytest.approx(0.0, abs=1e-9)
     assert errors.scan_coverage == pytest.approx(2 / 101)
     assert trajectory_errors(truth, truth).scan_coverage == 1.0
-
-
-def test_a_pose_covers_its_own_scan_alone() -> None:
-    scans = np.arange(1000) * 0.02  # 50 Hz: the next scan is as near as two stamps of one moment may be
-    assert scan_coverage(scans, scans[::2]) == 0.5
-    assert scan_coverage(scans, scans + 0.004) == 1.0
-    assert scan_coverage(scans, np.repeat(scans[:1], 1000) + np.arange(1000) * 1e-6) == 1 / 1000
-    slow = np.arange(100) * 3.0
-    assert scan_coverage(slow, slow + 0.03) == 0.0
-    assert scan_coverage(slow, np.empty(0)) == scan_coverage(np.empty(0), slow) == 0.0
-    assert scan_coverage(slow[:1], slow[:1]) == 1.0
 
 
 @pytest.mark.parametrize(("meters", "some"), [(0.999, False), (1.001, True)])
