@@ -18,7 +18,7 @@ from slam_baselines.matching.registration import RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.motion_filter import MotionFilterConfig
-from slam_baselines.scan.interpolation import InterpolationConfig
+from slam_baselines.scan.leveling import InterpolationConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,8 +21,7 @@ from slam_baselines.mapping.occupancy_map import bounding_box, union_of
 from slam_baselines.matching.registration import Registration
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionStep, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
-from slam_baselines.scan.interpolation import interpolate_hits
-from slam_baselines.scan.leveling import LeveledScan, ScanPoints
+from slam_baselines.scan.leveling import LeveledScan, ScanPoints, interpolate_hits
 
 
 class LocalSlam(ScanToMapFrontEnd[Node]):

@@ -28,8 +28,7 @@ from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
 from slam_baselines.matching.registration import Registration
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
-from slam_baselines.scan.interpolation import voxel_filter
-from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
+from slam_baselines.scan.leveling import LeveledScan, ScanLeveler, voxel_filter
 
 DEPTH = 6
 """Number of times that four cells become one in the search."""

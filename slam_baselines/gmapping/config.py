@@ -13,7 +13,7 @@ from slam_baselines.matching.localizability import LocalizabilityConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.gyro_bias import GyroBiasConfig
-from slam_baselines.scan.interpolation import InterpolationConfig
+from slam_baselines.scan.leveling import InterpolationConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,7 @@ from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry import OccupancyGrid, Pose2, wrap_angle
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import NO_WALL, MapPyramid, OccupancyMap, UpdateConfig, bounding_box
-from slam_baselines.scan.interpolation import InterpolationConfig, interpolate_hits
-from slam_baselines.scan.leveling import LeveledScan, ScanPoints
+from slam_baselines.scan.leveling import InterpolationConfig, LeveledScan, ScanPoints, interpolate_hits
 
 
 @dataclass(frozen=True, kw_only=True)

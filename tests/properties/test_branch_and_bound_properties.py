@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slam_baselines.mapping.growing_grid import GrowingGrid
+from slam_baselines.mapping.occupancy_map import GrowingGrid
 from slam_baselines.matching.branch_and_bound import (
     BoundGrids,
     Exclusion,

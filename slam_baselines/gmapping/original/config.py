@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lirs_wct.field_validators import require_above, require_at_least, require_within
-from slam_baselines.gmapping.original.scan_matcher import MatchingParameters
+from slam_baselines.gmapping.original.hit_maps import MatchingParameters
 
 
 @dataclass(frozen=True, kw_only=True)

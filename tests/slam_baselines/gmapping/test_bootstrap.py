@@ -9,7 +9,7 @@ import pytest
 
 from lirs_validation import validate
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.gmapping.bootstrap import BiasedRegistration, GmappingKeyframe, GyroIncrement
+from slam_baselines.gmapping.mapper import BiasedRegistration, GmappingKeyframe, GyroIncrement
 from slam_baselines.gmapping.proposal import ProposalConfig, Proposer
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe

@@ -14,7 +14,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.gmapping.mapper import GmappingConfig, GmappingMapper
-from slam_baselines.gmapping.trajectory_tree import TrajectoryTree
+from slam_baselines.gmapping.particles import TrajectoryTree
 from slam_baselines.mapper import Mapper, make_mapper
 
 WALLS = (

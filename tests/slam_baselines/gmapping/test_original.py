@@ -19,10 +19,13 @@ from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.gmapping.original.drand48 import Drand48
-from slam_baselines.gmapping.original.hit_maps import HitMaps
-from slam_baselines.gmapping.original.mapper import GmappingOriginalConfig, GmappingOriginalMapper
-from slam_baselines.gmapping.original.path_map import ProcessedScan, path_map
-from slam_baselines.gmapping.original.scan_matcher import NULL_LIKELIHOOD, match_scan
+from slam_baselines.gmapping.original.hit_maps import NULL_LIKELIHOOD, HitMaps, match_scan
+from slam_baselines.gmapping.original.mapper import (
+    GmappingOriginalConfig,
+    GmappingOriginalMapper,
+    ProcessedScan,
+    path_map,
+)
 from slam_baselines.linalg import wrap
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan

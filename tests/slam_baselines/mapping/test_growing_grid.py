@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slam_baselines.mapping.growing_grid import GrowingGrid
+from slam_baselines.mapping.occupancy_map import GrowingGrid
 
 
 @settings(max_examples=100, deadline=None)

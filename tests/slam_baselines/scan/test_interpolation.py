@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.scan.interpolation import InterpolationConfig, interpolate_hits, voxel_filter
-from slam_baselines.scan.leveling import ScanPoints
+from slam_baselines.scan.leveling import InterpolationConfig, ScanPoints, interpolate_hits, voxel_filter
 
 SPACING = 0.05
 
