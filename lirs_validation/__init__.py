@@ -9,8 +9,7 @@ if TYPE_CHECKING:
     from lirs_validation.experiment.run import Run, validate
     from lirs_validation.gui.notebook import EmbeddedPage, show
     from lirs_validation.logs.log_source import resolve_source
-    from lirs_validation.logs.map_log import map_log
-    from lirs_validation.logs.mapped_log import MappedLog
+    from lirs_validation.logs.map_log import MappedLog, map_log
     from lirs_validation.record.run_record import RunRecord, read_record
     from lirs_validation.report.contents import report_of
 
@@ -32,7 +31,7 @@ __all__ = [
 _HOMES = {
     "EmbeddedPage": "gui.notebook",
     "show": "gui.notebook",
-    "MappedLog": "logs.mapped_log",
+    "MappedLog": "logs.map_log",
     "map_log": "logs.map_log",
     "resolve_source": "logs.log_source",
     "Run": "experiment.run",

@@ -21,7 +21,7 @@ from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import ROW
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
-from lirs_validation.driving.room import no_room
+from lirs_validation.driving.choice import no_room
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry import Pose2
 from lirs_wct.navigation.spawn_poses import largest_area

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lirs_validation.driving.path_driver import Path
+from lirs_validation.driving.path_driver import Path, PursuitConfig, speed_profile
 from lirs_validation.driving.paths import (
     COMFORTABLE,
     NARROW,
@@ -15,7 +15,6 @@ from lirs_validation.driving.paths import (
     room_in,
     smooth_path,
 )
-from lirs_validation.driving.pursuit import PursuitConfig, speed_profile
 from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.heightfield import HeightField

@@ -17,9 +17,8 @@ from lirs_validation.driving.exploration_map import (
     distance_in_sight,
     exploration_map,
 )
-from lirs_validation.driving.path_driver import DriverConfig, Path
+from lirs_validation.driving.path_driver import DriverConfig, Path, speed_profile
 from lirs_validation.driving.paths import cells_ahead, nearest, penalize_behind, room_at, smooth_path
-from lirs_validation.driving.pursuit import speed_profile
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import Reach, search

@@ -7,30 +7,38 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lirs_validation.config import MapConfig
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
-from lirs_validation.logs.cloud_replay import horizontal_map, replay_clouds
-from lirs_validation.logs.inertial import inertial_readings, with_recorded_mount
-from lirs_validation.logs.log_mapper import check_log, log_mapper, warm_up_log_mapper
-from lirs_validation.logs.mapped_log import MappedLog
+from lirs_validation.logs.log_replay import (
+    check_log,
+    horizontal_map,
+    inertial_readings,
+    log_mapper,
+    replay_clouds,
+    warm_up_log_mapper,
+    with_recorded_mount,
+)
 from lirs_validation.logs.reference import odometry_accuracy, read_truth, reference_in_time, relations_in_time
 from lirs_validation.metrics.alignment import rms, scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
-from lirs_validation.metrics.log_accuracy import reference_errors, trajectory_accuracy
+from lirs_validation.metrics.log_accuracy import Accuracy, reference_errors, trajectory_accuracy
 from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
+from lirs_wct.files import atomic_folder
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
+from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import is_bag_file
-from lirs_wct.geometry import Imu, Trajectory
+from lirs_wct.formats.tum import write_tum
+from lirs_wct.geometry import Imu, OccupancyGrid, Trajectory
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
@@ -38,8 +46,61 @@ from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source, is_bag
 from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
 
+if TYPE_CHECKING:
+    from lirs_wct.drawing.style import Drawing
+
 SECOND = "hector"
 """Mapper that others are compared with: it takes a fraction of their time."""
+
+
+@dataclass(frozen=True)
+class MappedLog:
+    """Result of mapping a log.
+
+    Attributes:
+        record: config and metrics.
+        log: as read.
+        grid: the map; its frame is the first base pose.
+        trajectory: pose of every scan in the map, by the log's stamps.
+        reference: in its own frame; None where none was given.
+        accuracy: errors pose by pose.
+        folder: where it was written; None = nowhere.
+    """
+
+    record: MapRecord
+    log: LaserLog
+    grid: OccupancyGrid
+    trajectory: Trajectory
+    reference: Trajectory | None
+    accuracy: Accuracy
+    folder: Path | None = None
+
+    def overview(self) -> Drawing:
+        """Draw the mapped log on one page."""
+        # Loaded here: the first scan of a log does not wait for matplotlib.
+        from lirs_validation.drawing.map_overview import map_overview
+
+        return map_overview(self.record, self.grid, self.trajectory, self.reference, self.accuracy)
+
+    def __repr__(self) -> str:
+        return f"MappedLog({self.record.config.log!r}, {self.trajectory!r}, folder={self.folder})"
+
+    def _repr_png_(self) -> bytes:
+        return self.overview()._repr_png_()
+
+
+def write_mapped(folder: Path, mapped: MappedLog) -> Path:
+    """Write the folder atomically, replacing an older one; return it.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    with atomic_folder(folder) as temporary:
+        mapped.record.save(temporary)
+        write_map(temporary / "map", mapped.grid)
+        write_tum(temporary / "estimate.tum", mapped.trajectory)
+        mapped.overview().savefig(temporary / "overview.png")
+    return folder
 
 
 def map_log(
@@ -76,7 +137,10 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         raise unknown_name("--second", config.second, ["none", *MAPPERS])
     with log_mapper(config) as mapper:
         mapped = _mapped_log(config, mapper, progress)
-    return mapped if out is None else replace(mapped, folder=_write(mapped, out, progress))
+    if out is None:
+        return mapped
+    progress("draw", 1.0)
+    return replace(mapped, folder=write_mapped(out / mapped.record.name, mapped))
 
 
 def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) -> MappedLog:
@@ -236,14 +300,6 @@ def replay(
         tracking.observe(scan.stamp, estimate.lost)
         progress("map", (k + 1) / scans)
     return tracking
-
-
-def _write(mapped: MappedLog, out: Path, progress: Progress) -> Path:
-    # Drawing needs matplotlib, which the first scan should not wait for.
-    from lirs_validation.logs.mapped_log import write_mapped
-
-    progress("draw", 1.0)
-    return write_mapped(out / mapped.record.name, mapped)
 
 
 @contextmanager

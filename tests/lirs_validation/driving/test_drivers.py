@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from lirs_validation.driving.coverage import CoverageDriver, CoveragePlanner, TourConfig, plan_coverage
-from lirs_validation.driving.path_driver import DriverConfig
+from lirs_validation.driving.path_driver import DriverConfig, PursuitConfig
 from lirs_validation.driving.paths import room_at
-from lirs_validation.driving.pursuit import PursuitConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

@@ -14,8 +14,7 @@ import pytest
 from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_validation.collision.random_drive import places
 from lirs_validation.config import RunConfig
-from lirs_validation.driving.choice import MARGIN, make_driver
-from lirs_validation.driving.room import enough_size
+from lirs_validation.driving.choice import MARGIN, enough_size, make_driver
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -25,7 +25,7 @@ from tests.lirs_wct.formats.carmen.carmen_room import START, flaser, room_lines,
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A working folder with the log of a room; mappers are not warmed up, which changes times only."""
-    monkeypatch.setattr("lirs_validation.logs.log_mapper.warm_up", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.logs.log_replay.warm_up", lambda name, **config: None)
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "my room.clf", room_lines(90)[0])
     return tmp_path

@@ -49,7 +49,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def without_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the warm-up, which changes times only."""
-    monkeypatch.setattr("lirs_validation.logs.log_mapper.warm_up", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.logs.log_replay.warm_up", lambda name, **config: None)
 
 
 @pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
