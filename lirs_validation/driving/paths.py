@@ -116,16 +116,12 @@ def penalize_behind(weight: FloatArray, cell: IntArray, heading: float, radius: 
 
 SPACING = 0.1
 """Meters between the points of a path."""
+PULLS = 250
+"""Iterations of the smoothing."""
 
 
 def smooth_path(
-    points: FloatArray,
-    grid: OccupancyGrid,
-    room: FloatArray,
-    *,
-    keep: float,
-    hold: int = 0,
-    iterations: int = 250,
+    points: FloatArray, grid: OccupancyGrid, room: FloatArray, *, keep: float, hold: int = 0
 ) -> FloatArray:
     """Smooth a path while it keeps its distance from blocked cells.
 
@@ -138,14 +134,13 @@ def smooth_path(
         room: (rows, cols) meters to the nearest blocked cell, 0 where blocked.
         keep: room in meters beyond which a point may move freely.
         hold: points at the beginning that stay where they are.
-        iterations: how long to pull.
     """
     held = float(arc_length(points)[min(hold, len(points) - 1)])
     path = resample(points, SPACING)
     if len(path) < 3:
         return path
     local = grid.origin.inverse().apply(path) / grid.resolution
-    tight = _pull(np.ascontiguousarray(local), room, keep, 1 + round(held / SPACING), iterations)
+    tight = _pull(np.ascontiguousarray(local), room, keep, 1 + round(held / SPACING))
     return resample(grid.origin.apply(tight * grid.resolution), SPACING)
 
 
@@ -179,11 +174,11 @@ def curvature(points: FloatArray, baseline: int = 3) -> FloatArray:
 
 
 @njit(cache=True)
-def _pull(points: FloatArray, room: FloatArray, keep: float, first: int, iterations: int) -> FloatArray:
+def _pull(points: FloatArray, room: FloatArray, keep: float, first: int) -> FloatArray:
     """Smooth points given in cells (column, row) from the first one on; the last stays."""
     rows, cols = room.shape
     p = points.copy()
-    for _ in range(iterations):
+    for _ in range(PULLS):
         for k in range(first, len(p) - 1):
             x = p[k, 0] + 0.5 * (0.5 * (p[k - 1, 0] + p[k + 1, 0]) - p[k, 0])
             y = p[k, 1] + 0.5 * (0.5 * (p[k - 1, 1] + p[k + 1, 1]) - p[k, 1])

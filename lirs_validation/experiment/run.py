@@ -183,9 +183,6 @@ def conclude(
     cost: dict[str, Any],
     out: Path | None = None,
     progress: Progress = no_progress,
-    *,
-    name: str | None = None,
-    recorded: Recording | None = None,
 ) -> Run:
     """Evaluate a drive that has ended, and write its folder.
 
@@ -195,13 +192,11 @@ def conclude(
         cost: of the drive: `cpu_seconds`, `peak_memory`.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the work.
-        name: of the run's folder; None = the record's.
-        recorded: the drive's bag, whose files are moved into the folder; None = there is none.
 
     Raises:
         SimulationError: not a single scan was driven.
     """
-    return _write_run(_evaluate(ready, log, cost, progress), out, name, recorded)
+    return _write_run(_evaluate(ready, log, cost, progress), out)
 
 
 def _evaluate(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Progress) -> Run:
@@ -217,7 +212,7 @@ def _evaluate(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Pr
     return Run(record, log, maps, scenario.world, None)
 
 
-def _write_run(run: Run, out: Path | None, name: str | None, recorded: Recording | None) -> Run:
+def _write_run(run: Run, out: Path | None, name: str | None = None, recorded: Recording | None = None) -> Run:
     """Write the folder of a run where one is wanted."""
     if out is None:
         return run

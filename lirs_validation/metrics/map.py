@@ -145,9 +145,7 @@ def iou(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
     return int((a & b).sum()) / union
 
 
-def false_occupied(
-    built: OccupancyGrid, surface: HeightField, walls: WallGrid | None, tolerance: float = TOLERANCE
-) -> float | None:
+def false_occupied(built: OccupancyGrid, surface: HeightField, walls: WallGrid | None) -> float | None:
     """Return the share of occupied cells farther from obstacles than the tolerance.
 
     Obstacles are faces of the surface steeper than 45 deg and wall cells, independent of the scans.
@@ -155,11 +153,11 @@ def false_occupied(
     points = built.occupied_points()
     if len(points) == 0:
         return None
-    return float(1 - near_obstacle(points, surface, walls, tolerance + ROUNDING).mean())
+    return float(1 - near_obstacle(points, surface, walls, TOLERANCE + ROUNDING).mean())
 
 
 def unknown_share(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
-    """Return the share of occupied cells farther from obstacles than the tolerance."""
+    """Return the share of the reference's known cells that are unknown in the built map."""
     if not reference.known.any():
         return None
     return float(np.isnan(sampled(built, reference))[reference.known].mean())

@@ -158,11 +158,12 @@ def read_constraints(path: Path) -> tuple[RelativePoseConstraint, ...]:
     return tuple(RelativePoseConstraint(r[0], r[1], Pose2(r[2], r[3], r[7])) for r in rows)
 
 
+STAMP_MARGIN = 2.0
+"""Seconds around an estimate's time; constraints with a stamp outside are left out."""
+
+
 def constraint_errors(
-    estimate: Trajectory,
-    constraints: Sequence[RelativePoseConstraint],
-    odometry: Trajectory,
-    margin: float = 2.0,
+    estimate: Trajectory, constraints: Sequence[RelativePoseConstraint], odometry: Trajectory
 ) -> ConstraintErrors:
     """Compare the estimate with the constraints.
 
@@ -171,9 +172,8 @@ def constraint_errors(
         constraints: the truth.
         odometry: raw odometry over the same time, any frame, that propagates poses to the stamps; where it is
             empty, the estimate itself does.
-        margin: constraints with a stamp farther than this outside the estimate's time are left out, s.
     """
-    low, high = estimate.stamps[0] - margin, estimate.stamps[-1] + margin
+    low, high = estimate.stamps[0] - STAMP_MARGIN, estimate.stamps[-1] + STAMP_MARGIN
     stamps = np.array([(c.stamp_a, c.stamp_b) for c in constraints]).reshape(-1, 2)
     inside = (stamps.min(axis=1) >= low) & (stamps.max(axis=1) <= high)
     stamps = stamps[inside]

@@ -71,7 +71,7 @@ class ScanSupport:
         return f"{walls}: too few for planar mapping"
 
 
-def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: int = 0) -> ScanSupport:
+def scan_support(world: World, robot: Robot, *, seed: int = 0) -> ScanSupport:
     """Cast noise-free scans over the drivable ground; count walls and ground.
 
     The robot stands as the ground under its footprint lies; one that flies is level.
@@ -79,10 +79,9 @@ def scan_support(world: World, robot: Robot, *, lidar: str | None = None, seed: 
     Args:
         world: where.
         robot: whose lidar and mount.
-        lidar: name of a lidar preset; None = the robot's own.
         seed: of the places.
     """
-    preset = make_lidar_preset(lidar or robot.lidar)
+    preset = make_lidar_preset(robot.lidar)
     poses = _poses(world, robot, np.random.default_rng((seed, STREAM)))
     caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
     hits: list[FloatArray] = []

@@ -69,7 +69,7 @@ class TrajectoryErrors:
 
 
 def trajectory_errors(
-    truth: Trajectory, estimate: Trajectory, *, T_world_map: Pose2 | None = None, max_gap: float = MAX_GAP
+    truth: Trajectory, estimate: Trajectory, *, T_world_map: Pose2 | None = None
 ) -> TrajectoryErrors:
     """Compare an estimate with the truth.
 
@@ -77,15 +77,14 @@ def trajectory_errors(
         truth: true poses in the world frame.
         estimate: estimated poses in the map frame.
         T_world_map: where the map frame lies in the world: the true start pose (None: the same frame).
-        max_gap: largest difference of two stamps that count as one moment, seconds.
 
     Raises:
         ConfigError: fewer than two poses share a moment.
     """
-    i, j = associated(truth.stamps, estimate.stamps, max_gap=max_gap)
+    i, j = associated(truth.stamps, estimate.stamps)
     if len(i) < 2:
         raise ConfigError(
-            f"a trajectory error needs at least 2 poses within {max_gap} s of each other, got {len(i)} of "
+            f"a trajectory error needs at least 2 poses within {MAX_GAP} s of each other, got {len(i)} of "
             f"{len(truth)} true and {len(estimate)} estimated poses"
         )
     true, est = planar(truth)[i], moved(planar(estimate)[j], T_world_map or Pose2())
@@ -126,13 +125,13 @@ class SpatialErrors:
     rotation_rmse_3d: float
 
 
-def spatial_errors(truth: Trajectory, estimate: Trajectory, *, max_gap: float = MAX_GAP) -> SpatialErrors:
+def spatial_errors(truth: Trajectory, estimate: Trajectory) -> SpatialErrors:
     """Compare an estimate with the truth, both in the world frame.
 
     Raises:
         ConfigError: fewer than two poses share a moment.
     """
-    i, j = associated(truth.stamps, estimate.stamps, max_gap=max_gap)
+    i, j = associated(truth.stamps, estimate.stamps)
     if len(i) < 2:
         raise ConfigError(f"a trajectory error needs at least 2 poses in common, got {len(i)}")
     true, est = truth.positions[i], estimate.positions[j]

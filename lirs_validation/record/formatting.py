@@ -37,15 +37,15 @@ def text_at(entry: Entry, key: str) -> str:
     return NOTHING if value is None else str(value)
 
 
-def significant(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, and no exponent.
+def significant(value: float) -> str:
+    """Return a number with three significant digits, and no exponent.
 
     >>> significant(0.01094), significant(41.27), significant(1234.5)
     ('0.0109', '41.3', '1234')
     """
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
-    return f"{value:.{max(0, digits - 1 - math.floor(math.log10(abs(value))))}f}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
 
 
 def span(values: Sequence[float]) -> str:

@@ -27,10 +27,10 @@ from slam_baselines.scan.leveling import ScanPoints
 class PatchMaps(PatchTables[Patches]):
     """Occupancy maps of a set of particles."""
 
-    def __init__(self, particles: int, resolution: float, update: UpdateConfig | None = None) -> None:
+    def __init__(self, particles: int, resolution: float) -> None:
         super().__init__(particles, resolution, resize(None, 256, 64))
         self._scratch = Scratch.of(0, 0)
-        self._steps = (update or UpdateConfig()).steps
+        self._steps = UpdateConfig().steps
 
     def draw_scan(self, poses: FloatArray, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
         """Draw one scan into every map, each from its own pose.

@@ -21,11 +21,10 @@ class Camera:
 
     Args:
         shape: height and width of a picture, pixels.
-        name: name of the camera in the robot's MJCF file.
     """
 
-    def __init__(self, shape: tuple[int, int] = SHAPE, name: str = CHASE) -> None:
-        self._shape, self._name = shape, name
+    def __init__(self, shape: tuple[int, int] = SHAPE) -> None:
+        self._shape = shape
         self._options = scene_options()
         self._scene: RenderScene | None = None
         self._renderer: mujoco.Renderer | None = None
@@ -69,7 +68,7 @@ class Camera:
         self._scene.place(snapshot)
         if self._renderer is None:
             self._renderer = _make_renderer(self._scene.model, self._shape)
-        self._renderer.update_scene(self._scene.data, camera=self._name, scene_option=self._options)
+        self._renderer.update_scene(self._scene.data, camera=CHASE, scene_option=self._options)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         return self._renderer
 

@@ -121,11 +121,8 @@ class QuadrotorController:
     `Waypoint` is a pose to fly to and hold.
     """
 
-    def __init__(
-        self, robot: Robot, body: FlyingBody, surface: HeightField, config: FlightConfig | None = None
-    ) -> None:
-        self.robot = robot
-        self.config = config or FlightConfig()
+    def __init__(self, robot: Robot, body: FlyingBody, surface: HeightField) -> None:
+        self.robot, self.config = robot, FlightConfig()
         self._body = body
         self._surface = surface
         self._gravity = body.gravity
