@@ -30,8 +30,8 @@ from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import METRICS
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.table import ReportTable
-from lirs_validation.sweep.axes import cross
 from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.suites import cross
 from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.option import read_names, read_numbers
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import RUN_AXES, RunConfig
 from lirs_validation.gui.session.controls import controls
-from lirs_validation.sweep.axes import cross
+from lirs_validation.sweep.suites import cross
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import documented, option, read_numbers, within
 from tests.lirs_validation.records import entry

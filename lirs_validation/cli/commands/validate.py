@@ -112,9 +112,8 @@ def read_experiments(
     Raises:
         ConfigError: neither or both of sources and suite are given, or an option is not legal.
     """
-    from lirs_validation.sweep.axes import cross
     from lirs_validation.sweep.slam_experiment import SlamExperiment
-    from lirs_validation.sweep.suites import make_suite
+    from lirs_validation.sweep.suites import cross, make_suite
 
     if suite is None:
         if not sources:

@@ -14,8 +14,7 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import make_driver
-from lirs_validation.driving.exploration_map import distance_in_sight, exploration_map
-from lirs_validation.driving.frontier_route import FrontierRoute
+from lirs_validation.driving.frontier_route import FrontierRoute, distance_in_sight, exploration_map
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.loop import drive

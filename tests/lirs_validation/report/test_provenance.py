@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import RunConfig
 from lirs_validation.report.provenance import command_of
-from lirs_validation.sweep.axes import cross
+from lirs_validation.sweep.suites import cross
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.options import BuildOptions
 
