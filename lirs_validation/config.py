@@ -349,6 +349,7 @@ class MapConfig(Options):
         "cartographer",
         "SLAM method: hector, gmapping, cartographer, ...",
         metavar="NAME|module:Class",
+        names=tuple(MAPPERS),
     )
     seed: int = option(1, "Seed of the mapper's random numbers.", check=within("[0, inf)"))
     particles: int | None = option(None, "Number of gmapping's particles; default: 30.")
@@ -409,6 +410,7 @@ class MapConfig(Options):
         None,
         "Mapper to compare with where no truth is given; default: hector (of hector: cartographer); or none.",
         metavar="NAME|none",
+        names=(*MAPPERS, "none"),
         in_digest=False,
     )
 

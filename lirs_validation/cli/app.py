@@ -7,6 +7,7 @@ import importlib.metadata
 import os
 import sys
 import warnings
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,6 +28,7 @@ from lirs_validation.cli.commands.validate import record, validate
 from lirs_validation.cli.commands.worlds import build, convert, info, view
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.cli.examples import epilog
+from lirs_validation.cli.help import Command
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, WctError
@@ -41,26 +43,28 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
-for command in (
-    build,
-    report,
-    compare,
-    score,
-    export,
-    bench,
-    collide,
-    view,
-    info,
-    convert,
-    robot,
-    mappers,
-    gui,
-    doctor,
-):
-    app.command(epilog=epilog(command.__name__))(command)
-app.command("validate", epilog=epilog("validate"))(validate)
-app.command("record", epilog=epilog("record"))(record)
-app.command("map", epilog=epilog("map"))(map_log)
+COMMANDS: Mapping[str, Callable[..., Any]] = {
+    "validate": validate,
+    "map": map_log,
+    "build": build,
+    "report": report,
+    "compare": compare,
+    "score": score,
+    "info": info,
+    "view": view,
+    "gui": gui,
+    "mappers": mappers,
+    "robot": robot,
+    "export": export,
+    "record": record,
+    "bench": bench,
+    "collide": collide,
+    "convert": convert,
+    "doctor": doctor,
+}
+"""The commands in order of use."""
+for name, command in COMMANDS.items():
+    app.command(name, cls=Command, epilog=epilog(name))(command)
 
 
 def _show_version(asked: bool) -> None:

@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.sources.bundled import RECIPES
 
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
-Sources = Annotated[list[str], typer.Argument(help=SOURCE_HELP)]
-Source = Annotated[str, typer.Argument(help=SOURCE_HELP)]
+
+
+def complete_source(incomplete: str) -> list[str]:
+    """Return bundled worlds and paths that begin with a text, for the shell."""
+    worlds = [name for name in RECIPES if name.startswith(incomplete)]
+    folder, separator, name = incomplete.rpartition("/")
+    found = [path.name for path in Path(folder + separator).glob("*") if path.name.startswith(name)]
+    return worlds + sorted(folder + separator + name for name in found)
+
+
+Sources = Annotated[list[str], typer.Argument(help=SOURCE_HELP, autocompletion=complete_source)]
+Source = Annotated[str, typer.Argument(help=SOURCE_HELP, autocompletion=complete_source)]
 
 
 def read_fields(text: str | None, flag: str) -> dict[str, str]:

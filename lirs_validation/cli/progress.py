@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from threading import Timer
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -49,6 +50,8 @@ STEPS = {
 """Steps as they are shown; any other stands as it is."""
 LONG = 3600.0
 """The time left is estimated from the last so many seconds: experiments take minutes, and differ."""
+SLOW = 2.0
+"""Seconds of compilation after which a line explains it."""
 EVERY = 10.0
 """Seconds between two lines of progress where no terminal shows a bar."""
 
@@ -106,14 +109,52 @@ class ProgressLines:
         self._console.print(f"{work}, {share:.0%}", highlight=False, markup=False, soft_wrap=True)
 
 
+class CompileNote:
+    """Line about a compilation that takes long, once per command.
+
+    Args:
+        console: that the line is written to.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._timers: dict[str, Timer] = {}
+        self._told = False
+
+    def observe(self, work: str, step: str) -> None:
+        """Take in the step of a piece of work."""
+        if step != "compile":
+            self.end(work)
+        elif work not in self._timers and not self._told:
+            self._timers[work] = Timer(SLOW, self._tell)
+            self._timers[work].daemon = True
+            self._timers[work].start()
+
+    def end(self, work: str) -> None:
+        """End the compilation of a piece of work."""
+        if work in self._timers:
+            self._timers.pop(work).cancel()
+
+    def close(self) -> None:
+        """End all compilations."""
+        for work in tuple(self._timers):
+            self.end(work)
+
+    def _tell(self) -> None:
+        if not self._told:
+            self._told = True
+            self._console.print("compiling kernels: slow the first time, then cached", highlight=False)
+
+
 @contextmanager
 def progress_bar(work: str, console: Console) -> Iterator[Progress]:
     """Show a bar with the time left while a piece of work goes on."""
-    lines = ProgressLines(console)
-    with _bar(console) as bar:
+    lines, compilation = ProgressLines(console), CompileNote(console)
+    with _bar(console) as bar, closing(compilation):
         task = bar.add_task(work, total=None)
 
         def progress(step: str, share: float) -> None:
+            compilation.observe(work, step)
             description = f"{work}: {STEPS.get(step, step)}"
             bar.update(task, description=description, total=1.0, completed=share)
             lines.note(description, share)
@@ -130,13 +171,15 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
     many = len(sweep.pending) > 1
     running: dict[str, float] = {}
     done = 0
-    lines, total = ProgressLines(console), len(sweep.pending)
-    with _bar(console, TextColumn("{task.fields[done]}/{task.total:.0f}" if many else "")) as bar:
+    lines, compilation, total = ProgressLines(console), CompileNote(console), len(sweep.pending)
+    count = TextColumn("{task.fields[done]}/{task.total:.0f}" if many else "")
+    with _bar(console, count) as bar, closing(compilation):
         task = bar.add_task("", total=float(len(sweep.pending)), done=0)
 
         def progress_of(name: str) -> Progress:
             def progress(step: str, share: float) -> None:
                 running[name] = share
+                compilation.observe(name, step)
                 description, completed = f"{name}: {STEPS.get(step, step)}", done + sum(running.values())
                 bar.update(task, description=description, completed=completed)
                 lines.note(f"{done}/{total} {description}" if many else description, completed / total)
@@ -145,6 +188,7 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Ite
 
         for outcome in sweep.run(executor, progress_of):
             running.pop(outcome.experiment, None)
+            compilation.end(outcome.experiment)
             done += 1
             bar.update(task, completed=done + sum(running.values()), done=done)
             yield outcome

@@ -148,7 +148,25 @@ def _typer(option: Option, flags: tuple[str, ...], default: Any = None) -> Any:
         rich_help_panel=option.panel,
         hidden=option.hidden,
         show_default=_text(default),
+        autocompletion=_completer(option),
     )
+
+
+def _completer(option: Option) -> Callable[[str], list[str]] | None:
+    """Return the shell's completion of an option's names, also of the last one in a list.
+
+    None if any value is legal.
+    """
+    words = [word for word in (option.metavar or "").split("|") if word.islower()]
+    if not option.names and not words:
+        return None
+
+    def complete(incomplete: str) -> list[str]:
+        names = option.names() if callable(option.names) else option.names or words
+        before, comma, last = incomplete.rpartition(",")
+        return [f"{before}{comma}{name}" for name in names if str(name).startswith(last)]
+
+    return complete
 
 
 def _text(default: Any) -> str | bool:

@@ -8,13 +8,15 @@ from typing import Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import SOURCE_HELP
+from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
 from lirs_validation.cli.console import out
 from lirs_wct.errors import ConfigError
 
 
 def gui(
-    source: Annotated[str | None, typer.Argument(help=f"Shown first: {SOURCE_HELP}")] = None,
+    source: Annotated[
+        str | None, typer.Argument(help=f"Shown first: {SOURCE_HELP}", autocompletion=complete_source)
+    ] = None,
     runs: Annotated[
         Path, typer.Option(help="Folder of finished runs, or one run's, that pages may replay.")
     ] = Path("out"),

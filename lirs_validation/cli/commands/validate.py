@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lirs_validation.cli.arguments import SOURCE_HELP
+from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
 from lirs_validation.cli.console import GATE_FAILED, out
 from lirs_validation.cli.progress import manifest_of_command, run_sweep
 from lirs_validation.cli.typer_options import with_options
@@ -28,7 +28,7 @@ FEW = 10
 OF_A_SUITE = ("seed", "threads")
 """Axes that a suite leaves open."""
 
-Sources = Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP)]
+Sources = Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP, autocompletion=complete_source)]
 SuiteName = Annotated[
     str | None,
     typer.Option("--suite", metavar="paper", help="A published experiment, instead of sources and axes."),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+import time
 
 import pytest
 from rich.console import Console
 
 from lirs_validation.cli import progress as module
-from lirs_validation.cli.progress import EVERY, ProgressLines, progress_bar
+from lirs_validation.cli.progress import EVERY, CompileNote, ProgressLines, progress_bar
 
 
 class Clock:
@@ -42,3 +43,35 @@ def test_a_bar_without_terminal_writes_lines(monkeypatch: pytest.MonkeyPatch) ->
     with progress_bar("dunes", Console(file=file)) as progress:
         progress("drive", 0.25)
     assert file.getvalue() == "dunes: driving, 25%\n"
+
+
+def wait_for(file: io.StringIO) -> str:
+    """Text of a file once there is some, at the latest after five seconds."""
+    end = time.monotonic() + 5
+    while not file.getvalue() and time.monotonic() < end:
+        time.sleep(0.01)
+    return file.getvalue()
+
+
+def test_a_long_compilation_is_explained_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "SLOW", 0.05)
+    file = io.StringIO()
+    note = CompileNote(Console(file=file))
+    for work in ("a", "b"):
+        note.observe(work, "compile")
+    told = wait_for(file)
+    note.observe("c", "compile")
+    time.sleep(0.2)
+    assert file.getvalue() == told == "compiling kernels: slow the first time, then cached\n"
+
+
+def test_a_short_compilation_is_not_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "SLOW", 0.2)
+    file = io.StringIO()
+    with progress_bar("dunes", Console(file=file)) as progress:
+        progress("compile", 0.0)
+        progress("drive", 0.1)
+        time.sleep(0.3)
+        progress("compile", 0.2)
+    time.sleep(0.3)
+    assert file.getvalue() == ""
