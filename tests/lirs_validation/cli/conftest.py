@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from lirs_validation import cli
 from lirs_validation.cli import console
+from tests.command_line import run_command
 
 Said = tuple[int, str, str]
 
@@ -21,10 +21,7 @@ def wct(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     monkeypatch.setattr(console.out, "_height", 50)  # else a dumb terminal has 80 columns whatever the width
 
     def call(*arguments: str) -> Said:
-        monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        said = capsys.readouterr()
-        return int(ended.value.code or 0), said.out, said.err
+        code, said = run_command(*arguments), capsys.readouterr()
+        return code, said.out, said.err
 
     return call

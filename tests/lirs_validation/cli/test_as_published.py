@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation import cli
 from slam_baselines.mapper import MAPPERS
+from tests.command_line import run_command
 
 OFFICE = Path(__file__).parents[3] / "examples/data/office.yaml"
 """Walls on level ground: here the methods hold, and rounding does not lead them elsewhere."""
@@ -20,20 +20,13 @@ def test_a_run_mapped_again_from_its_scans_scores_as_the_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A log's ranges are in millimeters: all is the same where the method rounds to them itself."""
-
-    def wct(*arguments: str) -> int:
-        monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        return int(ended.value.code or 0)
-
     monkeypatch.chdir(tmp_path)
-    assert wct("validate", str(OFFICE), "--mapper", name, "--seconds", "12", "-o", "runs") == 0
+    assert run_command("validate", str(OFFICE), "--mapper", name, "--seconds", "12", "-o", "runs") == 0
     (run,) = (tmp_path / "runs").glob("*/record.json")
-    assert wct("map", str(run.parent / "scans.clf.gz"), "--mapper", name, "-o", "maps") == 0
+    assert run_command("map", str(run.parent / "scans.clf.gz"), "--mapper", name, "-o", "maps") == 0
     (mapped,) = (tmp_path / "maps").glob("*/estimate.tum")
     files = ("--trajectory", str(mapped), "--map", str(mapped.with_name("map.yaml")))
-    assert wct("score", str(run.parent), *files, "-o", "score.json") == 0
+    assert run_command("score", str(run.parent), *files, "-o", "score.json") == 0
     recorded, scored = (json.loads(path.read_text()) for path in (run, tmp_path / "score.json"))
     assert recorded["config"]["mapper"] == name
     ate, again = (entry["trajectory"]["ate_rmse"] for entry in (recorded, scored))

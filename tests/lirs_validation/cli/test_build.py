@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_validation import cli
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.contact.contact_parts import prisms
@@ -20,6 +19,7 @@ from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
+from tests.command_line import run_command
 
 
 @pytest.fixture
@@ -43,11 +43,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def wct(*arguments: str) -> None:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["lirs-wct", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-    assert ended.value.code == 0
+    assert run_command(*arguments) == 0
 
 
 def built(source: str, *options: str, to: str = "hfield") -> World:
@@ -253,7 +249,7 @@ BAD = {
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_bad_option_is_one_line_that_names_it(
-    case: str, folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    case: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("empty.stl", "empty.png"):
         (folder / name).write_bytes(b"")
@@ -264,18 +260,15 @@ def test_a_bad_option_is_one_line_that_names_it(
     trimesh.creation.box((1, 2, 3)).export("box.stl")
     before = sorted(folder.rglob("*"))
     arguments, expected = BAD[case]
-    monkeypatch.setattr("sys.argv", ["lirs-wct", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
+    assert run_command(*arguments) == 2
     told = capsys.readouterr().err
-    assert ended.value.code == 2
     assert expected in told
     assert len(told.strip().splitlines()) == 1, told
     assert sorted(folder.rglob("*")) == before
 
 
 def test_two_sources_of_one_name_do_not_replace_each_other(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "other").mkdir()
     for name in ("room.yaml", "room.pgm"):
@@ -283,10 +276,7 @@ def test_two_sources_of_one_name_do_not_replace_each_other(
     wct("build", "room.yaml", "-o", "out", "--to", "hfield")
     (folder / "out/room/notes.txt").write_text("mine")
     before = {p: p.read_bytes() for p in (folder / "out").rglob("*") if p.is_file()}
-    monkeypatch.setattr("sys.argv", ["lirs-wct", "build", "other/room.yaml", "-o", "out", "--to", "hfield"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 2
+    assert run_command("build", "other/room.yaml", "-o", "out", "--to", "hfield") == 2
     told = capsys.readouterr().err.strip()
     assert told.startswith(f"lirs-wct: out/room: holds the world of another source, {folder / 'room.yaml'}; ")
     assert "--name" in told

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation import cli
 from lirs_wct.errors import OutputError
 from lirs_wct.formats.images.picture import write_image
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.geometry.grid import OccupancyGrid
+from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
 DATA = ROOT / "examples" / "data"
@@ -65,19 +65,13 @@ def test_a_command_on_a_full_disk_says_so_in_one_line(
     words: tuple[str, ...],
     size: int,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # With room first: kernels that are compiled under the limit could not be cached.
-    monkeypatch.setattr("sys.argv", ["lirs-wct", *words, "-o", str(tmp_path / "roomy")])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 0
+    assert run_command(*words, "-o", str(tmp_path / "roomy")) == 0
     capsys.readouterr()
-    monkeypatch.setattr("sys.argv", ["lirs-wct", *words, "-o", str(tmp_path / "full")])
-    with largest_file(size), pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 2
+    with largest_file(size):
+        assert run_command(*words, "-o", str(tmp_path / "full")) == 2
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lirs-wct: ")]
     assert len(said) == 1
     assert "cannot be written: File too large" in said[0]

@@ -12,15 +12,8 @@ from rich.console import Console
 
 from lirs_envs.robots.catalog import ROBOTS
 from lirs_envs.robots.urdf import robot_urdf
-from lirs_validation import cli
 from lirs_validation.cli.commands import robot_card
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    monkeypatch.setattr("sys.argv", ["lirs-wct", "robot", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    return int(ended.value.code or 0)
+from tests.command_line import run_command
 
 
 @pytest.mark.parametrize("name", list(ROBOTS))
@@ -51,11 +44,9 @@ def test_frames_are_those_of_ros() -> None:
     assert {"base_footprint", "base_link", "laser", "front_left_wheel"} <= links
 
 
-def test_the_card_and_the_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_card_and_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "husky.png"
-    assert run(monkeypatch, "husky", "-o", str(target)) == 0
+    assert run_command("robot", "husky", "-o", str(target)) == 0
     shown = capsys.readouterr().out
     assert "56.58 kg" in shown
     assert "lms111" in shown
@@ -92,8 +83,7 @@ def test_every_card_can_be_drawn() -> None:
 def test_names_that_are_none(
     arguments: tuple[str, ...],
     words: str,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run(monkeypatch, *arguments) == 2
+    assert run_command("robot", *arguments) == 2
     assert words in capsys.readouterr().err.replace("\n", " ")

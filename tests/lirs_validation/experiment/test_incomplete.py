@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation import cli, map_log, validate
+from lirs_validation import map_log, validate
 from lirs_validation.analysis.result_folders import read_run
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.record.run_record import damaged_files
 from lirs_validation.report.pictures import Painter
 from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.hector.mapper import HectorMapper
+from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -72,10 +73,7 @@ def test_a_log_whose_trajectory_leaves_out_scans_is_incomplete(
     assert record.status == "incomplete"
     assert record.trajectory["poses"] == 2
     assert record.trajectory["scan_coverage"] < 0.05
-    monkeypatch.setattr("sys.argv", ["lirs-wct", "map", log, "--mapper", "hector", "-o", str(tmp_path)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 3
+    assert run_command("map", log, "--mapper", "hector", "-o", str(tmp_path)) == 3
     assert "incomplete" in capsys.readouterr().out
 
 

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from lirs_envs.sensing.sensors import Observation
-from lirs_validation import cli, map_log, validate
+from lirs_validation import map_log, validate
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.record.run_record import read_record
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.mapper import MapperStats, make_mapper
+from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
 CHEAT = '''
@@ -129,24 +130,16 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     sys.modules.pop("cheat", None)
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr("sys.argv", ["lirs-wct", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code
-
-
 def statuses(out: Path) -> dict[str, tuple[str, str]]:
     records = [read_record(path.parent) for path in out.glob("*/record.json")]
     return {r["config"]["mapper"].rpartition(":")[2]: (r["status"], r["reason"]) for r in records}
 
 
-def test_a_serial_sweep_goes_on_past_mappers_that_exit(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_serial_sweep_goes_on_past_mappers_that_exit(here: Path) -> None:
     """`sys.exit` ended the sweep with exit code 0 and nothing written."""
     wrong = ("Exits", "Rages", "ExitsAtTheEnd", "Writes", "Freezes")
     names = ",".join(f"cheat:{name}" for name in (*wrong, "Honest"))
-    assert run(monkeypatch, "validate", "simple", "--mapper", names, "--seconds", "1", "-o", "out") == 3
+    assert run_command("validate", "simple", "--mapper", names, "--seconds", "1", "-o", "out") == 3
     found = statuses(here / "out")
     assert {name: status for name, (status, _) in found.items()} == dict.fromkeys(wrong, "error") | {
         "Honest": "ok"
@@ -161,14 +154,12 @@ def test_a_serial_sweep_goes_on_past_mappers_that_exit(here: Path, monkeypatch: 
     assert len(json.loads((here / "out" / "sweep.json").read_text())["cells"]) == 6
 
 
-def test_no_mapper_reaches_the_evaluation_or_the_next_run(
-    here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_mapper_reaches_the_evaluation_or_the_next_run(here: Path) -> None:
     """A mapper that replaced `trajectory_errors` had an ATE of 0, and so had every later run."""
     alone = validate("simple", mapper="cheat:Honest", seconds=2).record
     before = dict(np.geterr())
     names = ",".join(f"cheat:{name}" for name in ("Replaces", "Looks", "Interrupts", "Honest"))
-    assert run(monkeypatch, "validate", "simple", "--mapper", names, "--seconds", "2", "-o", "out") == 3
+    assert run_command("validate", "simple", "--mapper", names, "--seconds", "2", "-o", "out") == 3
     records = {
         r["config"]["mapper"].partition(":")[2]: r
         for r in (read_record(path.parent) for path in (here / "out").glob("*/record.json"))
@@ -183,10 +174,10 @@ def test_no_mapper_reaches_the_evaluation_or_the_next_run(
     assert Path.cwd() == here
 
 
-def test_a_process_that_ends_itself_costs_its_own_run(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_ends_itself_costs_its_own_run(here: Path) -> None:
     names = "cheat:Dies,cheat:Exits,hector"
     words = ("validate", "simple", "--mapper", names, "--seconds", "1", "--jobs", "2", "-o", "out")
-    assert run(monkeypatch, *words) == 3
+    assert run_command(*words) == 3
     found = statuses(here / "out")
     assert {name: status for name, (status, _) in found.items()} == {
         "Dies": "error",
@@ -209,25 +200,21 @@ def test_what_a_mapper_changes_by_force_is_its_own_copy() -> None:
     assert np.array_equal(honest.maps.true_pose.log_odds, forced.maps.true_pose.log_odds, equal_nan=True)
 
 
-def test_logs_have_the_same_guard(
-    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_logs_have_the_same_guard(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = str(ROOT / "examples" / "data" / "office.clf.gz")
     with pytest.raises(
         MapperError, match="mapper 'cheat:Writes': update\\(\\) writes into what it was given"
     ):
         map_log(log, mapper="cheat:Writes")
-    assert run(monkeypatch, "map", log, "--mapper", "cheat:Exits", "-o", "out") == 3
+    assert run_command("map", log, "--mapper", "cheat:Exits", "-o", "out") == 3
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert said.startswith("lirs-wct: mapper 'cheat:Exits': update() failed for the scan at ")
     assert not (here / "out").exists()
 
 
 @pytest.mark.usefixtures("here")
-def test_a_module_that_exits_when_imported_is_bad_input(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(monkeypatch, "validate", "simple", "--mapper", "script:Slam") == 2
+def test_a_module_that_exits_when_imported_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command("validate", "simple", "--mapper", "script:Slam") == 2
     assert "importing script failed: SystemExit: 0" in capsys.readouterr().err
 
 

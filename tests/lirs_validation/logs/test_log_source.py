@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation import cli, resolve_source
+from lirs_validation import resolve_source
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import SourceOptions
 from lirs_validation.experiment.run import validate
@@ -19,6 +19,7 @@ from lirs_validation.record.provenance import is_stale
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
+from tests.command_line import run_command
 from tests.lirs_wct.formats.carmen.carmen_room import START, flaser, room_lines, write_log
 
 
@@ -31,20 +32,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def wct(*arguments: str) -> int:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.argv", ["lirs-wct", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-    return int(str(ended.value.code))
-
-
 def maps(folder: Path) -> list[Path]:
     return sorted(folder.glob("*/map.yaml"))
 
 
 def test_build_makes_the_map_and_the_world_of_it(folder: Path) -> None:
-    assert wct("build", "my room.clf", "-o", "worlds", "--to", "hfield", "--wall-height", "1.5") == 0
+    assert run_command("build", "my room.clf", "-o", "worlds", "--to", "hfield", "--wall-height", "1.5") == 0
     world = World.load("worlds/my_room")
     assert (world.kind, world.name) == ("map", "my_room")
     assert world.walls is not None
@@ -98,7 +91,7 @@ def test_a_map_of_a_lost_mapper_is_no_world(folder: Path) -> None:
     write_log(folder / "lost.log", lines)
     with pytest.raises(SourceError, match=r"lost\.log: hector lost its place in this log"):
         resolve_source("lost.log", SourceOptions(log_mapper="hector"), folder)
-    assert wct("map", "lost.log", "--mapper", "hector") == 3
+    assert run_command("map", "lost.log", "--mapper", "hector") == 3
 
 
 def resting(lines: list[str]) -> Pose2:
@@ -108,10 +101,10 @@ def resting(lines: list[str]) -> Pose2:
 
 
 def test_view_and_info_take_logs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert wct("view", "my room.clf", "-o", "pictures/room.png", "--mapper", "hector") == 0
+    assert run_command("view", "my room.clf", "-o", "pictures/room.png", "--mapper", "hector") == 0
     assert (folder / "pictures" / "room.png").is_file()
     assert len(maps(folder / "pictures")) == 1
-    assert wct("info", "my room.clf", "--log-mapper", "hector") == 0
+    assert run_command("info", "my room.clf", "--log-mapper", "hector") == 0
     assert "my_room: map, 0.05 m a cell" in capsys.readouterr().out
     assert len(maps(folder)) == 1
 
@@ -132,7 +125,7 @@ def test_the_map_command_tells_figures_and_what_was_wrong(
     lines = room_lines(60)[0]
     lines[5], lines[9], lines[10] = "FLASER 181 1.0", lines[10], lines[9]
     write_log(folder / "damaged.clf", [*lines, "TRUEPOS 1 2 3"])
-    assert wct("map", "damaged.clf", "--mapper", "hector", "-o", "maps") == 0
+    assert run_command("map", "damaged.clf", "--mapper", "hector", "-o", "maps") == 0
     told = capsys.readouterr().out
     for part in ("59 of 181 beams (FLASER)", "1 x FLASER cut off or malformed", "1 x message TRUEPOS"):
         assert part in told
@@ -176,7 +169,7 @@ def test_bad_input_is_one_line_and_code_2(
     (folder / "cut.clf.gz").write_bytes(gzip.compress(b"FLASER 1 2 3 4 5 6 7\n" * 99)[:40])
     before = sorted(folder.rglob("*"))
     arguments, expected = BAD[case]
-    assert wct(*arguments) == 2
+    assert run_command(*arguments) == 2
     told = capsys.readouterr().err.strip()
     assert expected in told
     assert len(told.splitlines()) == 1, told

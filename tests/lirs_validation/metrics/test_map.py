@@ -62,6 +62,12 @@ def test_maps_that_know_nothing_in_common() -> None:
     assert (scores.f1, scores.iou, scores.f1_input) == (0.0, 0.0, None)
     assert scores.unknown == 1.0
     assert scores.occupied_cells == 30
+    # A map with walls is wrong beside one without, also where nothing can be compared.
+    far, free = line(8).moved(Pose2(100, 0, 0)), grid(np.full((20, 30), 0.1))
+    assert iou(far, free) == iou(free, far) == 0.0
+    assert iou(free, free.moved(Pose2(100, 0, 0))) is None
+    assert unknown_share(far, free) == 1.0
+    assert unknown_share(free, free) == 0.0
 
 
 def test_a_map_is_judged_as_its_file_says_it(tmp_path: Path) -> None:
