@@ -7,14 +7,28 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lirs_wct.errors import WctError
+    from lirs_wct.errors import (
+        ConfigError,
+        MapperError,
+        OutputError,
+        SimulationError,
+        SourceError,
+        WctError,
+        unknown_name,
+    )
     from lirs_wct.export.package import write_package
-    from lirs_wct.geometry.grid import OccupancyGrid
+    from lirs_wct.geometry import (
+        Imu,
+        LaserScan,
+        OccupancyGrid,
+        PointCloud,
+        Pose2,
+        Pose3,
+        Trajectory,
+        wrap_angle,
+    )
     from lirs_wct.geometry.heightfield import HeightField
     from lirs_wct.geometry.mesh import TriangleMesh
-    from lirs_wct.geometry.pose import Pose2, Pose3
-    from lirs_wct.geometry.scan import Imu, LaserScan
-    from lirs_wct.geometry.trajectory import Trajectory
     from lirs_wct.geometry.walls import WallGrid
     from lirs_wct.sources.build import build_world
     from lirs_wct.sources.options import BuildOptions
@@ -22,35 +36,51 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "BuildOptions": "sources.options",
+    "ConfigError": "errors",
     "HeightField": "geometry.heightfield",
     "Imu": "geometry.scan",
     "LaserScan": "geometry.scan",
+    "MapperError": "errors",
     "OccupancyGrid": "geometry.grid",
+    "OutputError": "errors",
+    "PointCloud": "geometry.cloud",
     "Pose2": "geometry.pose",
     "Pose3": "geometry.pose",
+    "SimulationError": "errors",
+    "SourceError": "errors",
     "Trajectory": "geometry.trajectory",
     "TriangleMesh": "geometry.mesh",
     "WallGrid": "geometry.walls",
     "WctError": "errors",
     "World": "world",
     "build_world": "sources.build",
+    "unknown_name": "errors",
+    "wrap_angle": "geometry.pose",
     "write_package": "export.package",
 }
 
 __all__ = [
     "BuildOptions",
+    "ConfigError",
     "HeightField",
     "Imu",
     "LaserScan",
+    "MapperError",
     "OccupancyGrid",
+    "OutputError",
+    "PointCloud",
     "Pose2",
     "Pose3",
+    "SimulationError",
+    "SourceError",
     "Trajectory",
     "TriangleMesh",
     "WallGrid",
     "WctError",
     "World",
     "build_world",
+    "unknown_name",
+    "wrap_angle",
     "write_package",
 ]
 

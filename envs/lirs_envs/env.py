@@ -11,9 +11,8 @@ from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.episodes import Episodes, EpisodeView
 from lirs_envs.rendering.scene import Snapshot
 from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
+from lirs_wct import ConfigError, Pose2
 from lirs_wct.arrays import ByteArray, Float32Array
-from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import Pose2
 
 Observed = dict[str, Any]
 ROW = np.zeros(1, np.int64)

@@ -10,10 +10,8 @@ from typing import Literal
 import mujoco
 
 from lirs_envs.robots.robot import Robot
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct import ConfigError, Pose2, Pose3, World, unknown_name
 from lirs_wct.field_validators import is_finite
-from lirs_wct.geometry import Pose2, Pose3
-from lirs_wct.world import World
 
 PROP_GROUP = 1
 """Geom group of props, which the lidar sees through MuJoCo's rays; no robot uses it."""

@@ -14,14 +14,11 @@ from lirs_envs.collisions import check_divergence
 from lirs_envs.props import STATIC_ROBOT, Prop, StaticRobot, add_props
 from lirs_envs.robots.robot import Robot
 from lirs_envs.walkers import Walkers, add_walkers
+from lirs_wct import ConfigError, HeightField, Pose3, World
 from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, surface_itself
-from lirs_wct.errors import ConfigError
 from lirs_wct.export.mjcf import world_spec, write_heights
-from lirs_wct.geometry import Pose3
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.world import World
 
 FULL_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """State on which the next step depends, including the warm start."""

@@ -18,14 +18,11 @@ from lirs_envs.placement import check_fit, resolve_start
 from lirs_envs.robots.command import Twist, Waypoint, check_command
 from lirs_envs.sensing.sensors import Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct import ConfigError, HeightField, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid
-from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.field_validators import require_seed
-from lirs_wct.geometry import Pose2, Pose3
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
-from lirs_wct.world import World
 
 ROW = np.zeros(1, np.int64)
 """The row of a single robot."""

@@ -12,10 +12,9 @@ from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.walkers import TOUCHABLE
+from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import is_finite, require_above, require_type
-from lirs_wct.geometry import Pose2
 
 
 @dataclass(frozen=True, kw_only=True)

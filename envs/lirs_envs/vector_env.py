@@ -14,9 +14,8 @@ from gymnasium.vector.utils import batch_space
 from lirs_envs.env import Observed, make_config, snapshot_of
 from lirs_envs.episodes.episodes import Episodes, EpisodeView, action_array, check_options
 from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
+from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.geometry import Pose2
 
 Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 

@@ -12,9 +12,8 @@ import numpy as np
 from gymnasium import spaces
 
 from lirs_envs.sensing.sensors import Observation
+from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2
 from lirs_wct.arrays import ByteArray
-from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2
 
 
 class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):

@@ -17,8 +17,17 @@ from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.record.provenance import with_recorded_source
 from lirs_validation.record.run_record import maps_clouds
+from lirs_wct import (
+    ConfigError,
+    LaserScan,
+    OccupancyGrid,
+    Pose2,
+    Pose3,
+    SourceError,
+    Trajectory,
+    unknown_name,
+)
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.drive_csv import IMU_HEADER, read_imu
@@ -26,7 +35,6 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.rosbag.storage import Storage
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
-from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 if TYPE_CHECKING:

@@ -19,10 +19,9 @@ from lirs_validation.metrics.agreement import agreement, decided, sampled
 from lirs_validation.metrics.alignment import MAX_GAP, associated
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.verdict import Verdict, judge
-from lirs_wct.errors import SourceError, unknown_name
+from lirs_wct import OccupancyGrid, Pose2, SourceError, Trajectory, unknown_name, wrap_angle
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory, wrap_angle
 
 Frame = Literal["auto", "map", "world"]
 FRAMES: tuple[Frame, ...] = ("auto", "map", "world")

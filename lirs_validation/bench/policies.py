@@ -31,12 +31,10 @@ from lirs_validation.driving.path_driver import Path as DrivenPath
 from lirs_validation.driving.paths import penalize_behind
 from lirs_validation.driving.waypoint_route import WaypointRoute
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
+from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, unknown_name
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
-from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.waypoints import RoutePoint
-from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import search
-from lirs_wct.geometry.heightfield import HeightField
 from slam_baselines.mapper import make_mapper
 
 MAPPER = "hector"

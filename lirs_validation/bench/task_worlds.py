@@ -15,15 +15,11 @@ from lirs_envs.episodes.world_cache import cached_world
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES, fractal, with_rocks
 from lirs_envs.generators.terrain import KINDS, generate
+from lirs_wct import BuildOptions, ConfigError, HeightField, SourceError, World, build_world, unknown_name
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.field_validators import require_seed
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
-from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.world import World
 
 CELL = EDGE / (NODES - 1)
 """Spacing of a natural terrain's nodes, meters."""

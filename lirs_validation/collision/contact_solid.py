@@ -8,12 +8,10 @@ from scipy.spatial import ConvexHull
 
 from lirs_envs.robot_model import RobotModel
 from lirs_validation.metrics.mesh import mesh_error
+from lirs_wct import TriangleMesh, WallGrid, World
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.contact.contact_parts import PRISM_ERROR, touching_volume
-from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.world import World
 
 MOST_HULLS = 500
 """Convex parts above which bodies are touched on their surface (see `shell_parts`)."""

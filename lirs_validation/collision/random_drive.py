@@ -22,10 +22,8 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import ROW
 from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_validation.driving.choice import no_room
-from lirs_wct.errors import SimulationError
-from lirs_wct.geometry import Pose2
+from lirs_wct import Pose2, SimulationError, World
 from lirs_wct.navigation.spawn_poses import largest_area
-from lirs_wct.world import World
 
 PERIOD = 0.04
 """Seconds between two looks at the robot's state: a whole number of steps."""

@@ -13,9 +13,7 @@ from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import ROW
 from lirs_validation.collision.random_drive import MARGIN
-from lirs_wct.errors import SimulationError
-from lirs_wct.geometry import Pose2
-from lirs_wct.world import World
+from lirs_wct import Pose2, SimulationError, World
 
 PLACES = 20_000
 """Free cells that are looked at, at most."""

@@ -34,11 +34,10 @@ from lirs_validation.collision.contact_log import DEEP
 from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import PERIOD, drive_at_random
 from lirs_validation.collision.slope_test import climb
+from lirs_wct import ConfigError, World
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_seed
 from lirs_wct.files import write_csv, write_json
-from lirs_wct.world import World
 
 STREAM = 21
 """Which of the seed's random streams the drive is drawn from."""

@@ -18,6 +18,7 @@ from lirs_validation.metrics.agreement import contradicted
 from lirs_validation.metrics.elevation import ElevationMap
 from lirs_validation.record.metric_catalog import WORSE, picture_lines, worse_than_odometry
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
+from lirs_wct import OccupancyGrid, Trajectory, World
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import (
     MARGIN,
@@ -47,8 +48,6 @@ from lirs_wct.drawing.style import (
     title,
     value_list,
 )
-from lirs_wct.geometry import OccupancyGrid, Trajectory
-from lirs_wct.world import World
 
 FULL = 0.20
 """Height error at full color, meters."""

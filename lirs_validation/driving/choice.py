@@ -18,12 +18,9 @@ from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import PathDriver, driver_config
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
-from lirs_wct.errors import ConfigError
+from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, World
 from lirs_wct.formats.waypoints import read_waypoints
-from lirs_wct.geometry import OccupancyGrid, Pose2
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
-from lirs_wct.world import World
 
 CELLS = 500
 """Cells along the longer side, at most, of the grid on which room is looked for."""

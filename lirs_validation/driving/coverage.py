@@ -16,11 +16,10 @@ from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.free_ground import FreeGround
 from lirs_validation.driving.path_driver import DriverConfig, Path, PathDriver
 from lirs_validation.driving.paths import COMFORTABLE, NARROW, arc_length, cells_ahead, penalize_behind
+from lirs_wct import HeightField, OccupancyGrid, Pose2
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import Reach, search
-from lirs_wct.geometry.heightfield import HeightField
 
 
 @dataclass(frozen=True, kw_only=True)

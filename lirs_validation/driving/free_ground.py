@@ -15,9 +15,8 @@ from lirs_validation.driving.paths import (
     room_in,
     smooth_path,
 )
+from lirs_wct import HeightField, OccupancyGrid, Pose2
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.geometry import OccupancyGrid, Pose2
-from lirs_wct.geometry.heightfield import HeightField
 
 
 class FreeGround:

@@ -15,9 +15,8 @@ from lirs_envs.robots.command import Twist
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.driver import Frame
 from lirs_validation.record.run_record import read_record
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct import ConfigError, Pose2, SourceError
 from lirs_wct.formats.drive_csv import Commands, read_commands
-from lirs_wct.geometry import Pose2
 
 COMMANDS = "commands.csv"
 """File of the driver's commands in a run's folder."""

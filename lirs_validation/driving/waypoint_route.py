@@ -12,12 +12,10 @@ from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.free_ground import FreeGround
 from lirs_validation.driving.path_driver import DriverConfig, Path
 from lirs_validation.driving.paths import arc_length, area_round
+from lirs_wct import HeightField, OccupancyGrid, Pose2, SourceError
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.errors import SourceError
 from lirs_wct.formats.waypoints import RoutePoint
-from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import search
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.navigation.traversability import nearest_place
 
 

@@ -28,9 +28,7 @@ from lirs_validation.metrics.trajectory import spatial_errors
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
-from lirs_wct.errors import SimulationError
-from lirs_wct.geometry import OccupancyGrid
-from lirs_wct.world import World
+from lirs_wct import OccupancyGrid, SimulationError, World
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 COUNTED_SCANS = 300

@@ -13,8 +13,7 @@ from lirs_validation.experiment.drive_log import DriveLog, Tick
 from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
 from lirs_validation.metrics.verdict import LostRule
 from lirs_validation.record.run_record import Status
-from lirs_wct.errors import SimulationError
-from lirs_wct.geometry import Pose2, Pose3
+from lirs_wct import Pose2, Pose3, SimulationError
 from lirs_wct.progress import Progress, no_progress
 
 Recorder = Callable[[Observation, Pose3, Pose2], None]

@@ -14,8 +14,18 @@ import numpy as np
 from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
 from lirs_validation.experiment.cost import Cost
 from lirs_validation.interrupts import is_interrupt
-from lirs_wct.errors import ConfigError, MapperError, WctError
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, PointCloud, Pose2, Pose3, Trajectory
+from lirs_wct import (
+    ConfigError,
+    Imu,
+    LaserScan,
+    MapperError,
+    OccupancyGrid,
+    PointCloud,
+    Pose2,
+    Pose3,
+    Trajectory,
+    WctError,
+)
 from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, reads_clouds, requires_odometry
 
 if TYPE_CHECKING:  # mapping a log does not load the simulator

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
 from lirs_validation.record.run_record import BAG
-from lirs_wct.errors import OutputError
+from lirs_wct import OccupancyGrid, OutputError, Pose2, Pose3
 from lirs_wct.files import remove_orphans
-from lirs_wct.geometry import OccupancyGrid, Pose2, Pose3
 
 if TYPE_CHECKING:
     from lirs_wct.formats.rosbag.writer import BagWriter

@@ -24,11 +24,9 @@ from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct import BuildOptions, ConfigError, SimulationError, World
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.world import World
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.style import Drawing

@@ -11,12 +11,9 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import SourceFile, source_files
+from lirs_wct import BuildOptions, Pose2, World, build_world
 from lirs_wct.errors import LogSourceError
-from lirs_wct.geometry import Pose2
-from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import Window
-from lirs_wct.world import World
 
 LARGE = 200.0
 """A terrain longer than this (meters) is validated on a window."""

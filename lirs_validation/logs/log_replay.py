@@ -16,11 +16,20 @@ from lirs_validation.experiment.mapper_process import MapperProcess, needs_proce
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
 from lirs_validation.metrics.alignment import MAX_GAP, associated
 from lirs_validation.metrics.verdict import LostRule
-from lirs_wct.errors import ConfigError, SourceError, unknown_name
+from lirs_wct import (
+    ConfigError,
+    Imu,
+    LaserScan,
+    OccupancyGrid,
+    PointCloud,
+    Pose3,
+    SourceError,
+    Trajectory,
+    unknown_name,
+)
 from lirs_wct.formats.carmen.laser import read_mount
 from lirs_wct.formats.drive_csv import read_imu
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, PointCloud, Pose3, Trajectory
 from lirs_wct.progress import Progress
 from lirs_wct.sources.source import is_bag
 from slam_baselines.mapper import (

@@ -29,7 +29,7 @@ from lirs_validation.metrics.consistency import contradicted_share, scan_consist
 from lirs_validation.metrics.log_accuracy import Accuracy, reference_errors, trajectory_accuracy
 from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
-from lirs_wct.errors import ConfigError, SourceError, unknown_name
+from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
@@ -38,11 +38,9 @@ from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import is_bag_file
 from lirs_wct.formats.tum import write_tum
-from lirs_wct.geometry import Imu, OccupancyGrid, Trajectory
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source, is_bag
 from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
 

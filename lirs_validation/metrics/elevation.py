@@ -17,13 +17,10 @@ import numpy as np
 from lirs_validation.metrics.alignment import associated, rms
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_validation.metrics.trajectory import spatial_alignment
+from lirs_wct import HeightField, PointCloud, Pose3, Trajectory, WallGrid, World
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.geometry import PointCloud, Pose3, Trajectory
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
-from lirs_wct.world import World
 
 CELL = 0.10
 """Edge of a cell, meters."""

@@ -26,9 +26,7 @@ from lirs_validation.metrics.agreement import (
 )
 from lirs_validation.metrics.alignment import StartAlignment
 from lirs_validation.metrics.near_obstacles import near_obstacle
-from lirs_wct.geometry import OccupancyGrid
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.walls import WallGrid
+from lirs_wct import HeightField, OccupancyGrid, WallGrid
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from lirs_wct import HeightField, WallGrid
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
 
 STEEP = math.radians(45)

@@ -15,9 +15,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lirs_validation.metrics.alignment import associated, motion, nearest, planar, rms, wrap_angles
+from lirs_wct import Pose2, SourceError, Trajectory
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.errors import SourceError
-from lirs_wct.geometry import Pose2, Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)

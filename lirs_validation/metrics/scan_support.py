@@ -13,9 +13,8 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.lidar.ray_casting import Caster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.metrics.near_obstacles import near_obstacle
+from lirs_wct import LaserScan, Pose2, Pose3, World
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry import LaserScan, Pose2, Pose3
-from lirs_wct.world import World
 
 POSES = 300
 """Places at which a scan is cast."""

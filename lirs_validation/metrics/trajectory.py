@@ -29,9 +29,8 @@ from lirs_validation.metrics.relative_pose_error import (
     pairs_by_time,
     relative_pose_error,
 )
+from lirs_wct import ConfigError, Pose2, Pose3, Trajectory
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import Pose2, Pose3, Trajectory
 
 
 @dataclass(frozen=True, kw_only=True)

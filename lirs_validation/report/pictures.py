@@ -19,13 +19,12 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.agreement import contradicted
 from lirs_validation.metrics.elevation import ELEVATION, ElevationMap, read_elevation
 from lirs_validation.record.run_record import maps_clouds
+from lirs_wct import OccupancyGrid, Trajectory, WctError
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.drawing.canvas import Canvas, bounds_shown, shaded_heights
 from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
-from lirs_wct.errors import WctError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry import OccupancyGrid, Trajectory
 
 BUDGET = 3_000_000
 """Bytes of all pictures on the page, encoded."""

@@ -12,8 +12,7 @@ from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.config import RunConfig
 from lirs_validation.record.formatting import Entry
 from lirs_validation.report.table import ReportTable
-from lirs_wct.errors import WctError
-from lirs_wct.geometry import Pose2
+from lirs_wct import Pose2, WctError
 from lirs_wct.option import Options, changed, declared
 
 

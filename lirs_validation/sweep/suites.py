@@ -11,8 +11,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.sweep.collision_experiment import CollisionExperiment
 from lirs_validation.sweep.experiment import Experiment
 from lirs_validation.sweep.slam_experiment import SlamExperiment
-from lirs_wct.errors import unknown_name
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct import BuildOptions, unknown_name
 
 
 def cross(

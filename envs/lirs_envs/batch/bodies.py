@@ -26,9 +26,8 @@ from lirs_envs.robot_model import (
     base_pose,
 )
 from lirs_envs.robots.robot import Robot
+from lirs_wct import Pose3, SimulationError
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
-from lirs_wct.errors import SimulationError
-from lirs_wct.geometry import Pose3
 from lirs_wct.kernels import njit
 
 

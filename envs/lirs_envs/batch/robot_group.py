@@ -21,11 +21,8 @@ from lirs_envs.sensing.odometry import WheelJoints, WheelOdometries
 from lirs_envs.sensing.sensors import Odometries
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import WALKER_STREAM, Walkers
+from lirs_wct import HeightField, Pose2, SimulationError, World
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import SimulationError
-from lirs_wct.geometry import Pose2
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.world import World
 
 B = TypeVar("B", bound=Bodies | SingleBody)
 LEAST = 4

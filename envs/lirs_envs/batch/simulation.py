@@ -17,12 +17,9 @@ from lirs_envs.lidar.ray_casting import Caster, make_caster
 from lirs_envs.robot_model import TIPPED
 from lirs_envs.sensing.sensors import Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct import ConfigError, HeightField, LaserScan, Pose2, Pose3, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from lirs_wct.errors import ConfigError
 from lirs_wct.export.mjcf import write_heights
-from lirs_wct.geometry import LaserScan, Pose2, Pose3
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.world import World
 
 PARTS = 4
 """Number of parts of each thread's scans: scans take different times."""

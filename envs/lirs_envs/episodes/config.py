@@ -14,11 +14,9 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.odometry import Method, OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct import ConfigError, Pose2, World, unknown_name
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import is_finite, require_above, require_type, require_within
-from lirs_wct.geometry import Pose2
-from lirs_wct.world import World
 
 RANDOMIZED: dict[str, tuple[float, float] | None] = {
     "friction": (0.7, 1.3),

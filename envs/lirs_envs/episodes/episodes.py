@@ -24,12 +24,10 @@ from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import make_site
 from lirs_envs.tasks.task import CONTACT_COST, DRAWS, EFFORT_COST, Stage, Task
 from lirs_envs.tasks.traverse import MIXED, CourseScale, TraverseTask, course_scale
+from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import ConfigError, SimulationError, unknown_name
 from lirs_wct.field_validators import is_finite
-from lirs_wct.geometry import Pose3
 from lirs_wct.kernels import njit
-from lirs_wct.world import World
 
 Factors = dict[str, tuple[float, float] | None]
 

@@ -13,12 +13,10 @@ import cv2
 import numpy as np
 
 import lirs_wct
-from lirs_wct.errors import SourceError
+from lirs_wct import SourceError, World, build_world
 from lirs_wct.formats.map_server import read_metadata
-from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.source import find_source
-from lirs_wct.world import World
 
 FOLDER_VARIABLE = "LIRS_WCT_CACHE"
 """Environment variable with the folder of built worlds; empty = none is kept on disk."""

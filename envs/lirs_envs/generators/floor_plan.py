@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from lirs_wct import HeightField, Pose2, WallGrid
 from lirs_wct.arrays import BoolArray
-from lirs_wct.geometry import Pose2
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap
 
 CELL = 0.05

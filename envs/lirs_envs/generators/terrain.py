@@ -12,13 +12,10 @@ from lirs_envs.generators.maze import maze
 from lirs_envs.generators.natural import NODES, fractal
 from lirs_envs.generators.obstacles import OBSTACLES, X, Y, at_difficulty, nodes_within
 from lirs_envs.generators.route import CELL, distance_to_route, winding_route
+from lirs_wct import ConfigError, HeightField, Pose2, World, unknown_name
 from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.field_validators import is_finite
-from lirs_wct.geometry import Pose2
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
-from lirs_wct.world import World
 
 KINDS = (*OBSTACLES, "mazes")
 """Kinds of courses."""

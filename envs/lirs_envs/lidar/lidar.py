@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
+from lirs_wct import ConfigError, LaserScan, PointCloud, Pose3, SimulationError
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
-from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.geometry import LaserScan, PointCloud, Pose3
 from lirs_wct.kernels import njit
 
 

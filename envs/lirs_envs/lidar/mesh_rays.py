@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from lirs_wct import ConfigError, TriangleMesh
 from lirs_wct.arrays import FloatArray, Int32Array
-from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit
 
 SLACK = 1e-4

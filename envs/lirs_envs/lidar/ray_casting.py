@@ -29,13 +29,10 @@ from lirs_envs.lidar.walker_rays import meet_walkers
 from lirs_envs.lidar.wall_rays import WallCells, build_wall_cells, remove_hits_in_holes, wall_ranges
 from lirs_envs.props import PROP_GROUP
 from lirs_envs.walkers import WALKER_GROUP, Walkers
+from lirs_wct import ConfigError, HeightField, WallGrid, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
-from lirs_wct.world import World
 
 
 class Caster(Protocol):

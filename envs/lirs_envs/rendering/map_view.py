@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from lirs_envs.rendering.scene import Snapshot
 from lirs_envs.walkers import RADIUS
+from lirs_wct import LaserScan, Pose2, World
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
-from lirs_wct.geometry import LaserScan, Pose2
 from lirs_wct.meshing.ground_texture import ground_texture
-from lirs_wct.world import World
 
 PIXELS = 640
 """Longer side of a picture."""

@@ -20,13 +20,11 @@ from lirs_envs.props import add_props
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import add_walkers
+from lirs_wct import Pose2, Pose3, TriangleMesh, World
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.export.appearance import world_parts
-from lirs_wct.geometry import Pose2, Pose3
-from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
-from lirs_wct.world import World
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,9 +14,8 @@ from typing import Any
 from lirs_envs.rendering.camera import Camera
 from lirs_envs.rendering.map_view import MapView
 from lirs_envs.rendering.scene import HIDDEN_GROUPS, RenderScene, Snapshot
+from lirs_wct import ConfigError, LaserScan, Pose2, SimulationError
 from lirs_wct.arrays import ByteArray, Float32Array
-from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.geometry import LaserScan, Pose2
 
 INSTEAD = "without one take rgb_array or map"
 CLOSING_TIME = 10.0

@@ -20,10 +20,9 @@ import numpy as np
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import Odometry, OdometryConfig, OdometryIncrement, integrate_motion
+from lirs_wct import ConfigError, Pose2
 from lirs_wct.arrays import FloatArray, Vector3
-from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_at_least
-from lirs_wct.geometry import Pose2
 
 X, Y, YAW, BIAS, SCALE = range(5)
 BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]

@@ -8,10 +8,9 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from lirs_wct import Pose2, Pose3, unknown_name
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
-from lirs_wct.errors import unknown_name
 from lirs_wct.field_validators import require_above, require_within
-from lirs_wct.geometry import Pose2, Pose3
 from lirs_wct.kernels import njit
 
 Method = Literal["gyro", "ekf"]

@@ -9,9 +9,8 @@ import numpy as np
 
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame
 from lirs_envs.tasks.task import Stage, Task
+from lirs_wct import ConfigError, Pose2, SimulationError
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.geometry import Pose2
 
 COVERED = 0.95
 """Share of the reachable ground at which a world counts as mapped."""

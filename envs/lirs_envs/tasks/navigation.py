@@ -10,9 +10,8 @@ import numpy as np
 
 from lirs_envs.tasks.site import Site, distance_at
 from lirs_envs.tasks.task import Stage, Task, point
+from lirs_wct import Pose2, SimulationError
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.errors import SimulationError
-from lirs_wct.geometry import Pose2
 
 SUCCESS = 10.0
 """Reward at the goal."""

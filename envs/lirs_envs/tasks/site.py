@@ -10,13 +10,10 @@ import cv2
 import numpy as np
 
 from lirs_envs.robots.robot import Robot
+from lirs_wct import HeightField, OccupancyGrid, Pose2, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
-from lirs_wct.errors import SimulationError
-from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import search
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.kernels import njit
-from lirs_wct.world import World
 
 SEEN_CELL = 0.25
 """Edge of a cell of the ground that is to be seen, meters."""

@@ -12,9 +12,8 @@ import numpy as np
 from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import SeenFrame, Site
+from lirs_wct import ConfigError, Pose2, Pose3
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import Pose2, Pose3
 
 DRAWS = 100
 """Number of draws of start and goal before a reset fails."""

@@ -12,9 +12,8 @@ from lirs_envs.generators.terrain import KINDS, GeneratedTerrain, generate
 from lirs_envs.robots.robot import Robot
 from lirs_envs.tasks.site import SeenFrame, seen_frame
 from lirs_envs.tasks.task import Stage, Task
+from lirs_wct import Pose2, SimulationError, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.errors import SimulationError, unknown_name
-from lirs_wct.geometry import Pose2
 
 SUCCESS = 10.0
 """Reward at the goal."""

@@ -11,9 +11,8 @@ from rich.table import Table
 from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_validation.metrics.scan_support import ScanSupport, scan_support
+from lirs_wct import HeightField, World
 from lirs_wct.arrays import Float32Array
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.world import World
 
 CELLS, MAP_CELLS = 1000, 2000
 """Cells along the longer side, at most, of the grid on which drivable ground is counted: of a terrain, and of
