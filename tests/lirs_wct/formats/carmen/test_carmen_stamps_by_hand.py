@@ -167,6 +167,7 @@ def second(*offsets: float) -> list[float]:
         ([0] * 5 + [-100] * 6 + [0] * 5, None),  # six are a clock set back and forth
         ([0] * 8 + [-100] * 3, range(11)),  # set back: the longest part keeps its stamps
         ([0] * 3 + [-100] * 8, range(-100, -89)),
+        ([0] * 10 + [-100], range(11)),  # a damaged last line is a clock set back, too
         ([0] * 5 + [50] * 2 + [0] * 3 + [-20] * 2 + [0] * 2, range(14)),
     ],
 )
@@ -202,13 +203,6 @@ def test_a_clock_set_anew_runs_on_at_the_usual_step() -> None:
     n = 18
     found = repaired(lines(np.concatenate(parts).tolist(), list(east(n)), [True, False] * 9))
     np.testing.assert_allclose(found, -500.0 + 2.0 * (np.arange(n) - 4), atol=1e-6)
-
-
-def test_a_damaged_last_line_is_a_clock_set_anew() -> None:
-    offsets = [0.0] * 11
-    offsets[10] = -100.0
-    found = repaired(lines(second(*offsets), list(east(11)), [True, False] * 5 + [True]))
-    np.testing.assert_allclose(found, range(11), atol=1e-6)
 
 
 def test_pauses_and_single_forward_leaps_stay() -> None:

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
 
 from lirs_wct.formats.rosbag.writer import BagDrive, BagTick
 from lirs_wct.geometry.cloud import PointCloud
@@ -35,3 +41,28 @@ def drive(scans: int = 5) -> BagDrive:
         for k, t in enumerate(stamps)
     ]
     return BagDrive(ticks=ticks, grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)))
+
+
+def copy_bag(
+    bag: Path,
+    writer: Any,
+    change: Callable[[int, Connection, bytes], bytes | None] = lambda _scan, _connection, data: data,
+    without: tuple[str, ...] = (),
+) -> None:
+    """Copy a bag through a writer of ROS 2, without some topics.
+
+    `change` gets the number of the scan, from 0, the connection and the data of each message, and returns the
+    data to write, or None to leave the message out.
+    """
+    scan = -1
+    with AnyReader([bag]) as reader:
+        made = {
+            c.topic: writer.add_connection(c.topic, c.msgtype, typestore=reader.typestore)
+            for c in reader.connections
+            if c.topic not in without
+        }
+        for connection, stamp, data in reader.messages():
+            scan += connection.topic == "/clock"  # begins what belongs to a scan
+            changed = change(scan, connection, data) if connection.topic in made else None
+            if changed is not None:
+                writer.write(made[connection.topic], stamp, changed)

@@ -6,7 +6,7 @@ import shutil
 import struct
 import warnings
 import zlib
-from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import pytest
 import yaml
 from rosbags.convert.converter import convert
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -50,20 +51,6 @@ def check(log: LaserLog, given: BagDrive, count: int = SCANS, first: int = 0) ->
         assert scan.stamp == pytest.approx(tick.scan.stamp, abs=1e-9)
 
 
-def copied(bag: Path, writer: Any, keep: Callable[[int], bool] = lambda _: True) -> None:
-    """Copy what a bag holds through a writer of ROS 2, but for scans that are not to be kept."""
-    scans = -1
-    with AnyReader([bag]) as reader:
-        made = {
-            c.topic: writer.add_connection(c.topic, c.msgtype, typestore=reader.typestore)
-            for c in reader.connections
-        }
-        for connection, stamp, data in reader.messages():
-            scans += connection.topic == "/clock"  # begins what belongs to a scan
-            if keep(scans) or connection.topic == "/tf_static":
-                writer.write(made[connection.topic], stamp, data)
-
-
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 @pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE, CompressionMode.STORAGE])
 def test_what_zstd_compressed_is_read(
@@ -74,7 +61,7 @@ def test_what_zstd_compressed_is_read(
     writer = Writer(tmp_path / "run", version=8, storage_plugin=plugin)
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
-        copied(bag, writer)
+        drives.copy_bag(bag, writer)
     (file,) = (p for p in (tmp_path / "run").iterdir() if p.suffix != ".yaml")
     for path in (tmp_path / "run", file):
         assert is_bag(path)
@@ -168,9 +155,13 @@ def split(bag: Path, tmp_path: Path) -> Path:
     """A bag of three files, as `ros2 bag record --max-bag-size` splits them."""
     folder = tmp_path / "split"
     folder.mkdir()
+
+    def of_part(scan: int, connection: Connection, data: bytes, part: int) -> bytes | None:
+        return data if scan // 500 == part or connection.topic == "/tf_static" else None
+
     for k in range(3):
         with Writer(tmp_path / f"part{k}", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
-            copied(bag, writer, lambda scan, k=k: 500 * k <= scan < 500 * (k + 1))  # type: ignore[misc]
+            drives.copy_bag(bag, writer, partial(of_part, part=k))
         shutil.move(tmp_path / f"part{k}" / f"part{k}.mcap", folder / f"run_{k}.mcap")
     held = yaml.safe_load((bag / "metadata.yaml").read_text())
     held["rosbag2_bagfile_information"]["relative_file_paths"] = [f"run_{k}.mcap" for k in range(3)]
@@ -209,19 +200,11 @@ def test_a_bag_cut_in_its_first_messages_is_said_to_be_damaged(bag: Path, tmp_pa
 def test_a_message_that_cannot_be_decoded_is_left_out_and_counted(
     bag: Path, given: BagDrive, tmp_path: Path
 ) -> None:
-    scans = 0
-    with (
-        AnyReader([bag]) as reader,
-        Writer(tmp_path / "run", version=8, storage_plugin=StoragePlugin.MCAP) as writer,
-    ):
-        made = {
-            c.topic: writer.add_connection(c.topic, c.msgtype, typestore=reader.typestore)
-            for c in reader.connections
-        }
-        for connection, stamp, data in reader.messages():
-            scans += connection.topic == "/scan"
-            broken = connection.topic == "/scan" and scans == SCANS
-            writer.write(made[connection.topic], stamp, data[:30] if broken else data)
+    def cut_last(scan: int, connection: Connection, data: bytes) -> bytes:
+        return data[:30] if (scan, connection.topic) == (SCANS - 1, "/scan") else data
+
+    with Writer(tmp_path / "run", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        drives.copy_bag(bag, writer, cut_last)
     log = read_bag(tmp_path / "run", IMU)
     check(log, given, SCANS - 1)
     assert log.skipped == {"message on /scan that cannot be decoded": 1}
