@@ -78,6 +78,10 @@ def test_commands_run_in_their_order(root: Path) -> None:
         assert ran.returncode == 0, f"{command}\n{ran.stdout}\n{ran.stderr}"
 
 
+def test_no_command_has_a_pattern_that_a_second_run_matches_too() -> None:
+    assert [command for command in (*COMMANDS, *QUOTED) if "*" in command] == []
+
+
 @pytest.mark.parametrize("command", dict.fromkeys((*COMMANDS, *QUOTED)))
 def test_the_parser_takes_a_command(command: str) -> None:
     _, name, *arguments = shlex.split(command)

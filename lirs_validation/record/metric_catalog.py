@@ -222,7 +222,7 @@ def rtf_counts(entry: Entry) -> bool:
 
     In a run that shared the processor, it depends on the other runs.
     """
-    return bool(entry["rtf"]) and not entry["rtf"]["concurrent"]
+    return value_at(entry, "rtf.mean") is not None and not value_at(entry, "rtf.concurrent")
 
 
 def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
@@ -232,11 +232,14 @@ def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
     """
     entry = as_entry(record)
     lines = [("verdict", judge(entry).kind), ("status", str(entry["status"]))]
+    headed = False
     for metric in metrics_selected("picture"):
-        value = metric.of(entry)
+        value, continues = metric.of(entry), metric.title.startswith("...")
+        headed = headed if continues else value is not None
         if value is not None:
             unit = f" {metric.unit}" if metric.unit else ""
-            lines.append((metric.title or metric.name, metric.formatted(value) + unit))
+            title = metric.name if continues and not headed else metric.title or metric.name
+            lines.append((title, metric.formatted(value) + unit))
             if metric.key == ODOMETRY_ATE and worse_than_odometry(entry):
                 lines.append(("", WORSE))
     return lines

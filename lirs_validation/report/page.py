@@ -9,9 +9,9 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from lirs_validation.analysis.groups import RunGroup, unusual_fields
+from lirs_validation.analysis.groups import RunGroup, by_group, unusual_fields
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.record.formatting import span
+from lirs_validation.record.formatting import Entry, span
 from lirs_validation.record.metric_catalog import (
     WORSE,
     WORSE_MARK,
@@ -175,6 +175,17 @@ def _tiles(report: Report) -> list[dict[str, Any]]:
             "bad": False,
         },
     ]
+    if len(by_group(entries)) == 1:
+        tiles += _metric_tiles(good)
+    if report.collisions.rows:
+        passed, of = report.checks
+        tiles.append({"value": f"{passed} of {of}", "name": "collision checks passed", "bad": passed < of})
+    return tiles
+
+
+def _metric_tiles(good: Sequence[Entry]) -> list[dict[str, Any]]:
+    """Return tiles of the successful runs of one group: methods and worlds are not mixed."""
+    tiles: list[dict[str, Any]] = []
     alone = [float(e["rtf"]["mean"]) for e in good if rtf_counts(e) and not e["rtf"]["extrapolated"]]
     if alone:
         tiles.append({"value": span(alone), "name": "RTF", "bad": False})
@@ -184,9 +195,6 @@ def _tiles(report: Report) -> list[dict[str, Any]]:
             held = "" if len(values) == len(good) else f" ({len(values)} of {len(good)} runs)"
             name = f"median {metric.heading}{held}"
             tiles.append({"value": metric.formatted(median(values)), "name": name, "bad": False})
-    if report.collisions.rows:
-        passed, of = report.checks
-        tiles.append({"value": f"{passed} of {of}", "name": "collision checks passed", "bad": passed < of})
     return tiles
 
 

@@ -21,7 +21,7 @@ from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group, distingu
 from lirs_validation.analysis.statistics import repeats
 from lirs_validation.config import RUN_AXES
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
-from lirs_validation.record.formatting import Entry, as_entry, text_at
+from lirs_validation.record.formatting import Entry, as_entry, text_at, value_at
 from lirs_validation.record.metric_catalog import (
     ATE,
     ODOMETRY_ATE,
@@ -69,6 +69,8 @@ FACTS = {"world": "world.name", **{name: f"config.{name}" for name in RUN_AXES},
 """Columns before the metrics, and their keys in the record."""
 ALWAYS = ("world", "robot", "mapper", "seed", "status")
 """Columns that are always shown."""
+DECIDING = ("verdict", *(m.short or m.heading for m in metrics_named((ATE, ODOMETRY_ATE, "map.f1"))))
+"""Columns of the table of runs that a narrow screen never hides."""
 LEAST = ("driven [m]",)
 """Columns that a narrow screen hides first."""
 
@@ -169,15 +171,19 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
         if min(seeds) <= 1:
             lines.append("Without ±: one seed that succeeded.")
     if any(metric.section == "rtf" for metric in metrics):
-        beside = sum(bool(e["rtf"]) and not rtf_counts(e) for e in entries)
-        if beside:
-            runs, have = ("run", "has") if beside == 1 else ("runs", "have")
-            lines.append(f"{beside} concurrent {runs} {have} no RTF here.")
+        lines += _without_rtf(entries)
         if any(e["rtf"] and e["rtf"]["extrapolated"] for e in entries):
             lines.append(f"{EXTRAPOLATED} extrapolated: some drives were stopped at their wall limit.")
     if any(metric.key == ATE for metric in metrics):
         lines += _worse(entries)
     return " ".join(lines)
+
+
+def _without_rtf(entries: Sequence[Entry]) -> list[str]:
+    """Return one sentence on runs whose RTF is not shown, if any."""
+    beside = sum(value_at(e, "rtf.mean") is not None and not rtf_counts(e) for e in entries)
+    runs, have = ("run", "has") if beside == 1 else ("runs", "have")
+    return [f"{beside} concurrent {runs} {have} no RTF here."] if beside else []
 
 
 def _worse(entries: Sequence[Entry]) -> list[str]:
@@ -277,7 +283,7 @@ def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
         (
             *(text_at(e, FACTS[name]) for name in facts),
             judge(e).kind,
-            *(m.formatted(m.of(e)) for m in metrics),
+            *(m.formatted(m.comparable(e)) for m in metrics),
         )
         for e in entries
     ]
@@ -289,7 +295,8 @@ def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
         tuple(rows),
         len(facts),
         styles=tuple(map(_style, entries)),
-        drop=("verdict", *LEAST),  # the last line of the command has it, too
+        drop=LEAST,
+        keep=DECIDING,
     )
     return table.with_common_in_title(RUN_AXES, unnamed=("robot", "mapper"))
 
@@ -310,7 +317,7 @@ def _remarks(entries: Sequence[Entry]) -> str:
         lines.append(
             f"{run}{'' if succeeded(entry) else ' failed'}: {entry.get('reason') or entry['status']}"
         )
-    return "\n".join((*lines, *worse_lines(entries)))
+    return "\n".join((*lines, *worse_lines(entries), *_without_rtf(entries)))
 
 
 def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:

@@ -183,7 +183,8 @@ class ReportTable:
         intervals = [INTERVALS] if any(spread.has_interval for spread in spreads) else []
         columns = range(len(self.headings))
         numbers = [k for k in columns if not self.is_text(k) and self.headings[k] not in self.keep]
-        dropped = sorted(numbers, key=self._rank)[: max(0, len(numbers) - FEWEST)]
+        fewest = max(0, FEWEST - sum(heading in self.keep for heading in self.headings))
+        dropped = sorted(numbers, key=self._rank)[: max(0, len(numbers) - fewest)]
         return intervals + [self.headings[k] for k in dropped]
 
     def _rank(self, column: int) -> tuple[int, int]:

@@ -128,3 +128,16 @@ def test_a_value_reads_alike_everywhere() -> None:
     assert "| 1234 |" in results_table([run]).as_markdown()
     assert depth.formatted(depth.of(run)) == "1.23"
     assert dict(picture_lines(run))["deepest penetration"] == "1.23 mm"
+
+
+def test_a_line_that_continues_a_missing_one_has_its_own_name() -> None:
+    run = entry()
+    titles = [title for title, _ in picture_lines(run)]
+    assert titles.index("... after the ATE's alignment") == titles.index("F1 against the true-pose map") + 1
+    run["map"]["f1"] = None
+    names = [title for title, _ in picture_lines(run)]
+    assert "F1 aligned" in names
+    assert "start shift" in names
+    assert "... after the ATE's alignment" not in names
+    below = names[names.index("false occupied") :]
+    assert below[1:3] == ["... after the alignment", "... of the true-pose map itself"]

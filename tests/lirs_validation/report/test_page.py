@@ -90,6 +90,7 @@ def test_the_page_is_whole_and_needs_nothing_else(mixed: Path) -> None:
             assert attributes["scope"] in ("col", "row")
         if tag == "img":
             assert attributes["alt"]
+            assert "loading" not in attributes, "a screenshot shows what is loaded"
         if tag == "svg":
             assert attributes["aria-label"]
     assert "url(http" not in html
@@ -191,6 +192,20 @@ def test_the_median_of_an_even_number_lies_between(tmp_path: Path) -> None:
         saved(tmp_path, seed=seed, ate=ate)
     _, html = reported(tmp_path)
     assert "<b>0.030</b><span>median ATE [m]</span>" in html
+
+
+@pytest.mark.parametrize("other", [{"mapper": "gmapping"}, {"attitude": "none"}, {"robot": "jackal"}])
+def test_cards_mix_no_methods(tmp_path: Path, other: dict[str, str]) -> None:
+    saved(tmp_path, seed=1, ate=0.01)
+    saved(tmp_path, seed=2, ate=0.03)
+    _, alone = reported(tmp_path)
+    assert "<b>0.020</b><span>median ATE [m]</span>" in alone
+    assert "<span>median ATE of odometry [m]</span>" in alone
+    saved(tmp_path, seed=1, ate=0.09, **other)
+    _, mixed = reported(tmp_path)
+    assert "<span>median" not in mixed
+    assert "<span>RTF</span>" not in mixed
+    assert "<b>3 of 3</b><span>runs succeeded</span>" in mixed
 
 
 def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> None:
@@ -340,5 +355,4 @@ def test_a_mapper_that_is_worse_than_its_odometry_is_marked_in_every_table(tmp_p
     marked = re.findall(r'<tr class="worse">.*?</tr>', html)
     assert len(marked) == 3  # summary, trajectory by group and by run
     assert all("gmapping" in row and "0.200" in row for row in marked)
-    assert "median ATE of odometry [m]" in html
     assert len(re.findall("</tr>", html)) > 3 * len(marked)

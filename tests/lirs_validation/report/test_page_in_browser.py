@@ -1,0 +1,65 @@
+"""The report in a browser: no table is cut, on a screen of 1300 pixels and on paper; images are loaded."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.report.contents import report_of
+from lirs_validation.report.page import page
+from tests.lirs_validation.records import saved
+
+pytestmark = pytest.mark.slow
+PAPER = 1047
+"""Width of A4 on its side less margins of 10 mm, pixels."""
+
+
+@pytest.fixture(scope="module")
+def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """The page of two mappers with three seeds each, all details open."""
+    api = pytest.importorskip("playwright.sync_api")
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
+    if chromium is None:
+        pytest.skip("chromium is not installed (apt-get install chromium)")
+    root: Path = tmp_path_factory.mktemp("report")
+    for mapper in ("hector", "gmapping_original"):
+        for seed in (1, 2, 3):
+            saved(root, "advanced", seed, mapper=mapper, ate=0.0123 * seed, f1=0.9 + 0.02 * seed)
+    file = root / "report.html"
+    html = page(report_of(read_results(root)), "lirs-wct report out")
+    file.write_text(html.replace("<details>", "<details open>"), encoding="utf-8")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        opened = browser.new_page(viewport={"width": 1300, "height": 900})
+        opened.goto(file.as_uri())
+        yield opened
+        browser.close()
+
+
+def cut(shown: Any) -> list[str]:
+    """Tables that are wider than their place, and `page` if all of it is."""
+    return list(
+        shown.evaluate(
+            """() => [...document.querySelectorAll(".scroll")]
+                .filter(box => box.scrollWidth > box.clientWidth).map(box => box.querySelector("table").id)
+                .concat(document.documentElement.scrollWidth > innerWidth ? ["page"] : [])"""
+        )
+    )
+
+
+def test_no_table_is_cut_on_a_screen(shown: Any) -> None:
+    shown.emulate_media(media="screen")
+    shown.set_viewport_size({"width": 1300, "height": 900})
+    assert shown.locator("table#map tbody tr").count() == 2
+    assert cut(shown) == []
+
+
+def test_no_table_is_cut_on_paper(shown: Any) -> None:
+    shown.emulate_media(media="print")
+    shown.set_viewport_size({"width": PAPER, "height": 720})
+    assert cut(shown) == []
