@@ -5,9 +5,8 @@ The environment variable GAZEBO_CHECK names the folder with the programs sdfchk,
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import collada
@@ -27,14 +26,6 @@ pytestmark = pytest.mark.slow
 def hills() -> HeightField:
     z = cv2.GaussianBlur(np.random.default_rng(2).random((129, 161)).astype(np.float32), (0, 0), 6)
     return HeightField.centered((z - z.min()) * 20, (0.25, 0.25))
-
-
-@pytest.fixture(scope="session")
-def programs() -> Path:
-    folder = os.environ.get("GAZEBO_CHECK")
-    if not folder:
-        pytest.skip("GAZEBO_CHECK does not name the folder of sdfchk, meshchk, physchk")
-    return Path(folder)
 
 
 @pytest.fixture(params=["usual", "brief"], autouse=True)
@@ -59,30 +50,17 @@ def package(tmp_path: Path) -> Path:
     return model
 
 
-def run(*command: object, **env: object) -> str:
-    done = subprocess.run(
-        [str(c) for c in command],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, **{k: str(v) for k, v in env.items()}},
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout + done.stderr
-
-
-def test_strict_parser_has_nothing_to_say(programs: Path, package: Path) -> None:
-    said = run(programs / "sdfchk", package / "dune.world", package / "model.sdf", MODEL_PATH=package.parent)
+def test_strict_parser_has_nothing_to_say(gazebo: Callable[..., str], package: Path) -> None:
+    said = gazebo("sdfchk", package / "dune.world", package / "model.sdf", MODEL_PATH=package.parent)
     assert "code" not in said
     assert "Warning" not in said
     assert "world[dune] models 1 (dune static 1 links 1 coll type" in said
     assert "model://dune/meshes/dune.dae" in said
 
 
-def test_mesh_loader_counts_ours_and_finds_the_texture(programs: Path, package: Path) -> None:
+def test_mesh_loader_counts_ours_and_finds_the_texture(gazebo: Callable[..., str], package: Path) -> None:
     dae = package / "meshes/dune.dae"
-    said = run(programs / "meshchk", dae)
+    said = gazebo("meshchk", dae)
     document = collada.Collada(str(dae))
     (shape,) = document.geometries
     n = len(shape.primitives[0].vertex)
@@ -102,23 +80,23 @@ def check_counts(said: str, vertices: int, corners: int) -> None:
     assert idx == corners
 
 
-def test_steep_ground_is_counted_right_too(programs: Path, tmp_path: Path) -> None:
+def test_steep_ground_is_counted_right_too(gazebo: Callable[..., str], tmp_path: Path) -> None:
     """Where the projection changes from triangle to triangle, a place has several texture coordinates."""
     mesh = solid_mesh(HeightField.centered(hills().z * 4, (0.25, 0.25)))
     write_collada(tmp_path / "a.dae", mesh)
     (shape,) = collada.Collada(str(tmp_path / "a.dae")).geometries
     n = len(shape.primitives[0].vertex)
     assert n > 1.05 * len(mesh.vertices)
-    check_counts(run(programs / "meshchk", tmp_path / "a.dae"), n, 3 * len(mesh.faces))
+    check_counts(gazebo("meshchk", tmp_path / "a.dae"), n, 3 * len(mesh.faces))
 
 
-def test_a_sphere_rests_on_the_ground(programs: Path, package: Path) -> None:
+def test_a_sphere_rests_on_the_ground(gazebo: Callable[..., str], package: Path) -> None:
     surface = hills()
     start = np.unravel_index(surface.z[20:-20, 20:-20].argmin(), (89, 121))
     x = surface.origin[0] + (start[1] + 20) * surface.cell[0]
     y = surface.bounds[3] - (start[0] + 20) * surface.cell[1]
     drop = float(surface.height_at(x, y)) + 1.0
-    said = run(programs / "physchk", "dartsim", package / "meshes/dune.dae", x, y, drop, 5000)
+    said = gazebo("physchk", "dartsim", package / "meshes/dune.dae", x, y, drop, 5000)
     px, py, pz = map(float, re.search(r"final +(\S+) +(\S+) +(\S+)", said).groups())  # type: ignore[union-attr]
     around = np.linspace(-0.3, 0.3, 61)
     gx, gy = np.meshgrid(px + around, py + around)
@@ -126,15 +104,15 @@ def test_a_sphere_rests_on_the_ground(programs: Path, package: Path) -> None:
     assert distance == pytest.approx(0.3, abs=0.02)
 
 
-def test_heightmap_model(programs: Path, tmp_path: Path) -> None:
+def test_heightmap_model(gazebo: Callable[..., str], tmp_path: Path) -> None:
     surface, model = hills(), tmp_path / "dune"
     write_heightmap(model / "materials/textures/heights.png", surface)
     (model / "model.config").write_text(model_config("dune"))
     (model / "model.sdf").write_text(heightmap_sdf("dune", surface, "materials/textures/heights.png"))
     (model / "dune.world").write_text(world_sdf("dune"))
-    said = run(programs / "sdfchk", model / "dune.world", MODEL_PATH=tmp_path)
+    said = gazebo("sdfchk", model / "dune.world", MODEL_PATH=tmp_path)
     assert "code" not in said
     assert "hm model://dune/materials/textures/heights.png size 40 32 " in said
-    said = run(programs / "meshchk", model / "materials/textures/heights.png")
+    said = gazebo("meshchk", model / "materials/textures/heights.png")
     assert "load 0 w 257 h 257" in said
     assert " min 0 max 2" in said

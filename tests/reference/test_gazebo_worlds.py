@@ -5,9 +5,8 @@ The environment variable GAZEBO_CHECK names the folder with the programs sdfchk,
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +36,6 @@ WORLDS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def programs() -> Path:
-    folder = os.environ.get("GAZEBO_CHECK")
-    if not folder:
-        pytest.skip("GAZEBO_CHECK does not name the folder of sdfchk, meshchk, physchk")
-    return Path(folder)
-
-
 @pytest.fixture(scope="module", params=WORLDS)
 def package(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
@@ -65,37 +56,24 @@ def package(
     return world, folder, other
 
 
-def run(*command: object, **env: object) -> str:
-    done = subprocess.run(
-        [str(c) for c in command],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        env={**os.environ, **{k: str(v) for k, v in env.items()}},
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout + done.stderr
-
-
 def test_the_strict_parser_has_nothing_to_say(
-    programs: Path, package: tuple[World, Path, Path | None]
+    gazebo: Callable[..., str], package: tuple[World, Path, Path | None]
 ) -> None:
     world, *folders = package
     for folder in filter(None, folders):
         for ending in ("world", "sdf"):
-            said = run(programs / "sdfchk", folder / f"{world.name}.{ending}", MODEL_PATH=folder.parent)
+            said = gazebo("sdfchk", folder / f"{world.name}.{ending}", MODEL_PATH=folder.parent)
             assert "code" not in said
             assert "Warning" not in said
             assert f"world[{world.name}] models 1 ({world.name} static 1 links 1 coll type" in said
 
 
 def test_the_mesh_loader_counts_ours_and_finds_the_texture(
-    programs: Path, package: tuple[World, Path, Path | None]
+    gazebo: Callable[..., str], package: tuple[World, Path, Path | None]
 ) -> None:
     world, folder, _ = package
     dae = folder / "meshes" / f"{world.name}.dae"
-    said = run(programs / "meshchk", dae)
+    said = gazebo("meshchk", dae)
     (shape,) = collada.Collada(str(dae)).geometries
     n = len(shape.primitives[0].vertex)
     found = re.search(r" vert (\d+) norm (\d+) idx (\d+) uv (\d+) ", said)
@@ -111,13 +89,15 @@ def test_the_mesh_loader_counts_ours_and_finds_the_texture(
     np.testing.assert_allclose((low, high), world.file_mesh.bounds, rtol=1e-5, atol=2e-5)
 
 
-def test_a_sphere_rests_on_the_mesh(programs: Path, package: tuple[World, Path, Path | None]) -> None:
+def test_a_sphere_rests_on_the_mesh(
+    gazebo: Callable[..., str], package: tuple[World, Path, Path | None]
+) -> None:
     world, folder, _ = package
     free = world.traversable(clearance=0.4, max_slope=0.2, resolution=max(0.1, world.surface.size[0] / 500))
     start = spawn_poses(free)[0]
     drop = float(world.surface.height_at(start.x, start.y)) + 0.6
     dae = folder / "meshes" / f"{world.name}.dae"
-    said = run(programs / "physchk", "dartsim", dae, start.x, start.y, drop, 3000)
+    said = gazebo("physchk", "dartsim", dae, start.x, start.y, drop, 3000)
     at = np.array(re.search(r"final +(\S+) +(\S+) +(\S+)", said).groups(), float)  # type: ignore[union-attr]
     mesh = trimesh.Trimesh(world.file_mesh.vertices, world.file_mesh.faces, process=False)
     _, distance, _ = trimesh.proximity.closest_point(mesh, at[None])

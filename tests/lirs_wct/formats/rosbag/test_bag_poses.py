@@ -24,13 +24,6 @@ def given() -> BagDrive:
     return drives.drive(50)
 
 
-@pytest.fixture(scope="module")
-def bag(given: BagDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bags") / "run"
-    write_bag(folder, given)
-    return folder
-
-
 def make(kind: str, **fields: Any) -> Any:
     return STORE.types[kind.replace("/", "/msg/")](**fields)
 

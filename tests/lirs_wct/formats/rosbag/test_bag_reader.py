@@ -31,13 +31,6 @@ def given() -> BagDrive:
     return drives.drive(400)
 
 
-@pytest.fixture(scope="module")
-def bag(given: BagDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bags") / "run"
-    write_bag(folder, given)
-    return folder
-
-
 def check(log: LaserLog, given: BagDrive) -> None:
     assert len(log.scans) == len(given.ticks)
     for scan, tick in zip(log.scans, given.ticks, strict=True):

@@ -21,13 +21,6 @@ def given() -> BagDrive:
 
 
 @pytest.fixture(scope="module")
-def bag(given: BagDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bags") / "run"
-    write_bag(folder, given)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def read(bag: Path) -> dict[str, list[Any]]:
     reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
     topics: dict[str, list[Any]] = {}

@@ -37,13 +37,6 @@ def given() -> BagDrive:
     return drives.drive(SCANS)
 
 
-@pytest.fixture(scope="module")
-def bag(given: BagDrive, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("bags") / "run"
-    write_bag(folder, given)
-    return folder
-
-
 def check(log: LaserLog, given: BagDrive, count: int = SCANS, first: int = 0) -> None:
     assert len(log.scans) == count
     for scan, tick in zip(log.scans, given.ticks[first : first + count], strict=True):
