@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,6 +17,7 @@ from lirs_envs.generators.terrain import KINDS, generate
 from lirs_wct import BuildOptions, ConfigError, HeightField, SourceError, World, build_world, unknown_name
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_seed
+from lirs_wct.foreign_files import digest
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import RECIPES
 
@@ -173,11 +173,6 @@ def _find(file: FileSpec, data: Path | None) -> Path | None:
     if data is None:
         return None
     for path in sorted(data.rglob("*")):
-        if path.is_file() and path.stat().st_size == file.size and _digest(path) == file.sha256:
+        if path.is_file() and path.stat().st_size == file.size and digest(path) == file.sha256:
             return path
     return None
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""Mapper of a log, its inertial readings, and the replay of its point clouds."""
+"""Mapper of a log, its inertial readings, and the replay of its scans or point clouds."""
 
 from __future__ import annotations
 
@@ -147,6 +147,31 @@ def with_recorded_mount(config: MapConfig, log: LaserLog) -> LaserLog:
     if T_base_laser is None:
         return log
     return replace(log, scans=tuple(replace(scan, T_base_laser=T_base_laser) for scan in log.scans))
+
+
+def replay(
+    config: MapConfig,
+    mapper: MapperUnderTest,
+    log: LaserLog,
+    readings: Sequence[Imu | None],
+    progress: Progress,
+) -> LostRule:
+    """Replay the log with inertial readings; return the lost rule's state.
+
+    Raises:
+        SourceError: the log lacks data that the mapper needs.
+        MapperError: it failed.
+    """
+    scans, tracking = len(log.scans), LostRule()
+    fed = zip(log.scans, log.odometry, readings, strict=True)
+    for k, (scan, odometry, imu) in enumerate(fed):
+        try:
+            estimate = mapper.observe(SensorReadings(scan, odometry, imu))
+        except ConfigError as error:
+            raise SourceError(f"{config.log}: {error}") from error
+        tracking.observe(scan.stamp, estimate.lost)
+        progress("map", (k + 1) / scans)
+    return tracking
 
 
 HORIZONTAL = np.tan(np.radians(1.5))

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from lirs_validation.config import MapConfig
 from lirs_validation.experiment.cost import CostMeter, compile_timer
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.logs.log_replay import (
     check_log,
     horizontal_map,
     inertial_readings,
     log_mapper,
+    replay,
     replay_clouds,
     warm_up_log_mapper,
     with_recorded_mount,
@@ -27,7 +28,7 @@ from lirs_validation.logs.reference import odometry_accuracy, read_truth, refere
 from lirs_validation.metrics.alignment import rms, scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
 from lirs_validation.metrics.log_accuracy import Accuracy, reference_errors, trajectory_accuracy
-from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
+from lirs_validation.metrics.verdict import incompleteness, inconsistency
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
 from lirs_wct.files import atomic_folder
@@ -273,31 +274,6 @@ def _digests(folder: Path) -> bytes:
         with path.open("rb") as file:
             digests.append(hashlib.file_digest(file, "sha256").digest())
     return b"".join(digests)
-
-
-def replay(
-    config: MapConfig,
-    mapper: MapperUnderTest,
-    log: LaserLog,
-    readings: Sequence[Imu | None],
-    progress: Progress,
-) -> LostRule:
-    """Replay the log with inertial readings; return the lost rule's state.
-
-    Raises:
-        SourceError: the log lacks data that the mapper needs.
-        MapperError: it failed.
-    """
-    scans, tracking = len(log.scans), LostRule()
-    fed = zip(log.scans, log.odometry, readings, strict=True)
-    for k, (scan, odometry, imu) in enumerate(fed):
-        try:
-            estimate = mapper.observe(SensorReadings(scan, odometry, imu))
-        except ConfigError as error:
-            raise SourceError(f"{config.log}: {error}") from error
-        tracking.observe(scan.stamp, estimate.lost)
-        progress("map", (k + 1) / scans)
-    return tracking
 
 
 @contextmanager
