@@ -37,7 +37,7 @@ from slam_baselines.mapper import MAPPERS
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 TOUR, FRONTIER = "tour", "frontier"
-DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN"}
+DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN", "goal": "X,Y"}
 """Drivers, and the argument that each needs."""
 MANUAL = "manual"
 """Driver of a record that a person drove on the live page; `replay:RUN` repeats it."""
@@ -69,7 +69,7 @@ class SourceOptions(BuildOptions):
 
 
 def driver_parts(text: str) -> tuple[str, str]:
-    """Return kind and path of a driver: `tour`, `frontier`, `waypoints:FILE`, `replay:RUN` or `manual`.
+    """Return kind and argument of a driver, such as `frontier`, `goal:X,Y`, `replay:RUN` or `manual`.
 
     Raises:
         ConfigError: the text is none of these.
@@ -183,9 +183,9 @@ class RunConfig(Options):
     driver: str = option(
         TOUR,
         "A tour over the true ground; an explorer on the mapper's map and pose; waypoints (x, y[, yaw] per "
-        "line) by the true pose; the commands of a finished run.",
+        "line) or a goal by the true pose; the commands of a finished run.",
         axis=read_drivers,
-        metavar="tour|frontier|waypoints:FILE|replay:RUN",
+        metavar="tour|frontier|waypoints:FILE|replay:RUN|goal:X,Y",
         panel=AXES,
         check=lambda value, _: driver_parts(value) and None,
         names=(TOUR, FRONTIER),

@@ -19,8 +19,9 @@ from lirs_validation.driving.path_driver import PathDriver, driver_config
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, World
-from lirs_wct.formats.waypoints import read_waypoints
+from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
 from lirs_wct.ground import Terrain
+from lirs_wct.option import numbers
 
 MARGIN = 0.15
 """Meters that a plan keeps beyond the robot's radius."""
@@ -51,14 +52,20 @@ def make_driver(
         return replay(Path(path), config, world.name)
     free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
     pace = driver_config(robot)
+    waypoints: tuple[RoutePoint, ...] = ()
     if kind == "waypoints":
         waypoints = read_waypoints(Path(path))
-        check_waypoints(Path(path), waypoints, free, robot.name, lambda place: _cause(world, robot, place)[0])
         first, second = waypoints[:2]
         ahead = math.atan2(second.y - first.y, second.x - first.x)
         start = Pose2(first.x, first.y, ahead if first.yaw is None else first.yaw)
+    else:
+        start = _start(world, free, robot, config)
+    if kind == "goal":
+        waypoints = RoutePoint(start.x, start.y), _goal(path)
+    if waypoints:
+        named = Path(path if kind == "waypoints" else config.driver)
+        check_waypoints(named, waypoints, free, robot.name, lambda place: _cause(world, robot, place)[0])
         return PathDriver(WaypointRoute(waypoints[1:], free, pace, world.surface), start, pace)
-    start = _start(world, free, robot, config)
     if kind == "frontier":
         route = FrontierRoute(mapper_map, robot.radius, robot.radius + MARGIN, pace)
         return PathDriver(route, start, pace)
@@ -70,10 +77,12 @@ def check_driver(config: RunConfig) -> None:
     """Look at the file that a driver needs before the world is built.
 
     Raises:
-        ConfigError: a replay is of another robot, or a person drove.
+        ConfigError: a replay is of another robot, a person drove, or a goal is no place.
         SourceError: waypoints or recorded commands cannot be read.
     """
     kind, path = _automatic(config)
+    if kind == "goal":
+        _goal(path)
     if kind == "waypoints":
         read_waypoints(Path(path))
     if kind == "replay":
@@ -96,6 +105,18 @@ def _automatic(config: RunConfig) -> tuple[str, str]:
     if kind == MANUAL:
         raise ConfigError("manual: a person drove in the live page; replay:RUN drives the same again")
     return kind, path
+
+
+def _goal(text: str) -> RoutePoint:
+    """Return the goal of a driver `goal:X,Y`.
+
+    Raises:
+        ConfigError: the text is no such place.
+    """
+    x, y = numbers("goal:X,Y in meters", 2)(text, "driver")
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ConfigError(f"driver must be goal:X,Y in finite meters, got {text!r}")
+    return RoutePoint(x, y)
 
 
 def _start(world: World, free: OccupancyGrid, robot: Robot, config: RunConfig) -> Pose2:

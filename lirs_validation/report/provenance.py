@@ -72,4 +72,5 @@ def _option_text(value: Any) -> str:
         return ",".join(map(_option_text, value))
     if isinstance(value, (str, Path)):
         return str(value)
-    return f"{value:.12g}"
+    short = f"{value:.12g}"
+    return short if float(short) == value else repr(value)

@@ -14,9 +14,10 @@ import pytest
 from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_validation.collision.random_drive import places
 from lirs_validation.config import RunConfig
-from lirs_validation.driving.choice import MARGIN, enough_size, make_driver
+from lirs_validation.driving.choice import MARGIN, check_driver, enough_size, make_driver
+from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation.footprints import FOOTPRINTS
@@ -48,6 +49,25 @@ def corridor(tmp_path: Path) -> Path:
 
 def no_map() -> OccupancyGrid:
     raise AssertionError("a tour needs no map")
+
+
+def test_a_goal_is_reached_from_the_start_or_named(corridor: Path) -> None:
+    config = RunConfig(source=str(corridor), robot="jackal", driver="goal:3,0", seconds=60)
+    config = replace(config, build=replace(config.build, start=Pose2(-3.0, 0.0, 3.0)))
+    found = run(config)
+    assert found.log.truth[0].to_pose2().x == pytest.approx(-3.0, abs=0.01)
+    end = found.log.truth[-1].to_pose2()
+    assert math.hypot(end.x - 3.0, end.y) < 0.4
+    assert found.record.reason.startswith("the last waypoint is reached at ")
+    assert "-goal-s1-" in found.record.name
+    with pytest.raises(SourceError, match=r"^goal:3,5: waypoint 2 \(3, 5\) is off the map"):
+        run(replace(config, driver="goal:3,5"))
+
+
+@pytest.mark.parametrize("goal", ["3", "3,4,5", "a,b", "nan,1"])
+def test_a_bad_goal_is_refused_before_the_world_is_built(goal: str) -> None:
+    with pytest.raises(ConfigError, match="goal:X,Y"):
+        check_driver(RunConfig(source="simple", driver=f"goal:{goal}"))
 
 
 def test_starts_are_for_the_largest_robot_that_fits(corridor: Path) -> None:
