@@ -28,6 +28,7 @@ from lirs_validation.metrics.trajectory import spatial_errors
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
+from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct import OccupancyGrid, SimulationError, World
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
@@ -80,8 +81,7 @@ def evaluate(
         cost: processor time, peak memory, seconds of compilation.
     """
     stats = mapper.stats
-    trajectory = evaluate_trajectory(log)
-    trajectory["robot_lengths"] = trajectory["length"] / (2 * simulation.config.robot.radius)
+    trajectory = evaluate_trajectory(log, simulation)
     status, reason = evaluate_status(log, trajectory["scan_coverage"])
     return RunRecord(
         config=scenario.config,
@@ -96,6 +96,32 @@ def evaluate(
         mapper=asdict(stats),
         cost=cost | {"scans_dropped": log.scans_dropped(stats.received)},
         versions=versions() | package_versions(scenario.config.mapper),
+    )
+
+
+def verdict_so_far(
+    scenario: Scenario, simulation: Simulation, log: DriveLog, map_scores: dict[str, Any]
+) -> Verdict:
+    """Return the verdict on a drive that may go on.
+
+    Args:
+        scenario: where it takes place.
+        simulation: that is driven.
+        log: of the drive until now.
+        map_scores: known metrics of the map; a missing one does not count.
+    """
+    trajectory = evaluate_trajectory(log, simulation)
+    status, reason = evaluate_status(log, trajectory["scan_coverage"])
+    return judge(
+        {
+            "config": asdict(scenario.config),
+            "world": evaluate_world(scenario, simulation),
+            "status": status,
+            "reason": reason,
+            "trajectory": trajectory,
+            "map": map_scores,
+            "scans": evaluate_scans(scenario.world, log),
+        }
     )
 
 
@@ -152,13 +178,14 @@ def true_pose_map(log: DriveLog, resolution: float) -> OccupancyGrid:
     return reference.map().moved(T_world_map)
 
 
-def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
+def evaluate_trajectory(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
     """Compare the estimate, and the odometry beside it, with the truth."""
     truth, estimate, odometry = log.trajectories()
     common = len(associated(truth.stamps, estimate.stamps)[0])
+    driven = {"robot_lengths": truth.length / (2 * simulation.config.robot.radius)}
     if common < 2:
         coverage = scan_coverage(truth.stamps, estimate.stamps)
-        return {"length": truth.length, "poses": common, "scan_coverage": coverage}
+        return {"length": truth.length, "poses": common, "scan_coverage": coverage} | driven
     errors = asdict(trajectory_errors(truth, estimate))
     if log.spatial:
         errors |= asdict(spatial_errors(truth, estimate))
@@ -166,6 +193,7 @@ def evaluate_trajectory(log: DriveLog) -> dict[str, Any]:
     return errors | {
         "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,
         "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse,
+        **driven,
     }
 
 

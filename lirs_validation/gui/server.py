@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import threading
 import time
 import warnings
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import rich
 import viser
 
-from lirs_validation.gui.session.uploads import PageLimits
+from lirs_validation.gui.page_html import served_from, write_page
+from lirs_validation.gui.session.uploads import PREFIX, PageLimits
 from lirs_validation.gui.view.page import Page
 from lirs_validation.gui.view.scene import Detail
 from lirs_wct.errors import ConfigError
@@ -54,10 +57,13 @@ class Server:
         # A client may disconnect while messages to it are queued.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         rich.get_console().quiet = True  # viser's own announcements; ours have a console of their own
-        self._viser = viser.ViserServer(host=host, port=port, label="LIRS-WCT", verbose=False)
+        self._folder = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-", ignore_cleanup_errors=True)
+        write_page(Path(self._folder.name))
+        with served_from(Path(self._folder.name)):
+            self._viser = viser.ViserServer(host=host, port=port, label="LIRS-WCT", verbose=False)
         gui = self._viser.gui
         gui.configure_theme(
-            control_width="large", show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
+            control_width="medium", show_logo=False, show_share_button=False, brand_color=(0, 128, 200)
         )
         gui.main_panel.dock_right()
         self._viser.on_client_connect(self._open)
@@ -94,6 +100,7 @@ class Server:
             page.worker.join(5.0)
         warnings.showwarning = self._show_warning
         self._viser.stop()
+        self._folder.cleanup()
 
     def _warn(self, message: Warning | str, *where: Any, **more: Any) -> None:
         """Show a warning in the page whose worker raised it."""

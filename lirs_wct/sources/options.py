@@ -152,6 +152,7 @@ class PictureOptions(Options):
     size: float | tuple[float, float] | None = option(
         None,
         "Extent in meters: longer side, or width and height. Default 50, or the file's own.",
+        title="size [m]",
         metavar="W[,H]",
         read=read_extent,
         check=positive,
@@ -161,6 +162,7 @@ class PictureOptions(Options):
     height: float | None = option(
         None,
         "Meters from the darkest to the brightest pixel. Default 6, or the file's own.",
+        title="height [m]",
         check=positive,
         **_SCALE,
     )
@@ -275,7 +277,9 @@ class MapOptions(Options):
         read=read_pose,
         **_MAP | {"kinds": {SourceKind.MAP_PICTURE}},
     )
-    wall_height: float = option(2.5, "Height of walls, meters.", check=positive, **_MAP)
+    wall_height: float = option(
+        2.5, "Height of walls, meters.", title="wall height [m]", check=positive, **_MAP
+    )
     unknown: Unknown = option(
         "floor",
         "Kind of unknown cells; a hole goes through the floor.",

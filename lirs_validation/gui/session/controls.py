@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.option import Option, Options, Slider, declared, defaults
 from lirs_wct.sources.options import SourceKind
 
@@ -29,7 +32,7 @@ class Control:
         kind: of control.
         title: its label; the paper's name if it has one.
         panel: its heading.
-        hint: help, with the flag at the command line.
+        hint: help.
         initial: value of the control that stands for the default.
         default: of the option.
         choices: legal values of a choice.
@@ -47,6 +50,11 @@ class Control:
     slider: Slider | None = None
     option: Option
     type: Any
+
+    @property
+    def name_in_errors(self) -> str:
+        """The title without its unit."""
+        return self.title.partition(" [")[0]
 
     def shown_for(self, source: SourceKind) -> bool:
         """Whether the option has an effect on a source."""
@@ -67,7 +75,7 @@ class Control:
         if self.kind == "file":
             return Path(value)
         if self.option.read is not None:
-            return self.option.read(value, self.title)
+            return self.option.read(value, self.name_in_errors)
         return self._number(value)
 
     def _number(self, text: str) -> Any:
@@ -76,7 +84,7 @@ class Control:
             return kind(text)
         except ValueError:
             legal = "a whole number" if kind is int else "a number"
-            raise ConfigError(f"{self.title} must be {legal}, got {text!r}") from None
+            raise ConfigError(f"{self.name_in_errors} must be {legal}, got {text!r}") from None
 
     @property
     def _types(self) -> tuple[Any, ...]:
@@ -96,7 +104,7 @@ def controls(options: type[Options]) -> Iterator[Control]:
             kind=kind,
             title=option.title or option.label or name.replace("_", " "),
             panel=option.panel or FIRST_PANEL,
-            hint=f"{option.help}{form} Command line: {option.flags[0]}",
+            hint=without_flags(f"{option.help}{form}"),
             initial=initial,
             default=usual[name],
             choices=choices,
@@ -159,6 +167,24 @@ def read_run_controls(
     for control in controls(RunConfig):
         value, slider = values[control.name], control.slider
         if slider is not None and not slider.low <= float(value) <= slider.high:
-            raise ConfigError(f"{control.title} must be {slider.low:g} to {slider.high:g} here, got {value}")
+            raise ConfigError(
+                f"{control.name_in_errors} must be {slider.low:g} to {slider.high:g} here, got {value}"
+            )
         given[control.name] = control.read(value)
     return RunConfig(source=source, build=build, **given)
+
+
+def to_goal(config: RunConfig, start: tuple[float, float], goal: tuple[float, float]) -> RunConfig:
+    """Return a run that starts at a place, faces a goal and drives there."""
+    (x, y), (east, north) = start, goal
+    yaw = round(math.atan2(north - y, east - x), 3)
+    return replace(config, driver=f"goal:{east},{north}", build=replace(config.build, start=Pose2(x, y, yaw)))
+
+
+def without_flags(text: str) -> str:
+    """Return a message in which options have names instead of command-line flags.
+
+    >>> without_flags("give one of --size, --pixel-size")
+    'give one of size, pixel size'
+    """
+    return re.sub(r"--([a-z][a-z-]*)", lambda flag: flag[1].replace("-", " "), text)

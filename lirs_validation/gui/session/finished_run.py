@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -16,7 +17,8 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.gui.session.uploads import PageLimits
-from lirs_validation.record.run_record import maps_clouds, read_record
+from lirs_validation.record.run_record import maps_clouds, read_record, succeeded
+from lirs_validation.record.verdict import judge
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError, WctError
 from lirs_wct.formats.carmen.log import read_carmen
@@ -65,7 +67,7 @@ class FinishedRun(Playback):
                 f"{folder}: not one drive: {len(self._scans)} scans, {len(self._truth)} true and "
                 f"{len(self._estimate)} estimated poses"
             )
-        self._map = None
+        self._map, self._curve = None, []
         if not maps_clouds(self.record):
             self._map = MapSnapshot.of(read_map(folder / "map.yaml"), float(self._truth.stamps[-1]))
         self.world, self.missing = self._find_world(scenarios or ScenarioCache(), uploaded)
@@ -102,17 +104,29 @@ class FinishedRun(Playback):
         """Return the final map."""
         return self._map
 
+    def rtf_at(self, time: float) -> float:
+        """Return the recorded real-time factor of a second; NaN beyond the record."""
+        series = self.record["rtf"]["series"]
+        return float(series[min(int(time - 1e-6), len(series) - 1)]) if series else math.nan
+
+    def verdict_at(self, scan: int) -> str:
+        """Return the verdict on the whole run."""
+        return f"Verdict: {judge(self.record)}"
+
+    @property
+    def marks(self) -> tuple[tuple[float, str], ...]:
+        """The end of a run that failed."""
+        return () if succeeded(self.record) else ((float(self._truth.stamps[-1]), self.record["status"]),)
+
     def facts(self, scan: int, ate: float) -> Facts:
         """Return the figures until a scan."""
         held: dict[str, Any] = self.record
         stamp = float(self._truth.stamps[scan])
-        series, second = held["rtf"]["series"], int(stamp)
-        now = series[min(second, len(series) - 1)] if series else np.nan
         c, final = held["config"], held["trajectory"].get("ate_rmse")
         return (
             ("run", f"{held['world']['name']}, {c['robot']}, {c['mapper']}, seed {held['seed']}"),
             ("time", f"{stamp:.1f} of {self._truth.stamps[-1]:.1f} s"),
-            ("RTF", f"{now:.1f} (mean {held['rtf']['mean']:.1f})"),
+            ("RTF", f"{self.rtf_at(stamp):.1f} (mean {held['rtf']['mean']:.1f})"),
             ("ATE", f"{ate:.3f} m" + ("" if final is None else f" (in all {final:.3f} m)")),
             ("map F1", "-" if held["map"].get("f1") is None else f"{held['map']['f1']:.2f}"),
             ("status", held["status"] + (f": {held['reason']}" if held["reason"] else "")),

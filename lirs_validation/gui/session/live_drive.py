@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lirs_envs.robots.command import Twist, clip
 from lirs_envs.robots.robot import Robot
-from lirs_validation.config import MANUAL, RunConfig
+from lirs_validation.config import MANUAL, RunConfig, run_name
 from lirs_validation.driving.driver import Driver, Frame
 from lirs_validation.experiment.cost import CostMeter, cpu_contention
+from lirs_validation.experiment.evaluation import evaluate_maps, verdict_so_far
 from lirs_validation.experiment.loop import Drive
 from lirs_validation.experiment.run import Run, conclude, prepare
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
+from lirs_validation.record.run_record import SUCCEEDED
 from lirs_wct.arrays import FloatArray
+from lirs_wct.errors import MapperError
 from lirs_wct.geometry import LaserScan, Pose2, Pose3
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.world import World
 
 MAP_SECONDS, MAP_WALL_SECONDS = 1.0, 0.5
-"""Shortest simulated and wall-clock periods between two kept maps, seconds."""
+"""Shortest simulated and wall-clock periods between two kept maps and verdicts, seconds."""
 
 
 class HandOverDriver:
@@ -117,13 +122,27 @@ class LiveDrive(Playback):
         self._steps = iter(self._drive)
         self._T_world_map = self._drive.log.truth[0].to_pose2()
         self._maps: list[MapSnapshot] = []
-        self._drawn_at = 0.0
-        self._keep_map()
+        self._curve, self._marks = [], list[tuple[float, str]]()
+        self._counted = {"loop closed": 0, "lost": 0}
+        self._take_stock()
 
     @property
     def over(self) -> bool:
         """Whether the drive has ended."""
         return self._drive.over
+
+    @property
+    def failed(self) -> bool:
+        """Whether the mapper failed; nothing can be saved then."""
+        return self.over and self._drive.log.status == "error"
+
+    @property
+    def repeated(self) -> RunConfig:
+        """Config of a run that repeats this drive; one by hand repeats its saved folder."""
+        if not self.driver.touched:
+            return self.config
+        by_hand = replace(self.config, driver=MANUAL)
+        return replace(self.config, driver=f"replay:{run_name(by_hand, self.world.name)}")
 
     @property
     def time(self) -> float:
@@ -138,17 +157,21 @@ class LiveDrive(Playback):
     def step(self) -> None:
         """Drive until the next scan; nothing more once the drive is over.
 
-        Raises:
-            MapperError: the mapper failed.
+        A mapper that fails ends the drive with the status `error`.
         """
         if self.over:
             return
         self._drive.look_ahead = not self.driver.by_hand  # a person's commands take effect at once
-        next(self._steps, None)
-        apart = self.time - (self._maps[-1].time if self._maps else 0.0)
-        waited = time.monotonic() - self._drawn_at
-        if self.over or (apart >= MAP_SECONDS and waited >= MAP_WALL_SECONDS):
-            self._keep_map()
+        log, waited = self._drive.log, time.monotonic() - self._drawn_at
+        try:
+            next(self._steps, None)
+            if self.over or (self.time - self._stock_time >= MAP_SECONDS and waited >= MAP_WALL_SECONDS):
+                self._take_stock()
+        except MapperError as error:
+            log.status, log.reason, self._drive.over = "error", str(error), True
+            self._judge({})
+        if log.status not in SUCCEEDED:
+            self._marks.append((self.time, log.status))
 
     def go_on(self, until: float, time_limit: float) -> bool:
         """Continue the drive; return whether it reached `time_limit`.
@@ -156,9 +179,6 @@ class LiveDrive(Playback):
         Args:
             until: reading of `time.monotonic` at which the method returns.
             time_limit: simulated time at which the drive pauses, seconds.
-
-        Raises:
-            MapperError: the mapper failed.
         """
         with cpu_contention():  # other runs on this machine notice, and say so in their records
             while not self.over and time.monotonic() < until:
@@ -181,6 +201,25 @@ class LiveDrive(Playback):
     def map_at(self, time: float) -> MapSnapshot | None:
         """Return the map at a time; None before the first."""
         return next((found for found in reversed(self._maps) if found.time <= time + 1e-9), None)
+
+    def rtf_at(self, time: float) -> float:
+        """Return the real-time factor of the second before a time; NaN at the start."""
+        period = self._ready.simulation.period
+        last = round(time / period)
+        walls = self._drive.log.walls[max(0, last - round(1.0 / period)) : last]
+        return len(walls) * period / sum(walls) if walls else math.nan
+
+    @property
+    def marks(self) -> tuple[tuple[float, str], ...]:
+        """Seconds and names of events, such as a closed loop, a lost place, a failure."""
+        return tuple(self._marks)
+
+    def verdict_at(self, scan: int) -> str:
+        """Return the verdict on the whole drive so far.
+
+        The quality of the map counts at the end of the drive.
+        """
+        return self._verdict
 
     def facts(self, scan: int, ate: float) -> Facts:
         """Return the figures until a scan."""
@@ -226,11 +265,32 @@ class LiveDrive(Playback):
         while not self._drive.caught_up and next(self._steps, None) is not None:
             pass
 
-    def _keep_map(self) -> None:
-        mapper = self._ready.mapper
-        if mapper.reads_clouds:  # has no occupancy map
-            return
+    def _take_stock(self) -> None:
+        """Keep the map, mark events and judge; the mapper rests meanwhile.
+
+        Raises:
+            MapperError: the mapper failed.
+        """
         self._catch_up()
-        grid = mapper.map()
-        self._maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
-        self._drawn_at = time.monotonic()
+        mapper, log, scores = self._ready.mapper, self._drive.log, dict[str, Any]()
+        if not mapper.reads_clouds:  # these have no occupancy map
+            grid = mapper.map()
+            self._maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
+            scores["occupied_cells"] = int(grid.occupied.sum())
+        stats = mapper.stats
+        for name, count in (("loop closed", stats.counts.get("loops", 0)), ("lost", stats.lost)):
+            if count > self._counted[name]:
+                self._marks.append((self.time, name))
+            self._counted[name] = count
+        if self.over and log.walls:
+            log.final = mapper.trajectory()
+            scores = evaluate_maps(self.world, log, mapper).scores
+        self._judge(scores)
+        self._stock_time, self._drawn_at = self.time, time.monotonic()
+
+    def _judge(self, map_scores: dict[str, Any]) -> None:
+        """Judge the drive until now."""
+        log, ready = self._drive.log, self._ready
+        verdict = verdict_so_far(ready.scenario, ready.simulation, log, map_scores)
+        self._verdict = f"Verdict{'' if self.over else ' so far'}: {verdict}"
+        log.final = None

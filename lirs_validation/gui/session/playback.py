@@ -9,19 +9,24 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.metrics.alignment import rigid_alignment, rms
+from lirs_wct import HeightField
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray
-from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
+from lirs_wct.drawing.style import BLUE, rgb
 from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2, Pose3
 from lirs_wct.geometry.grid import FREE, OCCUPIED
 from lirs_wct.world import World
 
 BLACK, WHITE, UNKNOWN = 0, 254, 205
 """Pixels of occupied, free and unknown cells, as in a map's file."""
+LEAST_SCALE = 0.1
+"""Smallest error at the upper end of the color scale, meters."""
 SIDE = 480
 """Pixels of the longer side."""
+DARK = (40, 40, 40)
 MARGIN = 1.0
 """Meters around the map."""
 
@@ -85,20 +90,30 @@ class Moment:
     Attributes:
         time: seconds since the start.
         T_world_base: true pose.
+        lidar: (3,) position of the lidar, world frame, meters.
         scan: (n, 3) points that the scan hit, world frame, meters.
         truth: (k, 3) true positions until then, world frame, meters.
         estimate: (k, 2) estimated positions until then, world frame.
         map: the latest one; None before the first.
         facts: figures until then.
+        verdict: verdict until then, after its heading.
     """
 
     time: float
     T_world_base: Pose3
+    lidar: FloatArray
     scan: Float32Array
     truth: FloatArray
     estimate: FloatArray
     map: MapSnapshot | None
     facts: Facts
+    verdict: str
+
+    @property
+    def errors(self) -> FloatArray:
+        """(k,) distances between true and estimated positions, meters."""
+        found: FloatArray = np.linalg.norm(self.truth[:, :2] - self.estimate, axis=1)
+        return found
 
 
 class Playback(ABC):
@@ -111,6 +126,7 @@ class Playback(ABC):
 
     robot: str
     world: World | None
+    _curve: list[tuple[float, float, float]]
 
     @property
     @abstractmethod
@@ -133,6 +149,29 @@ class Playback(ABC):
     def facts(self, scan: int, ate: float) -> Facts:
         """Return the figures until a scan; `ate` is the error of the estimate, meters."""
 
+    @abstractmethod
+    def rtf_at(self, time: float) -> float:
+        """Return the real-time factor of the second that ends at a time; NaN if unknown."""
+
+    @abstractmethod
+    def verdict_at(self, scan: int) -> str:
+        """Return the verdict until a scan, after its heading."""
+
+    @property
+    @abstractmethod
+    def marks(self) -> tuple[tuple[float, str], ...]:
+        """Seconds and names of events."""
+
+    def curve(self) -> FloatArray:
+        """Return (n, 3) time, ATE until then in meters, and RTF, once a second."""
+        if self.scans < 2:
+            return np.empty((0, 3))
+        step = max(1, round(1.0 / (self.scan_at(1)[0].stamp - self.scan_at(0)[0].stamp)))
+        for scan in range((len(self._curve) + 1) * step, self.scans, step):
+            time, (truth, estimate) = self.scan_at(scan)[0].stamp, self.paths_until(scan)
+            self._curve.append((time, ate(truth[:, :2], estimate), self.rtf_at(time)))
+        return np.array(self._curve).reshape(-1, 3)
+
     def moment(self, scan: int) -> Moment:
         """Return the drive at a scan, 0 = before the first motion."""
         reading, T_world_base = self.scan_at(scan)
@@ -140,12 +179,20 @@ class Playback(ABC):
         return Moment(
             time=reading.stamp,
             T_world_base=T_world_base,
+            lidar=(T_world_base @ reading.T_base_laser).position,
             scan=(T_world_base @ reading.T_base_laser).apply(reading.points).astype(np.float32),
             truth=truth,
             estimate=estimate,
             map=self.map_at(reading.stamp),
             facts=self.facts(scan, ate(truth[:, :2], estimate)),
+            verdict=self.verdict_at(scan),
         )
+
+
+def round_length(length: float) -> float:
+    """Return the largest of 1, 2, 5, 10, 20, ... meters up to a length, also below 1."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return power * max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= length)
 
 
 def ate(true: FloatArray, estimated: FloatArray) -> float:
@@ -154,8 +201,38 @@ def ate(true: FloatArray, estimated: FloatArray) -> float:
     return rms(np.linalg.norm(aligned - true, axis=1))
 
 
+def error_scale(errors: FloatArray) -> float:
+    """Return the error at the upper end of the color scale, meters."""
+    return max(LEAST_SCALE, float(errors.max()))
+
+
+def error_colors(errors: FloatArray) -> ByteArray:
+    """Return (k, 3) RGB colors of errors: dark violet for 0, yellow for the largest."""
+    levels = np.clip(255 * errors / error_scale(errors), 0, 255).astype(np.uint8)
+    colors: ByteArray = cv2.applyColorMap(levels[:, None], cv2.COLORMAP_PLASMA)[:, 0, ::-1]
+    return colors
+
+
+def ground_point(surface: HeightField, origin: ArrayLike, direction: ArrayLike) -> tuple[float, float] | None:
+    """Return x, y in whole centimeters where a ray first meets the ground; None if it misses."""
+    begin, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
+    west, south, east, north = surface.bounds
+    middle = (west + east) / 2, (south + north) / 2, float(surface.z.min())
+    reach = float(np.linalg.norm(begin - middle)) + math.hypot(east - west, north - south)
+    steps = np.arange(0.0, reach, min(surface.cell) / 2)
+    points = begin + steps[:, None] * along
+    below = np.flatnonzero(points[:, 2] <= surface.height_at(points[:, 0], points[:, 1]))
+    if len(below) == 0 or below[0] == 0:
+        return None
+    x, y = points[below[0], :2].tolist()
+    return round(x, 2), round(y, 2)
+
+
 def map_picture(moment: Moment) -> ByteArray:
-    """Return (rows, cols, 3) RGB: map north up, true path blue, estimated path vermillion."""
+    """Return (rows, cols, 3) RGB of the map, north up, with both paths and a scale bar.
+
+    The true path is blue, the estimated one has the colors of its errors.
+    """
     found = moment.map
     if found is None or not found.known:
         return np.full((SIDE, SIDE, 3), UNKNOWN, np.uint8)
@@ -169,10 +246,23 @@ def map_picture(moment: Moment) -> ByteArray:
     picture = _draw_cells(found.pixels, found.origin, found.resolution, low, scale, (width, height))
     walls = _pixels(found.walls, low, scale, height)  # thinner than a pixel, yet important
     picture[np.clip(walls[:, 1], 0, height - 1), np.clip(walls[:, 0], 0, width - 1)] = BLACK
-    for path, color in ((moment.truth[:, :2], BLUE), (moment.estimate, VERMILLION)):
-        points = _pixels(path, low, scale, height)
-        cv2.polylines(picture, [points], False, [int(255 * v) for v in rgb(color)], 2, cv2.LINE_AA)
+    points = _pixels(moment.truth[:, :2], low, scale, height)
+    cv2.polylines(picture, [points], False, [int(255 * v) for v in rgb(BLUE)], 2, cv2.LINE_AA)
+    few = slice(None, None, max(1, len(moment.estimate) // SIDE))
+    points, colors = _pixels(moment.estimate[few], low, scale, height), error_colors(moment.errors)[few]
+    for begin, end, color in zip(points[:-1].tolist(), points[1:].tolist(), colors.tolist(), strict=False):
+        cv2.line(picture, begin, end, color, 2, cv2.LINE_AA)
+    _draw_scale(picture, scale)
     return picture
+
+
+def _draw_scale(picture: ByteArray, scale: float) -> None:
+    """Draw a scale bar with its length, and N at the north edge."""
+    length = round_length(picture.shape[1] / scale / 4)
+    begin, y = 10, picture.shape[0] - 10
+    cv2.line(picture, (begin, y), (begin + round(length * scale), y), DARK, 3)
+    cv2.putText(picture, f"{length:g} m", (begin, y - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.5, DARK, 1, cv2.LINE_AA)
+    cv2.putText(picture, "N ^", (10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, DARK, 1, cv2.LINE_AA)
 
 
 def _draw_cells(

@@ -59,6 +59,7 @@ class Uploads:
         self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-", dir=parent))
         self._limits = limits
         self._sizes: dict[str, int] = {}
+        self._replaced: tuple[Path, bytes | None] | None = None
 
     def add(self, name: str, content: bytes) -> Path:
         """Keep a file; another of its name is replaced.
@@ -80,9 +81,21 @@ class Uploads:
         if suffix in MAPS:
             content = _beside(safe, content)
         path = self.folder / safe
+        self._replaced = path, path.read_bytes() if path.exists() else None
         path.write_bytes(content)
         self._sizes[safe] = len(content)
         return path
+
+    def undo(self) -> None:
+        """Remove the last file again; one that it replaced comes back."""
+        if self._replaced is None:
+            return
+        (path, before), self._replaced = self._replaced, None
+        path.unlink(missing_ok=True)
+        self._sizes.pop(path.name, None)
+        if before is not None:
+            path.write_bytes(before)
+            self._sizes[path.name] = len(before)
 
     def check_room(self, name: str, size: int) -> None:
         """Raise SourceError if a file of this size is more than the page may send."""

@@ -10,6 +10,7 @@ from viser import _messages
 
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Shown
+from lirs_validation.gui.session.playback import ground_point
 from lirs_validation.gui.session.uploads import PageLimits, Uploads
 from lirs_validation.gui.view.page_context import Guard, PageContext, PageWorker
 from lirs_validation.gui.view.playback_tabs import DriveTab, ReplayTab
@@ -78,11 +79,11 @@ class Page:
     ) -> None:
         self.client_id = client.client_id
         self.uploads = Uploads(limits)
-        self.guard = Guard(client, self.uploads.folder)
+        self.guard = Guard(client)
         self.worker = PageWorker(self.guard.show, name=f"page {client.client_id}")
         limit_uploads(client, self.uploads.check_room, self.guard.show)
         self._drive_scene = DriveScene(client)
-        context = PageContext(
+        self._context = context = PageContext(
             client,
             self.worker,
             self.guard,
@@ -93,6 +94,8 @@ class Page:
             limits,
         )
         self._add_tabs(context, source, runs)
+        client.gui.add_command("Pause or go on", hotkey="space").on_trigger(self.guard(self._press_play))
+        client.scene.on_click()(self.guard(self._click))
         self.world.preview()
 
     def _add_tabs(self, context: PageContext, source: str | None, runs: Path | None) -> None:
@@ -104,10 +107,24 @@ class Page:
         with tabs.add_tab("Replay", viser.Icon.HISTORY):
             self.replay = ReplayTab(context, runs, self._replay_begins)
 
+    def _press_play(self, _: object) -> None:
+        """Pause the drive or the replay, or let it go on."""
+        (self.drive if self.replay.playback is None else self.replay).press_play()
+
+    def _click(self, event: viser.SceneClickEvent) -> None:
+        """Pass a click on the ground to the drive."""
+        if self.world.shown is None:
+            return
+        surface = self.world.shown.world.surface
+        place = ground_point(surface, event.ray_origin, event.ray_direction)
+        if place is not None:
+            self.drive.click(place)
+
     def _world_changed(self, _: Shown) -> None:
         """Drop drive and replay: their world is no longer shown."""
         self.drive.forget()
         self.replay.forget()
+        self._context.scene.unmark()
         self._drive_scene.clear()
 
     def _drive_begins(self) -> None:

@@ -1,24 +1,27 @@
-"""Context shared by all tabs of a page: its worker thread and the guard of its callbacks."""
+"""Context shared by the tabs of a page: its worker thread and its messages."""
 
 from __future__ import annotations
 
 import logging
+import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import viser
 
 from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.gui.session.controls import without_flags
 from lirs_validation.gui.session.uploads import PageLimits, Uploads
 from lirs_validation.gui.view.scene import DriveScene, WorldScene
 from lirs_wct.errors import WctError
 
 Callback = Callable[[Any], None]
 Job = Callable[[], None]
+ABSOLUTE_PATH = re.compile(r"(?<![\w.:/])/(?:[^\s/:;,'\"]+/)*([^\s/:;,'\"]+)")
+"""A path on the server, of which messages show the last part."""
 _LOG = logging.getLogger(__name__)
 
 
@@ -27,11 +30,10 @@ class Guard:
 
     Args:
         client: the page.
-        folder: folder of the page; messages omit its path.
     """
 
-    def __init__(self, client: viser.ClientHandle, folder: Path) -> None:
-        self._client, self._folder = client, folder
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
         self._shown: viser.NotificationHandle | None = None
         self._notes: list[str] = []
 
@@ -74,8 +76,7 @@ class Guard:
 
     def _say(self, title: str, message: str, color: Any) -> None:
         self._clear()
-        for folder in (f"{self._folder}/maps/", f"{self._folder}/worlds/", f"{self._folder}/"):
-            message = message.replace(folder, "")
+        message = ABSOLUTE_PATH.sub(r"\1", without_flags(message))
         self._shown = self._client.add_notification(title, message, color=color)
 
 

@@ -1,4 +1,4 @@
-"""Tabs of drives: one that runs while it is shown, and finished runs; both have a player."""
+"""Tabs of drives: live drives and finished runs; both have a player."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import viser
 
 from lirs_validation.config import RunConfig
 from lirs_validation.gui.session.construction import Shown, zip_folder
-from lirs_validation.gui.session.controls import read_run_controls
+from lirs_validation.gui.session.controls import read_run_controls, to_goal
 from lirs_validation.gui.session.finished_run import FinishedRun, runs_in, unpacked_run
 from lirs_validation.gui.session.live_drive import LiveDrive
 from lirs_validation.gui.session.playback import Playback
@@ -19,6 +19,7 @@ from lirs_validation.gui.view.page_context import Guard, PageContext
 from lirs_validation.gui.view.scene import DriveScene
 from lirs_validation.gui.view.widgets import (
     SPEEDS,
+    CommandLine,
     OptionControls,
     Pace,
     PlayButton,
@@ -28,15 +29,26 @@ from lirs_validation.gui.view.widgets import (
     add_follow,
     as_table,
 )
+from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError
 
 PERIOD = 0.12
 """Seconds between two pictures."""
 SLICE = 0.05
 """Wall seconds of driving between two checks of the job queue."""
-FIRST = ("robot", "mapper", "lidar", "driver")
+FIRST = ("robot", "mapper", "lidar", "driver", "seconds")
 """Options of a run above the folded ones."""
 NONE = "choose a run"
+MORE = "More options"
+CLICK = "Click the ground twice: start and goal. Or press Start."
+CLICK_GOAL = "Now click the goal."
+NEXT = (
+    "**The drive has ended.** Next: save the run and open it under Replay; copy the command below; change an "
+    "option and press Start; or click another start and goal."
+)
+FAILED = "**The mapper failed.** Next: choose another mapper or change an option, and press Start."
+Place = tuple[float, float]
+"""x and y of a point on the ground, meters."""
 AnyPlayback = TypeVar("AnyPlayback", bound=Playback)
 
 
@@ -91,6 +103,7 @@ class Player:
         self.scan = max(0, min(scan, self.playback.scans - 1))
         moment = self.playback.moment(self.scan)
         self._scene.show(moment)
+        self._scene.show_course(self.playback.curve(), self.playback.marks)
         slider: Any = self._slider
         slider.value = min(round(moment.time, 1), float(self._slider.max))
         self._facts.content = as_table(moment.facts)
@@ -142,6 +155,10 @@ class PlaybackTab(Generic[AnyPlayback]):
         self._page.worker.repeat(None)
         self._show_state(running=False)
 
+    def press_play(self) -> None:
+        """Go on or pause, as the button does."""
+        self._play.press()
+
     def forget(self) -> None:
         """Drop the drive, since the page shows something else."""
         self.pause()
@@ -180,12 +197,15 @@ class DriveTab(PlaybackTab[LiveDrive]):
     ) -> None:
         super().__init__(page, begun)
         self._world = world
+        self._clicked: Place | None = None
         gui = page.client.gui
-        self._controls = OptionControls(gui, page.guard, RunConfig, first=FIRST)
+        self._hint = gui.add_markdown(CLICK)
+        self._controls = OptionControls(gui, page.guard, RunConfig, first=FIRST, more=MORE)
         self._add_buttons(gui)
         self._progress = ProgressLine(gui)
         self._player = self._add_player(gui)
         self._add_by_hand(gui)
+        self._command = CommandLine(gui)
 
     def _add_buttons(self, gui: viser.GuiApi) -> None:
         start = gui.add_button(
@@ -205,21 +225,37 @@ class DriveTab(PlaybackTab[LiveDrive]):
         self._by_hand.on_update(self._page.guard(lambda _: self._apply()))
         self._stick = Stick(gui, self._page.guard, self._steer)
 
-    def start(self) -> None:
-        """Set the robot down at its start, and drive."""
+    def click(self, place: Place) -> None:
+        """Take a clicked place: first the start, then the goal, to which the robot drives."""
+        shown = self._world()
+        if shown is None:
+            return
+        if self._clicked is None:
+            self._page.scene.unmark()
+            self._clicked = place
+            self._page.scene.mark("start", place, shown.world)
+            self._hint.content = CLICK_GOAL
+        else:
+            self._page.scene.mark("goal", place, shown.world)
+            self.start((self._clicked, place))
+
+    def start(self, route: tuple[Place, Place] | None = None) -> None:
+        """Drive from the start pose, or from a place to a goal."""
         self.pause()
-        self._page.worker.submit("start", self._start_now)
+        self._clicked, self._hint.content = None, CLICK
+        self._page.worker.submit("start", lambda: self._start_now(route))
 
     def go_on(self) -> None:
         """Drive on from where the drive is, wherever the timeline was."""
         if self.playback is not None and not self.playback.over:
             self._run(self._drive_slice)
 
-    def _start_now(self) -> None:
+    def _start_now(self, route: tuple[Place, Place] | None) -> None:
         shown = self._world()
         if shown is None:
             raise ConfigError("there is no world to drive in: choose one first")
         config = read_run_controls(self._controls.values(), shown.source, shown.options)
+        config = config if route is None else to_goal(config, *route)
         self._begun()
         self.playback = None
         with self._progress.show(config.robot) as progress:
@@ -227,6 +263,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
             self._page.scene.show_world(drive.world, coarse=False)
         self._follow()
         self._begin(drive, config.seconds)
+        self._show_command()
         self._apply()
         self._page.guard.done()
         self.go_on()
@@ -240,9 +277,21 @@ class DriveTab(PlaybackTab[LiveDrive]):
         if drive.over or self._player.due:
             self._player.show(drive.scans - 1)
         if drive.over:
-            self.pause()
+            self._end()
         elif ahead:
             time.sleep(max(0.0, min(SLICE, until - time.monotonic())))
+
+    def _end(self) -> None:
+        """Stop, and name what can be done next."""
+        self.pause()
+        self._hint.content = FAILED if self.playback is not None and self.playback.failed else NEXT
+        self._show_command()
+
+    def _show_command(self) -> None:
+        """Show the command that repeats the drive; files stand under their own names."""
+        drive, folder = self.playback, f"{self._page.uploads.folder}/"
+        command = "" if drive is None else command_of(drive.repeated)
+        self._command.show("" if f"{folder}maps/" in command else command.replace(folder, ""))
 
     def _step_one(self) -> None:
         self.pause()
@@ -252,7 +301,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
         if self.playback is not None:
             self.playback.step()
             self._player.show(self.playback.scans - 1)
-            self._show_state()
+            self._end() if self.playback.over else self._show_state()
 
     def _save_now(self) -> None:
         if self.playback is None:
@@ -263,6 +312,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
             self._page.client.send_file_download(
                 f"{folder.name}.zip", zip_folder(folder), save_immediately=True
             )
+        self._show_command()
         self._pace.wind()
 
     def _steer(self, forward: float, left: float) -> None:
@@ -285,7 +335,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
         idle = self.playback is None or self.playback.over
         self._play.enable(not idle)
         self._step.disabled = idle
-        self._save.disabled = self.playback is None
+        self._save.disabled = self.playback is None or self.playback.failed
 
 
 class ReplayTab(PlaybackTab[FinishedRun]):
@@ -309,7 +359,7 @@ class ReplayTab(PlaybackTab[FinishedRun]):
         self._player = self._add_player(gui)
 
     def _add_choice(self, gui: viser.GuiApi) -> None:
-        self._choice = gui.add_dropdown("run", (NONE,), hint="Runs in the folder that --runs names.")
+        self._choice = gui.add_dropdown("run", (NONE,), hint="Runs on the server.")
         self._choice.visible = self._runs is not None
         self._choice.on_update(self._page.guard(self._chosen))
         refresh = gui.add_button("Look for runs", icon=viser.Icon.REFRESH, visible=self._runs is not None)

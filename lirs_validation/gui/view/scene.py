@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import viser
 
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.gui.session.glb import PREVIEW_TEXTURE, TEXTURE, robot_glb, world_glb
-from lirs_validation.gui.session.playback import MapSnapshot, Moment, map_picture
+from lirs_validation.gui.session.playback import (
+    MapSnapshot,
+    Moment,
+    error_colors,
+    error_scale,
+    map_picture,
+    round_length,
+)
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
+from lirs_wct.drawing.style import BLUE, rgb
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
@@ -24,7 +32,22 @@ FOOT = 0.5
 """Radius of the ground search around a cell, meters; the cell may be on top of an obstacle."""
 WALLS = 20_000
 """Largest number of drawn map cells."""
-SCAN = (220, 30, 60)
+BEAMS = 120
+"""Largest number of drawn beams."""
+SCAN, FAN, MARKED = (220, 30, 60), (255, 150, 160), (213, 94, 0)
+EVENT = {"show": True, "size": 10, "fill": "#D55E00"}
+SERIES: tuple[Any, ...] = (
+    {"label": "time [s]"},
+    {"label": "ATE [m]", "stroke": "#CC4778", "width": 2},
+    {"label": "RTF", "stroke": "#3B9BD9", "scale": "rtf", "width": 1},
+    {"label": "event", "stroke": "#D55E00", "scale": "event", "points": EVENT},
+)
+SCALES: dict[str, Any] = {"x": {"time": False}, "y": {}, "rtf": {}, "event": {"range": (0, 1.1)}}
+AXES: tuple[Any, ...] = ({}, {"size": 45}, {"scale": "rtf", "side": 1, "size": 35, "grid": {"show": False}})
+LEGEND = (
+    "black: occupied, white: free, <b style='color:#0072B2'>true path</b><br>error of the estimate: 0 "
+    "<span style='background:linear-gradient(90deg,#0d0887,#cc4778,#f0f921);padding:0 1.2em'></span> {:.2f} m"
+)
 BEHIND = np.array((0.0, -9.0, 7.0))
 """Initial offset of the camera from the robot, meters."""
 TURNING = 2.0
@@ -68,6 +91,16 @@ class WorldScene:
         self._look_at(world)
         return triangles
 
+    def mark(self, name: str, point: tuple[float, float], world: World) -> None:
+        """Mark a clicked place of the ground."""
+        position = (*point, float(world.surface.height_at(*point)))
+        ball = self._client.scene.add_icosphere(f"/mark/{name}", 0.2, MARKED, position=position)
+        self._client.scene.add_label(f"{ball.name}/label", name, anchor="bottom-center")
+
+    def unmark(self) -> None:
+        """Remove the marks."""
+        self._client.scene.remove_by_name("/mark")
+
     def clear(self) -> None:
         """Show no world."""
         if self._world is not None:
@@ -88,6 +121,31 @@ class WorldScene:
             camera.near, camera.far = span / 2000, 20 * span
             camera.position = tuple(middle + span * np.array((0.0, -0.85, 0.65)))
             camera.look_at = tuple(middle)
+            self._add_scale(bounds, float(world.surface.z.min()))
+
+    def _add_scale(self, bounds: tuple[float, float, float, float], low: float) -> None:
+        """Show a grid around the world, a scale bar and an arrow to the north."""
+        (west, south, east, north), scene = bounds, self._client.scene
+        span = max(east - west, north - south)
+        unit, gap = round_length(span / 5), 0.04 * span
+        scene.add_grid(
+            "/scale/grid",
+            *(2 * span, 2 * span),
+            cell_size=unit,
+            section_size=unit,
+            position=((west + east) / 2, (south + north) / 2, low - 0.01 * span),
+            fade_distance=3 * span,
+        )
+        bar = [(west, south - gap, low), (west + unit, south - gap, low)]
+        _add_path(scene, "/scale/bar", np.array(bar), np.array(MARKED))
+        scene.add_label("/scale/length", f"{unit:g} m", position=bar[1], anchor="center-left")
+        tip = east + gap, north, low
+        arrow = np.array([[(east + gap, north - unit, low), tip]], np.float32)
+        shaft, head = unit / 40, unit / 15
+        scene.add_arrows(
+            "/scale/north", arrow, MARKED, shaft_radius=shaft, head_radius=head, head_length=unit / 5
+        )
+        scene.add_label("/scale/n", "N", position=tip, anchor="bottom-center")
 
 
 class DriveScene:
@@ -103,14 +161,16 @@ class DriveScene:
         self._root: viser.FrameHandle | None = None
         self._robot: viser.FrameHandle | None = None
         self._map: MapSnapshot | None = None
-        self._panel = client.gui.add_panel(visible=False)
+        gui = client.gui
+        self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Map", viser.Icon.MAP):
-            blank = np.full((8, 8, 3), 205, np.uint8)
-            self._picture = client.gui.add_image(blank, format="png")
-            client.gui.add_markdown(
-                "black: occupied, white: free &nbsp; <b style='color:#0072B2'>true path</b> &nbsp; "
-                "<b style='color:#D55E00'>estimated path</b>"
-            )
+            self._verdict = gui.add_markdown("")
+            self._picture = gui.add_image(np.full((8, 8, 3), 205, np.uint8), format="png")
+            self._legend = gui.add_markdown("")
+            empty = (np.zeros(1),) * len(SERIES)
+            self._chart = gui.add_uplot(empty, SERIES, axes=AXES, scales=SCALES, height=190)
+            self._marks = gui.add_markdown("")
+        self._panel.set_width(280)
         self._panel.dock_left()
         self.follow, self._turning_until = False, 0.0
 
@@ -132,9 +192,19 @@ class DriveScene:
         self._panel.visible = False
 
     def approach(self, position: FloatArray) -> None:
-        """Look at a place from the south and above; north is up, as in the map."""
+        """Look at a place from the south; north is up, as in the map."""
         self._turning_until = time.monotonic() + TURNING
         self._look_at(position, BEHIND)
+
+    def show_course(self, curve: FloatArray, marks: tuple[tuple[float, str], ...]) -> None:
+        """Show error and real-time factor over time, and events."""
+        self._marks.content = ", ".join(f"{name} at {time:.0f} s" for time, name in marks)
+        if len(curve) == 0:
+            return
+        events = np.array([time for time, _ in marks])
+        times = np.union1d(curve[:, 0], events)
+        ate, rtf = (np.interp(times, curve[:, 0], column) for column in curve[:, 1:].T)
+        self._chart.data = times, ate, rtf, np.where(np.isin(times, events), 1.0, np.nan)
 
     def show(self, moment: Moment) -> None:
         """Show a moment."""
@@ -146,11 +216,23 @@ class DriveScene:
             scene.add_point_cloud(
                 "/drive/scan", moment.scan, SCAN, point_size=0.07, point_shape="circle", precision="float32"
             )
-            _add_path(scene, "/drive/truth", moment.truth + np.array((0.0, 0.0, ABOVE)), BLUE)
-            _add_path(scene, "/drive/estimate", self._on_ground(moment.estimate, T.z), VERMILLION)
+            self._show_fan(moment)
+            lifted = moment.truth + np.array((0.0, 0.0, ABOVE))
+            _add_path(scene, "/drive/truth", lifted, np.array([int(255 * v) for v in rgb(BLUE)]))
+            on_ground = self._on_ground(moment.estimate, T.z)
+            _add_path(scene, "/drive/estimate", on_ground, error_colors(moment.errors))
             self._show_walls(moment.map)
             self._follow(T.position)
         self._picture.image = map_picture(moment)
+        self._verdict.content = "**" + moment.verdict.replace(": ", ":** ", 1)
+        self._legend.content = LEGEND.format(error_scale(moment.errors))
+
+    def _show_fan(self, moment: Moment) -> None:
+        """Show the beams that hit something."""
+        ends = moment.scan[:: max(1, -(-len(moment.scan) // BEAMS))]
+        beams = np.stack((np.broadcast_to(moment.lidar, ends.shape), ends), axis=1).astype(np.float32)
+        scene = self._client.scene
+        scene.add_line_segments("/drive/fan", beams, FAN, thickness=1.0, thickness_units="screen")
 
     def _show_walls(self, found: MapSnapshot | None) -> None:
         if found is self._map:
@@ -192,11 +274,14 @@ class DriveScene:
             camera.position, camera.look_at = position + away, position
 
 
-def _add_path(scene: viser.SceneApi, name: str, points: FloatArray, color: str) -> None:
+def _add_path(scene: viser.SceneApi, name: str, points: FloatArray, color: np.ndarray[Any, Any]) -> None:
+    """Show a path in one color (3,), or one for each point (n, 3)."""
     few = points[:: max(1, -(-len(points) // POINTS))]
     if len(few) < 2:
         scene.remove_by_name(name)
         return
-    segments = np.stack((few[:-1], few[1:]), axis=1).astype(np.float32)
-    tint = np.array([int(255 * v) for v in rgb(color)], np.uint8)
+    segments, tint = np.stack((few[:-1], few[1:]), axis=1).astype(np.float32), color.astype(np.uint8)
+    if color.ndim == 2:  # the browser takes colors of points as linear, and one color as sRGB
+        linear = 255.0 * (color[:: max(1, -(-len(points) // POINTS))] / 255.0) ** 2.2
+        tint = np.stack((linear[:-1], linear[1:]), axis=1).astype(np.uint8)
     scene.add_line_segments(name, segments, tint, thickness=3.0, thickness_units="screen")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -10,8 +11,9 @@ from typing import Any
 
 import viser
 
+from lirs_validation.gui.page_html import asset
 from lirs_validation.gui.session.construction import Facts
-from lirs_validation.gui.session.controls import FIRST_PANEL, Control, controls
+from lirs_validation.gui.session.controls import Control, controls
 from lirs_validation.gui.view.page_context import Guard
 from lirs_validation.gui.view.scene import DriveScene
 from lirs_wct.errors import ConfigError
@@ -24,112 +26,20 @@ PATIENCE = 0.4
 PERIOD = 0.1
 """Seconds between two updates."""
 SPEEDS = {"1 x real time": 1.0, "2 x": 2.0, "5 x": 5.0, "10 x": 10.0, "as fast as it goes": float("inf")}
-MORE = "More options"
-"""Heading of the options that are not among the first."""
-_DROP_HTML = """
-<div class="lirs-drop" style="text-align:center;font-size:.8em;opacity:.7;margin:-.2em 0 .5em">
- or drop it anywhere on the page SCRIPT
-</div>
-"""
-_DROP_SCRIPT = """
-function(root){
- const wait = () => new Promise(done => setTimeout(done, 100));
- const input = () => [...document.querySelectorAll('input[type=file]')]
-  .find(found => found.parentElement.textContent.includes('LABEL'));
- async function take(files){
-  const yaml = file => /[.]ya?ml$/i.test(file.name);
-  for (const file of [...files].sort((a, b) => yaml(a) - yaml(b))) {
-   while (input().parentElement.querySelector('button').disabled) await wait();
-   const one = new DataTransfer();
-   one.items.add(file);
-   input().files = one.files;
-   input().dispatchEvent(new Event('change', {bubbles: true}));
-   await wait();
-  }
- }
- function dropped(event){
-  if (!root.isConnected) {
-   ['dragover', 'drop'].forEach(kind => window.removeEventListener(kind, dropped));
-   return;
-  }
-  if (!root.offsetParent || !event.dataTransfer.types.includes('Files')) return;
-  event.preventDefault();
-  if (event.type === 'drop') take(event.dataTransfer.files);
- }
- ['dragover', 'drop'].forEach(kind => window.addEventListener(kind, dropped));
-}
-"""
 LABEL = "stick"
 HINT = "Forward and left, -1 to 1 each. Drag the stick, hold W A S D or the arrow keys, or write here."
-_STICK_HTML = """
-<div tabindex="0" class="lirs-stick" style="position:relative;width:9em;height:9em;margin:.2em auto .6em;
- border-radius:50%;background:radial-gradient(#f4f6f8,#d5dbe1);border:1px solid #aab4be;touch-action:none;
- cursor:grab;outline:none">
- <div class="lirs-knob" style="position:absolute;left:50%;top:50%;width:3em;height:3em;margin:-1.5em;
-  border-radius:50%;background:#0072B2;box-shadow:0 2px 5px #0006;pointer-events:none"></div>
- SCRIPT
-</div>
-<div style="text-align:center;font-size:.8em;opacity:.7">drag, or hold W A S D / arrow keys</div>
-"""
-_STICK_SCRIPT = """
-function(root){
- const knob = root.querySelector('.lirs-knob'), held = new Set();
- const keys = {KeyW:[1,0],ArrowUp:[1,0],KeyS:[-1,0],ArrowDown:[-1,0],
-               KeyA:[0,1],ArrowLeft:[0,1],KeyD:[0,-1],ArrowRight:[0,-1]};
- const write = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set;
- let last = '';
- function field(){
-  let row = [...document.querySelectorAll('label')].find(l => l.textContent === 'LABEL');
-  while (row && !row.querySelector('input')) row = row.parentElement;
-  return row && row.querySelector('input');
- }
- function steer(forward, left){
-  knob.style.transform = `translate(${-3 * left}em,${-3 * forward}em)`;
-  const text = forward.toFixed(2) + ' ' + left.toFixed(2), input = field();
-  if (!input || text === last) return;
-  last = text;
-  write.call(input, text);
-  input.dispatchEvent(new Event('input', {bubbles: true}));
- }
- function pressed(){
-  let f = 0, l = 0;
-  held.forEach(k => { f += keys[k][0]; l += keys[k][1]; });
-  steer(Math.sign(f), 0.6 * Math.sign(l));
- }
- function key(event){
-  if (!root.isConnected) {
-   ['keydown','keyup'].forEach(kind => window.removeEventListener(kind, key, true));
-   return;
-  }
-  if (!(event.code in keys) || !root.offsetParent) return;
-  const writes = event.target.matches('textarea,input:not([type=checkbox]):not([type=range])');
-  if (writes || event.ctrlKey || event.metaKey || event.altKey) return;
-  event.preventDefault();
-  event.stopPropagation();
-  if (event.type === 'keydown') held.add(event.code); else held.delete(event.code);
-  pressed();
- }
- ['keydown','keyup'].forEach(kind => window.addEventListener(kind, key, true));
- window.addEventListener('blur', () => { if (held.size) { held.clear(); pressed(); } });
- root.onpointerdown = event => { root.setPointerCapture(event.pointerId); root.onpointermove(event); };
- root.onpointermove = event => {
-  if (!root.hasPointerCapture(event.pointerId)) return;
-  const box = root.getBoundingClientRect(), reach = box.width / 3;
-  let x = (event.clientX - box.left - box.width / 2) / reach;
-  let y = (event.clientY - box.top - box.height / 2) / reach;
-  const far = Math.max(1, Math.hypot(x, y));
-  steer(-y / far, -x / far);
- };
- root.onpointerup = root.onpointercancel = () => steer(0, 0);
-}
-"""
 
 
-def with_script(html: str, script: str) -> str:
-    """Return HTML whose script, a function, is called with the element around the mark `SCRIPT`."""
-    quoted = script.replace('"', "&quot;").replace("\n", " ")
-    mark = f'<img src="data:," style="display:none" onerror="({quoted})(this.parentElement)">'
-    return html.replace("SCRIPT", mark)
+def with_script(name: str, label: str) -> str:
+    """Return HTML from our assets with its script, a function of the element around `SCRIPT`.
+
+    Args:
+        name: of the files.
+        label: text that replaces `LABEL` in the script.
+    """
+    script = asset(f"{name}.js").replace("LABEL", label).replace('"', "&quot;").replace("\n", " ")
+    mark = f'<img src="data:," alt="" style="display:none" onerror="({script})(this.parentElement)">'
+    return asset(f"{name}.html").replace("SCRIPT", mark)
 
 
 class ProgressLine:
@@ -150,8 +60,9 @@ class ProgressLine:
             if now - begun < PATIENCE or (now - last < PERIOD and self._bar.visible):
                 return
             last = now
-            self._text.content = f"{work}: {step}"
-            self._bar.value = 100.0 * min(1.0, max(0.0, share))  # type: ignore[misc]
+            percent = 100.0 * min(1.0, max(0.0, share))
+            self._text.content = f"{work}: {step}, {percent:.0f} %"
+            self._bar.value = percent  # type: ignore[misc]
             self._text.visible = self._bar.visible = True
 
         try:
@@ -209,9 +120,9 @@ class PlayButton:
         pause: Callable[[], None],
         color: str | None = None,
     ) -> None:
-        self._label, self.running = label, False
+        self._label, self.running, self._start, self._pause = label, False, play, pause
         self._button = gui.add_button(label, color=color, icon=viser.Icon.PLAYER_PLAY, disabled=True)  # type: ignore[arg-type]
-        self._button.on_click(guard(lambda _: pause() if self.running else play()))
+        self._button.on_click(guard(lambda _: self.press()))
 
     def show(self, running: bool) -> None:
         """Show whether the drive is running."""
@@ -222,6 +133,23 @@ class PlayButton:
     def enable(self, enabled: bool) -> None:
         """Enable or disable the button."""
         self._button.disabled = not enabled
+
+    def press(self) -> None:
+        """Start or pause, unless disabled."""
+        if not self._button.disabled:
+            self._pause() if self.running else self._start()
+
+
+class CommandLine:
+    """Command that repeats a drive, with a button that copies it."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._html = gui.add_html("", visible=False)
+
+    def show(self, command: str) -> None:
+        """Show a command; none if it is empty."""
+        self._html.content = asset("command.html").replace("COMMAND", html.escape(command))
+        self._html.visible = bool(command)
 
 
 def add_follow(gui: viser.GuiApi, guard: Guard, scene: DriveScene) -> Callable[[], None]:
@@ -244,7 +172,8 @@ class OptionControls:
         options: the class.
         changed: called after a change.
         keep_file: keeps an uploaded file and returns its path.
-        first: names of options above all headings; None = every option stands under its own heading.
+        first: names of options above the folded ones.
+        more: heading of all folded options; empty = each option stands under its own heading.
     """
 
     def __init__(
@@ -255,15 +184,15 @@ class OptionControls:
         *,
         changed: Callable[[], None] = lambda: None,
         keep_file: Callable[[str, bytes], str] = lambda name, content: "",
-        first: tuple[str, ...] | None = None,
+        first: tuple[str, ...],
+        more: str = "",
     ) -> None:
         self._gui, self._guard, self._changed, self._keep_file = gui, guard, changed, keep_file
         self._files: dict[str, str] = {}
         self._shown: list[tuple[Control, Any]] = []
         self._folders: dict[str, Any] = {}
-        for control in sorted(controls(options), key=lambda c: first is not None and c.name not in first):
-            panel = control.panel if first is None else MORE
-            with nullcontext() if first and control.name in first else self._folder(panel):
+        for control in sorted(controls(options), key=lambda c: c.name not in first):
+            with nullcontext() if control.name in first else self._folder(more or control.panel):
                 self._shown.append((control, self._add(control)))
 
     def values(self) -> dict[str, bool | float | str]:
@@ -285,7 +214,7 @@ class OptionControls:
 
     def _folder(self, panel: str) -> Any:
         if panel not in self._folders:
-            self._folders[panel] = self._gui.add_folder(panel, expand_by_default=panel != FIRST_PANEL)
+            self._folders[panel] = self._gui.add_folder(panel, expand_by_default=False)
         return self._folders[panel]
 
     def _add(self, control: Control) -> Any:
@@ -328,7 +257,7 @@ def add_drop_zone(gui: viser.GuiApi, label: str) -> None:
         gui: of the page.
         label: of the upload button that they go to, or a part of it that no other button has.
     """
-    gui.add_html(with_script(_DROP_HTML, _DROP_SCRIPT.replace("LABEL", label)))
+    gui.add_html(with_script("drop", label))
 
 
 class Stick:
@@ -344,8 +273,7 @@ class Stick:
     """
 
     def __init__(self, gui: viser.GuiApi, guard: Guard, steer: Callable[[float, float], None]) -> None:
-        html = with_script(_STICK_HTML, _STICK_SCRIPT.replace("LABEL", LABEL))
-        self._html = gui.add_html(html, visible=False)
+        self._html = gui.add_html(with_script("stick", LABEL), visible=False)
         self._field = gui.add_text(LABEL, "0.00 0.00", hint=HINT, visible=False)
         self._field.on_update(guard(lambda _: steer(*read_stick(self._field.value))))
 

@@ -13,10 +13,15 @@ from lirs_validation.gui.session.construction import Construction, Facts, Shown,
 from lirs_validation.gui.session.controls import read_controls
 from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.widgets import OptionControls, ProgressLine, add_drop_zone, as_table
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
 from lirs_wct.sources.bundled import RECIPES
 
+FIRST = (
+    *("size", "height", "invert", "smoothing", "z_scale", "wall_height", "unknown", "speckle"),
+    *("resolution", "cloud_surface", "log_mapper"),
+)
+"""Options above the folded ones; at most five of them have an effect on a kind of source."""
 TERRAINS: tuple[GazeboTerrain, ...] = ("solid", "heightmap")
 
 
@@ -40,7 +45,7 @@ class WorldTab:
         self._add_source(gui)
         self._add_results(gui)
         self._options = OptionControls(
-            gui, page.guard, SourceOptions, changed=self.preview, keep_file=self._keep
+            gui, page.guard, SourceOptions, changed=self.preview, keep_file=self._keep, first=FIRST
         )
         self._add_files(gui)
 
@@ -70,7 +75,7 @@ class WorldTab:
     def _add_files(self, gui: viser.GuiApi) -> None:
         with gui.add_folder("Files of the package", expand_by_default=False):
             self._formats = {
-                name: gui.add_checkbox(name, name in DEFAULT_FORMATS, hint=f"Command line: --to {name}")
+                name: gui.add_checkbox(name, name in DEFAULT_FORMATS, hint="Written by Build.")
                 for name in FORMATS
             }
             self._terrain = gui.add_dropdown(
@@ -92,21 +97,33 @@ class WorldTab:
         return str(path)
 
     def _open(self, name: str, content: bytes) -> None:
+        self._page.worker.submit(f"open {name}", lambda: self._open_now(name, content))
+
+    def _open_now(self, name: str, content: bytes) -> None:
+        """Show an uploaded file; one that is refused changes nothing."""
+        sources = dict(self._sources)
         path = Path(self._keep(name, content))
         self._sources[path.name] = str(path)
+        try:
+            self._preview(path.name)
+        except WctError:
+            self._sources = sources
+            self._page.uploads.undo()
+            self._construction.forget()
+            if self.shown is not None:
+                self._options.show_for(self._construction.kind(self.shown.source, self.shown.options))
+            raise
         self._source.options = tuple(self._sources)
         self._source.value = path.name  # type: ignore[misc]
-        self.preview()
 
-    def _read(self) -> tuple[str, Any]:
-        return self._sources[self._source.value], read_controls(
-            self._options.values(), self._page.limits.pixels
-        )
+    def _read(self, name: str) -> tuple[str, Any]:
+        return self._sources[name], read_controls(self._options.values(), self._page.limits.pixels)
 
-    def _preview(self) -> None:
-        source, options = self._read()
+    def _preview(self, name: str = "") -> None:
+        name = name or self._source.value
+        source, options = self._read(name)
         self._options.show_for(self._construction.kind(source, options))
-        with self._progress.show(self._source.value) as progress:
+        with self._progress.show(name) as progress:
             shown = self._construction.preview(source, options, progress)
             triangles = self._page.scene.show_world(shown.world, coarse=True)
         self._download.disabled = True
@@ -114,7 +131,7 @@ class WorldTab:
 
     def _build_now(self) -> None:
         try:
-            source, options = self._read()
+            source, options = self._read(self._source.value)
             formats = [name for name, box in self._formats.items() if box.value]
             if not formats:
                 raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")

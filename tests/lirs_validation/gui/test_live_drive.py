@@ -1,6 +1,9 @@
 """A drive in a page is the drive of `validate`: same record, whatever is looked at in between."""
 
 import json
+import shlex
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -12,13 +15,24 @@ from lirs_validation.config import MANUAL, RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import zip_folder
+from lirs_validation.gui.session.controls import to_goal
 from lirs_validation.gui.session.finished_run import FinishedRun, runs_in, unpacked_run
 from lirs_validation.gui.session.live_drive import LiveDrive
+from lirs_validation.gui.session.playback import ate
 from lirs_validation.gui.session.uploads import PageLimits
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.schema import schema_error
+from lirs_validation.record.verdict import judge
+from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
 
+FAILING = """
+from slam_baselines.hector.mapper import HectorMapper
+class Failing(HectorMapper):
+    def update(self, scan, odometry, imu):
+        if scan.stamp > 3.0: raise ValueError("no more")
+        return super().update(scan, odometry, imu)
+"""
 TIMED = {"rtf", "cost", "machine", "versions", "file_sizes", "mapper"}
 """What is measured by the clock, or names the machine."""
 
@@ -62,15 +76,67 @@ def test_a_saved_drive_is_validates_run(
     monkeypatch.setattr("lirs_validation.gui.session.live_drive.MAP_WALL_SECONDS", 0.0)
     config = RunConfig(source="simple", mapper=mapper, driver=driver, seconds=3.0, seed=2, threads=threads)
     by_validate = run(config, out=tmp_path / "validate", scenarios=scenarios).folder
-    by_page = driven(config, scenarios).save(tmp_path / "page").folder
+    drive = driven(config, scenarios)
+    by_page = drive.save(tmp_path / "page").folder
     assert by_validate is not None
     assert by_page is not None
     assert by_page.name == by_validate.name
     assert results(by_page) == results(by_validate)
+    assert drive.moment(drive.scans - 1).verdict == f"Verdict: {judge(read_record(by_validate))}"
     for name in ("truth.tum", "estimate.tum", "odometry.tum", "commands.csv", "map.pgm", "map.yaml"):
         assert (by_page / name).read_bytes() == (by_validate / name).read_bytes(), name
     assert schema_error(json.loads((by_page / "record.json").read_text())) is None
     assert read_record(by_page)["rtf"]["concurrent"] is True
+
+
+def test_the_command_of_a_clicked_drive_repeats_it(tmp_path: Path, scenarios: ScenarioCache) -> None:
+    clicked = to_goal(RunConfig(source="simple", seed=3, seconds=4.0), (-7.18, -13.03), (7.41, -11.27))
+    drive = driven(clicked, scenarios)
+    by_page = drive.save(tmp_path / "page").folder
+    words = shlex.split(command_of(drive.repeated))
+    assert words[:3] == ["lirs-wct", "validate", "simple"]
+    command = [sys.executable, "-m", "lirs_validation", *words[1:], "-o", str(tmp_path / "command")]
+    subprocess.run(command, check=True, capture_output=True)
+    assert by_page is not None
+    for name in ("truth.tum", "estimate.tum", "odometry.tum", "commands.csv", "map.pgm", "map.yaml"):
+        own, theirs = by_page / name, tmp_path / "command" / by_page.name / name
+        assert own.read_bytes() == theirs.read_bytes(), name
+
+
+def test_a_failing_mapper_ends_the_drive_with_reason_and_verdict(
+    tmp_path: Path, scenarios: ScenarioCache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "page_slam.py").write_text(FAILING)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    drive = driven(RunConfig(source="simple", mapper="page_slam:Failing", seconds=5.0), scenarios)
+    assert drive.failed
+    scans = drive.scans
+    drive.step()
+    assert drive.scans == scans
+    moment = drive.moment(scans - 1)
+    assert "failed for the scan at 3.04" in dict(moment.facts)["status"]
+    assert moment.verdict.startswith("Verdict: Failing on husky gives no result on simple: mapper ")
+    assert drive.marks == ((pytest.approx(3.0, abs=0.05), "error"),)
+
+
+def test_verdict_curve_and_events_follow_the_drive(scenarios: ScenarioCache) -> None:
+    config = to_goal(RunConfig(source="simple", seconds=60.0), (-7.0, -13.0), (7.0, -11.0))
+    drive = driven(config, scenarios, ticks=50)
+    early = drive.moment(50).verdict
+    assert early.startswith("Verdict so far: hector on husky was not evaluated on simple: it drove ")
+    while not drive.over:
+        drive.step()
+    last = drive.moment(drive.scans - 1)
+    assert last.verdict.startswith("Verdict: hector on husky works on simple. ")
+    curve = drive.curve()
+    assert curve[:, 0] == pytest.approx(np.arange(1, len(curve) + 1))
+    assert len(curve) == int(drive.time)
+    scan = round(curve[4, 0] * 25)
+    assert curve[4, 1] == ate(*(path[:, :2] for path in drive.paths_until(scan)))
+    assert (curve[:, 2] > 0).all()
+    assert last.errors[0] == 0.0
+    assert last.errors == pytest.approx(np.hypot(*(last.truth[:, :2] - last.estimate).T))
+    assert drive.marks == ()
 
 
 def test_a_drive_goes_on_after_it_was_saved(tmp_path: Path, scenarios: ScenarioCache) -> None:

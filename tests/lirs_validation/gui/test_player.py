@@ -15,11 +15,17 @@ from lirs_wct.geometry.pose import Pose3  # noqa: E402
 
 
 class _Drive:
-    robot, world, scans = "husky", None, 51
+    robot, world, scans, marks = "husky", None, 51, ()
+
+    def curve(self) -> np.ndarray:
+        return np.empty((0, 3))
 
     def moment(self, scan: int) -> Moment:
         track = np.zeros((1, 3))
-        return Moment(scan * 0.1, Pose3(), np.zeros((0, 3), np.float32), track, track[:, :2], None, ())
+        scanned = np.zeros((0, 3), np.float32)
+        return Moment(
+            scan * 0.1, Pose3(), np.zeros(3), scanned, track, track[:, :2], None, (), "Verdict: none"
+        )
 
 
 class _Scene:
@@ -31,6 +37,9 @@ class _Scene:
 
     def show(self, moment: Moment) -> None:
         self.times.append(moment.time)
+
+    def show_course(self, curve: np.ndarray, marks: Any) -> None:
+        pass
 
 
 @dataclass

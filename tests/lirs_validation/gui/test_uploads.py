@@ -46,6 +46,19 @@ def test_only_what_is_read_is_kept(uploads: Uploads, name: str) -> None:
     assert not list(uploads.folder.iterdir())
 
 
+def test_a_refused_file_leaves_no_trace(uploads: Uploads) -> None:
+    path = uploads.add("hill.png", b"good")
+    uploads.add("hill.png", b"worse")
+    uploads.undo()
+    assert path.read_bytes() == b"good"
+    uploads.undo()
+    assert path.read_bytes() == b"good"
+    uploads.add("other.png", bytes(9_000))
+    uploads.undo()
+    assert [p.name for p in uploads.folder.iterdir()] == ["hill.png"]
+    uploads.add("large.png", bytes(9_000))
+
+
 def test_all_files_of_a_page_together_are_capped(uploads: Uploads) -> None:
     uploads.add("a.png", bytes(6_000))
     with pytest.raises(SourceError, match=r"b\.png: .* are too many"):
