@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
@@ -13,6 +11,7 @@ import pytest
 
 from lirs_validation.bench.episode import make_task_env, reset_options
 from lirs_validation.bench.tasks import SETS, BenchTask, set_entry, task_set
+from tests.benchmark_modules import load_benchmark
 
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = ROOT / "lirs_validation" / "bench" / "task_sets"
@@ -20,16 +19,7 @@ SHIPPED = ROOT / "lirs_validation" / "bench" / "task_sets"
 
 @pytest.fixture(scope="module")
 def script() -> ModuleType:
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        spec = importlib.util.spec_from_file_location("task_sets", ROOT / "benchmarks" / "task_sets.py")
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(ROOT / "benchmarks"))
-    return module
+    return load_benchmark("task_sets")
 
 
 @pytest.mark.parametrize("name", SETS)

@@ -47,6 +47,22 @@ def commands(robot: str, steps: int, count: int, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (steps, count, 3)) * scale
 
 
+def drive_alike(world: World, config: SimulationConfig, *, copied: bool) -> BatchSimulation:
+    """Drive one of three robots as one alone, perhaps copied on the way, and check that they do the same."""
+    alone = Simulation(world, config, seed=7)
+    many = BatchSimulation(world, config, count=3, period=alone.period, threads=2)
+    for i in range(3):
+        many.reset(i, START, seed=7 if i == 1 else i)
+    assert same(alone.reset(START), many.reading(1))
+    for k, row in enumerate(commands(config.robot.name, 30, 3)):
+        if copied and k == 10:
+            many = copy.deepcopy(many)
+        many.advance(np.arange(3), row)
+        assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
+    assert alone.T_world_base == many.pose(1)
+    return many
+
+
 @pytest.mark.parametrize(
     ("robot", "method", "rolling"),
     [
@@ -63,31 +79,14 @@ def test_each_is_a_simulation_of_its_own(
     if (robot, place) == ("turtlebot2", "rough"):
         pytest.skip("too steep for it")
     world, config = (rough if place == "rough" else walled), config_of(robot, method, rolling)
-    alone = Simulation(world, config, seed=7)
-    many = BatchSimulation(world, config, count=3, period=alone.period, threads=2)
-    for i in range(3):
-        many.reset(i, START, seed=7 if i == 1 else i)
-    assert same(alone.reset(START), many.reading(1))
-    for row in commands(robot, 25, 3):
-        many.advance(np.arange(3), row)
-        assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
-    assert alone.T_world_base == many.pose(1)
+    drive_alike(world, config, copied=False)
 
 
 @pytest.mark.parametrize("place", ["rough", "walled"])
 def test_walkers_are_those_of_a_simulation_of_its_own(place: str, rough: World, walled: World) -> None:
     world = rough if place == "rough" else walled
     config = replace(config_of("husky", "gyro", False), actors=12)
-    alone = Simulation(world, config, seed=7)
-    many = BatchSimulation(world, config, count=3, period=alone.period, threads=2)
-    for i in range(3):
-        many.reset(i, START, seed=7 if i == 1 else i)
-    assert same(alone.reset(START), many.reading(1))
-    for k, row in enumerate(commands("husky", 30, 3)):
-        if k == 10:
-            many = copy.deepcopy(many)
-        many.advance(np.arange(3), row)
-        assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
+    many = drive_alike(world, config, copied=True)
     assert not same(many.reading(0), many.reading(1))
 
 
@@ -96,16 +95,7 @@ def test_props_are_met_as_in_a_simulation_of_its_own(rays: Rays, rough: World) -
     ball = Prop(shape="sphere", size=(0.3,), place=Pose2(1.6, 0.0), mass=5.0)
     box = Prop(shape="box", size=(0.2, 0.2, 0.5), place=Pose2(-1.5, 0.0, 0.4))
     config = replace(config_of("husky", "gyro", False), props=(ball, box), rays=rays)
-    alone = Simulation(rough, config, seed=7)
-    many = BatchSimulation(rough, config, count=3, period=alone.period, threads=2)
-    for i in range(3):
-        many.reset(i, START, seed=7 if i == 1 else i)
-    assert same(alone.reset(START), many.reading(1))
-    for k, row in enumerate(commands("husky", 20, 3)):
-        if k == 10:
-            many = copy.deepcopy(many)
-        many.advance(np.arange(3), row)
-        assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
+    drive_alike(rough, config, copied=True)
 
 
 def test_threads_and_neighbors_change_nothing(rough: World) -> None:
