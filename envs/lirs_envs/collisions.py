@@ -114,18 +114,27 @@ def compile_contact_state() -> None:
     contact_state.disable_compile()
 
 
+def divergence_reason(warned: Int32Array) -> str:
+    """Return the reason of a divergence by the numbers of MuJoCo's warnings, by kind."""
+    reasons = [reason for kind, reason in DIVERGENCE_WARNINGS.items() if warned[kind]]
+    return reasons[0] if reasons else "the state is not finite"
+
+
+def describe_divergence(data: mujoco.MjData) -> str:
+    """Return how a simulation has diverged; empty = it has not."""
+    if is_sound(data.warning.number, KINDS, data.qpos, data.qvel):
+        return ""
+    return f"the simulation diverged at {data.time:.3f} s: {divergence_reason(data.warning.number)}"
+
+
 def check_divergence(data: mujoco.MjData) -> None:
     """Stop a simulation that has diverged.
 
     Raises:
         SimulationError: MuJoCo warned, or the state is not finite.
     """
-    if is_sound(data.warning.number, KINDS, data.qpos, data.qvel):
-        return
-    for kind, reason in DIVERGENCE_WARNINGS.items():
-        if data.warning[kind].number:
-            raise SimulationError(f"the simulation diverged at {data.time:.3f} s: {reason}")
-    raise SimulationError(f"the simulation diverged at {data.time:.3f} s: the state is not finite")
+    if found := describe_divergence(data):
+        raise SimulationError(found)
 
 
 @njit(cache=True, nogil=True)

@@ -16,7 +16,7 @@ import numpy as np
 from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 
-from lirs_envs.collisions import DIVERGENCE_WARNINGS, KINDS, ContactMonitor, check_divergence, is_sound
+from lirs_envs.collisions import KINDS, ContactMonitor, describe_divergence, divergence_reason, is_sound
 from lirs_envs.robot_model import (
     CENTER_SENSOR,
     CONTACT_SENSOR,
@@ -26,7 +26,7 @@ from lirs_envs.robot_model import (
     base_pose,
 )
 from lirs_envs.robots.robot import Robot
-from lirs_wct import Pose3, SimulationError
+from lirs_wct import Pose3
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
 from lirs_wct.kernels import njit
 
@@ -143,10 +143,7 @@ class Bodies:
         """Return how robot `i` has diverged; empty = it has not."""
         if not self.find_diverged()[i]:
             return ""
-        for warning, reason in DIVERGENCE_WARNINGS.items():
-            if self._batch.warning[i, warning, 1]:
-                return f"the simulation diverged: {reason}"
-        return "the simulation diverged: the state is not finite"
+        return f"the simulation diverged: {divergence_reason(self._batch.warning[i, :, 1])}"
 
     def pose(self, i: int) -> Pose3:
         """Return `T_world_base` of robot `i`."""
@@ -314,8 +311,4 @@ class SingleBody:
 
     def divergence(self, i: int) -> str:
         """Return how the robot has diverged; empty = it has not."""
-        try:
-            check_divergence(self.body.data)
-        except SimulationError as error:
-            return str(error)
-        return ""
+        return describe_divergence(self.body.data)
