@@ -27,6 +27,7 @@ from lirs_wct.option import (
     one_of,
     option,
     positive,
+    read_factors,
     read_names,
     read_numbers,
     within,
@@ -211,6 +212,17 @@ class RunConfig(Options):
         check=within("[1, 2]"),
         slider=Slider(low=1, high=2, step=1, neutral=1),
         shown="threads: {}",
+    )
+    odometry_noise: float = option(
+        1.0,
+        "Factors of the noise of wheels and gyro.",
+        axis=read_factors,
+        metavar="X,X,...",
+        panel=AXES,
+        check=within("[0, 10]"),
+        shown="odometry noise x {:g}",
+        hidden=True,
+        on_page=False,
     )
     seed: int = option(
         1,

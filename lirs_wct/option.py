@@ -277,6 +277,18 @@ def read_names(text: str, flag: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
+def read_factors(text: str, flag: str) -> tuple[float, ...]:
+    """Return the numbers of a list such as `0.5,1,2`, without repetitions.
+
+    Raises:
+        ConfigError: the text is no such list.
+    """
+    try:
+        return tuple(dict.fromkeys(float(part) for part in text.split(",")))
+    except ValueError:
+        raise ConfigError(f"{flag} must be a list such as 0.5,1,2, got {text!r}") from None
+
+
 def read_numbers(text: str, flag: str) -> tuple[int, ...]:
     """Return the whole numbers of a list such as `1-5` or `1,3,7-9`, without repetitions.
 

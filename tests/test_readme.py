@@ -41,7 +41,12 @@ PROGRAMS = [
 ]
 FEWER = {"0,5,20": "5", "gmapping,hector,cartographer": "hector", "husky,jackal": "husky"}
 """Values in place of lists of them."""
-SHORT = {"validate": "--seconds 1 --seeds 1", "record": "--seconds 1", "collide": "--seconds 1"}
+SHORT = {
+    "validate": "--seconds 1 --seeds 1",
+    "verdict": "--seconds 20 --budget 1s",
+    "record": "--seconds 1",
+    "collide": "--seconds 1",
+}
 """Options that shorten a command: the last of its kind counts."""
 PARSED = ("gui", "--suite paper", "bench")
 """Parts of commands that need a browser, or hours."""

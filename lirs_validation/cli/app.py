@@ -25,6 +25,7 @@ from lirs_validation.cli.commands.mappers import mappers
 from lirs_validation.cli.commands.reports import compare, report, score
 from lirs_validation.cli.commands.robot_card import robot
 from lirs_validation.cli.commands.validate import record, validate
+from lirs_validation.cli.commands.verdict import verdict
 from lirs_validation.cli.commands.worlds import build, convert, info, view
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.cli.examples import epilog
@@ -44,6 +45,7 @@ app = typer.Typer(
     help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
 )
 COMMANDS: Mapping[str, Callable[..., Any]] = {
+    "verdict": verdict,
     "validate": validate,
     "map": map_log,
     "build": build,

@@ -36,6 +36,9 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "lirs-wct validate simple medium --robot husky,jackal --mapper hector,gmapping --seeds 1-5 -o out/",
         "lirs-wct validate medium --lidar vlp16 --mapper kiss-icp,genz-icp,hector --seeds 1-3 -o out/",
     ),
+    "verdict": (
+        "lirs-wct verdict medium --robot jackal --mapper hector,gmapping --budget 10min -o verdict/",
+    ),
     "record": ("lirs-wct record simple --seconds 60 -o run",),
     "map": ("lirs-wct map examples/data/office.clf.gz --mapper gmapping -o out/",),
 }

@@ -15,6 +15,8 @@ _SOURCE = ("--size", "--height", "--pixel-size", "--window", "--invert", "--wall
 _DRIVE = ("--robot", "--mapper", "--lidar", "--seconds", "--seeds", "-o", "--driver", "--attitude")
 COMMON: Mapping[str, tuple[str, ...]] = {
     "validate": (*_DRIVE, "--size", "--height", "--jobs", "--gate", "--suite"),
+    "verdict": ("--robot", "--mapper", "--lidar", "--budget", "--seconds", "-o", "--jobs", "--gate",
+                "--attitude", "--driver", "--actors", "--size", "--height"),
     "map": ("--mapper", "-o", "--relations", "--reference", "--second", "--resolution", "--particles",
             "--range-max", "--fov", "--seed", "--imu", "--scan-topic", "--odom-topic"),
     "build": (*_SOURCE, "-o", "--to", "--name", "--max-error", "--texture"),

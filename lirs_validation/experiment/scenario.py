@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
@@ -49,6 +50,7 @@ class Scenario:
             contact_geometry=c.terrain,
             rays=resolve_rays(c.rays),
             actors=c.actors,
+            noise=SensorNoise().with_odometry_noise(c.odometry_noise),
         )
         return Simulation(self.world, config, seed=c.seed)
 

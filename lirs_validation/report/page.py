@@ -59,6 +59,13 @@ def page(report: Report, command: str) -> str:
         report: its contents.
         command: the command line that makes it.
     """
+    context = {"report_command": command} | _context(report)
+    context["contents"] = _contents(context)
+    return render("report.html.j2", **context)
+
+
+def render(template: str, **context: Any) -> str:
+    """Return a template of this package as HTML, with the report's style."""
     environment = Environment(
         loader=PackageLoader("lirs_validation.report"),
         autoescape=True,
@@ -67,9 +74,7 @@ def page(report: Report, command: str) -> str:
         undefined=StrictUndefined,
     )
     style, _, _ = PackageLoader("lirs_validation.report").get_source(environment, "report.css")
-    context = {"style": style, "report_command": command, "worse_mark": WORSE_MARK} | _context(report)
-    context["contents"] = _contents(context)
-    return environment.get_template("report.html.j2").render(context)
+    return environment.get_template(template).render(style=style, worse_mark=WORSE_MARK, **context)
 
 
 def _context(report: Report) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -63,6 +63,13 @@ class SensorNoise:
         require_type(self, OdometryConfig, "odometry", of="the sensor noise")
         require_type(self, LidarNoise | str, "lidar", of="the sensor noise")
         require_type(self, bool, "rolling_scan", of="the sensor noise")
+
+    def with_odometry_noise(self, factor: float) -> SensorNoise:
+        """Return the noise with that of wheels and gyro multiplied by a factor."""
+        imu, wheels = self.imu, self.odometry
+        rates = {"rate_sigma": factor * imu.rate_sigma, "rate_bias": factor * imu.rate_bias}
+        odometry = replace(wheels, scale_sigma=factor * wheels.scale_sigma)
+        return replace(self, imu=replace(imu, **rates), odometry=odometry)
 
     def of_lidar(self, preset: LidarPreset) -> LidarNoise:
         """Return the noise of a lidar."""

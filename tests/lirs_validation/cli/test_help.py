@@ -57,7 +57,7 @@ def test_commands_are_listed_in_order_of_use() -> None:
     shown = CliRunner().invoke(app, ["--help"], env=WIDE).output
     listed = re.findall(r"^│ ([a-z]+)  ", shown, re.MULTILINE)
     assert listed == list(COMMANDS)
-    assert listed[:3] == ["validate", "map", "build"]
+    assert listed[:3] == ["verdict", "validate", "map"]
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lirs_envs.robots.catalog import make_robot
+from lirs_envs.sensing.sensors import SensorNoise
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.run import Run
@@ -183,3 +185,13 @@ def test_compile_seconds_hold_neither_planning_nor_driving(monkeypatch: pytest.M
     monkeypatch.setattr("lirs_validation.experiment.warm_up._WARM", set())
     record = validate("simple", seconds=1).record
     assert record.cost["compile_seconds"] == record.rtf["compile_seconds"] == 0.0
+
+
+def test_odometry_noise_scales_wheels_and_gyro_alone() -> None:
+    husky = make_robot("husky")
+    configs = [RunConfig(source="simple", odometry_noise=factor) for factor in (1.0, 0.5)]
+    usual, half = [build_scenario(config).simulation(husky).config.noise for config in configs]
+    assert usual == SensorNoise()
+    assert half.odometry == replace(usual.odometry, scale_sigma=usual.odometry.scale_sigma / 2)
+    rates = {"rate_sigma": usual.imu.rate_sigma / 2, "rate_bias": usual.imu.rate_bias / 2}
+    assert half == replace(usual, odometry=half.odometry, imu=replace(usual.imu, **rates))

@@ -1,0 +1,184 @@
+"""Decision: does a method work on a terrain? Drive until it is decided, then try what changes it."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.config import RunConfig
+from lirs_validation.decision.changes import changes
+from lirs_validation.decision.sequential_test import CONFIDENCE
+from lirs_validation.decision.trials import Perform, Trial, run_trials
+from lirs_validation.driving.choice import plan_tour
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_wct import World
+
+LEAST_SHARE = 0.8
+"""Share of drives that a sentence promises if the whole interval lies above it."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Decision on one method.
+
+    Attributes:
+        world: name.
+        trial: drives of the method.
+        changed: changes by label, and their drives.
+    """
+
+    world: str
+    trial: Trial
+    changed: tuple[tuple[str, Trial], ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """Conclusion for the user, with share and interval."""
+        config, decision = self.trial.config, self.trial.decision
+        if decision == "cannot be driven":
+            return _impassable_text(self)
+        lead = {"works": "works on", "does not work": "does not work on"}.get(decision, "is undecided on")
+        parts = [f"{method_name(config)} {lead} {self.world}: {share_text(self.trial)}."]
+        low, _ = self.trial.test.interval
+        if decision == "works" and low >= LEAST_SHARE:
+            parts.append(f"It works in at least {100 * LEAST_SHARE:.0f} % of the drives.")
+        if decision == "undecided":
+            parts.append("The budget ended before a decision.")
+        parts += [_failures_text(self.trial), _changes_text(self)]
+        return " ".join(part for part in parts if part)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the answer as JSON stores it."""
+        return {
+            "world": self.world,
+            "sentence": self.sentence,
+            "changes": [{"change": label} | _trial_dict(trial) for label, trial in self.changed],
+        } | _trial_dict(self.trial)
+
+
+def decide(
+    configs: Sequence[RunConfig],
+    out: Path,
+    perform: Perform,
+    *,
+    budget: float,
+    report: Callable[[Trial], None] = lambda trial: None,
+) -> tuple[Answer, ...]:
+    """Drive every config until its method is decided, then its changes, until the budget is over.
+
+    Args:
+        configs: one per method and world; seeds count up from theirs.
+        out: folder of the drives' folders; drives that are there already are not repeated.
+        perform: runs the drives.
+        budget: wall seconds.
+        report: called with a trial after each of its drives.
+
+    Raises:
+        WctError: a config cannot be driven as it asks, or a drive not be written.
+    """
+    deadline = time.monotonic() + budget
+    worlds = [world.name for world in check_starts(configs)]
+    trials = run_trials([Trial(c) for c in configs], out, perform, deadline=deadline, report=report)
+    named = [
+        (k, change.label, Trial(change.config))
+        for k, trial in enumerate(trials)
+        if trial.decision in ("works", "does not work")
+        for change in changes(trial.config, works=trial.decision == "works")
+    ]
+    tried = run_trials([t for *_, t in named], out, perform, deadline=deadline, report=report)
+    return tuple(
+        Answer(
+            worlds[k],
+            trial,
+            tuple((n[1], t) for n, t in zip(named, tried, strict=True) if n[0] == k and t.drives),
+        )
+        for k, trial in enumerate(trials)
+    )
+
+
+def check_starts(configs: Sequence[RunConfig]) -> Iterator[World]:
+    """Yield the world of each config, in which its robot finds a start.
+
+    Raises:
+        WctError: a source cannot be used, or a robot fits nowhere.
+    """
+    scenarios = ScenarioCache()
+    for config in configs:
+        world = scenarios.scenario(config).world
+        plan_tour(world, make_robot(config.robot), replace(config, seconds=1.0))
+        yield world
+
+
+def method_name(config: RunConfig) -> str:
+    """Return mapper and robot as a sentence names them."""
+    attitude = " without attitude" if config.attitude == "none" else ""
+    return f"{config.mapper.rpartition(':')[2]}{attitude} on {config.robot}"
+
+
+def share_text(trial: Trial) -> str:
+    """Return share and interval of the drives that worked."""
+    test = trial.test
+    total = test.successes + test.failures
+    if not total:
+        return "no drive was evaluated"
+    low, high = test.interval
+    return (
+        f"it worked in {test.successes} of {total} drives ({100 * test.successes / total:.0f} %, "
+        f"{100 * CONFIDENCE:.0f} % interval {100 * low:.0f} to {100 * high:.0f} %)"
+    )
+
+
+def _failures_text(trial: Trial) -> str:
+    """Return the most frequent failure with an example; empty without one."""
+    failed = [drive for drive in trial.drives if drive.kind not in ("works", "not evaluated")]
+    if not failed:
+        return ""
+    kind, count = Counter(drive.kind for drive in failed).most_common(1)[0]
+    example = next(drive for drive in failed if drive.kind == kind)
+    return f"Most frequent failure: {kind} ({count} of {len(failed)}), as with seed {example.seed}."
+
+
+def _impassable_text(answer: Answer) -> str:
+    """Return why most drives were not evaluated: they ended early, or were too short."""
+    trial, robot = answer.trial, answer.trial.config.robot
+    count = f"{trial.unevaluated} of {len(trial.drives)} drives were not evaluated"
+    ended = Counter(d.reason for d in trial.drives if d.kind == "not evaluated" and d.reason)
+    if not ended:
+        return f"{robot} drives too short a path on {answer.world}: {count}; raise --seconds."
+    reason, often = ended.most_common(1)[0]
+    return f"{robot} cannot drive {answer.world}: {count}; most often ({often}): {reason}."
+
+
+def _changes_text(answer: Answer) -> str:
+    """Return the changes that reverse the decision; empty without one."""
+    wanted = "does not work" if answer.trial.decision == "works" else "works"
+    found = [
+        f"{label} ({trial.test.successes} of {trial.test.successes + trial.test.failures})"
+        for label, trial in answer.changed
+        if trial.decision == wanted
+    ]
+    if not found:
+        return ""
+    verb = "fails" if wanted == "does not work" else "works"
+    return f"It {verb} {', '.join(_with_preposition(text) for text in found)}."
+
+
+def _with_preposition(change: str) -> str:
+    return change if change.startswith(("with ", "without ")) else f"with {change}"
+
+
+def _trial_dict(trial: Trial) -> dict[str, Any]:
+    low, high = trial.test.interval
+    return {
+        "robot": trial.config.robot,
+        "mapper": trial.config.mapper,
+        "decision": trial.decision,
+        "share": trial.test.share,
+        "interval": [low, high],
+        "drives": [asdict(drive) for drive in trial.drives],
+    }

@@ -1,0 +1,138 @@
+"""Drives of one method in one world until the sequential test decides."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from lirs_validation.config import RunConfig
+from lirs_validation.decision.sequential_test import SequentialTest
+from lirs_validation.metrics.verdict import VerdictClass
+from lirs_validation.record.run_record import read_record
+from lirs_validation.record.verdict import judge
+from lirs_validation.sweep.experiment import Outcome
+from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.sweep import Sweep
+from lirs_wct import OutputError
+
+FIRST = 10
+"""Drives after which a terrain counts as impassable if most of them were not evaluated."""
+
+Decision = Literal["works", "does not work", "cannot be driven", "undecided"]
+
+
+@dataclass(frozen=True)
+class TrialDrive:
+    """One drive of a trial.
+
+    Attributes:
+        seed: of its start, its tour and its sensors.
+        kind: class of its verdict.
+        reason: why the drive ended early; empty if it did not.
+        sentence: of its verdict.
+        folder: name of its folder.
+    """
+
+    seed: int
+    kind: VerdictClass
+    reason: str
+    sentence: str
+    folder: str
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Drives of one config, with seeds one after the other.
+
+    Attributes:
+        config: of the first drive.
+        drives: in the order of their seeds, without those after the decision.
+    """
+
+    config: RunConfig
+    drives: tuple[TrialDrive, ...] = ()
+
+    @property
+    def test(self) -> SequentialTest:
+        """State of the test; drives that were not evaluated do not count."""
+        evaluated = [drive.kind == "works" for drive in self.drives if drive.kind != "not evaluated"]
+        return SequentialTest(sum(evaluated), len(evaluated) - sum(evaluated))
+
+    @property
+    def unevaluated(self) -> int:
+        """Number of drives that were not evaluated."""
+        return sum(drive.kind == "not evaluated" for drive in self.drives)
+
+    @property
+    def decision(self) -> Decision:
+        """Result of the drives so far."""
+        outcome = self.test.outcome
+        if outcome is not None:
+            return "works" if outcome == "accepted" else "does not work"
+        first = self.drives[:FIRST]
+        if len(first) == FIRST and sum(drive.kind == "not evaluated" for drive in first) > FIRST / 2:
+            return "cannot be driven"
+        return "undecided"
+
+    def next_configs(self) -> list[RunConfig]:
+        """Return configs of the drives that any decision needs next; empty once it is decided."""
+        if self.decision != "undecided":
+            return []
+        count, done = self.test.least_more, len(self.drives)
+        if done < FIRST:
+            count = min(count, FIRST - done)
+        return [replace(self.config, seed=self.config.seed + done + k) for k in range(count)]
+
+
+Perform = Callable[[Sweep], Generator[Outcome]]
+"""Function that runs a sweep and yields its outcomes."""
+
+
+def run_trials(
+    trials: Sequence[Trial], out: Path, perform: Perform, *, deadline: float, report: Callable[[Trial], None]
+) -> tuple[Trial, ...]:
+    """Drive trials until each is decided or the time is over.
+
+    Args:
+        trials: their configs differ.
+        out: folder of the drives' folders; drives that are there already are not repeated.
+        perform: runs the drives.
+        deadline: time of `time.monotonic` after which no drive begins.
+        report: called with a trial after each of its drives.
+
+    Raises:
+        WctError: a drive cannot be performed as its config asks, or not be written.
+    """
+    done = list(trials)
+    while time.monotonic() < deadline:
+        configs = [config for trial in done for config in trial.next_configs()]
+        if not configs:
+            break
+        sweep = Sweep([SlamExperiment(config) for config in configs], out, listed=False)
+        done = [_with_results(trial, out, sweep, report) for trial in done]
+        with closing(perform(sweep)) as outcomes:
+            for _ in outcomes:
+                done = [_with_results(trial, out, sweep, report) for trial in done]
+                if time.monotonic() > deadline:
+                    break
+        if sweep.unwritten:
+            raise OutputError(next(iter(sweep.unwritten.values())))
+    return tuple(done)
+
+
+def _with_results(trial: Trial, out: Path, sweep: Sweep, report: Callable[[Trial], None]) -> Trial:
+    """Return a trial with the drives that are finished, in the order of their seeds."""
+    while configs := trial.next_configs():
+        name = SlamExperiment(configs[0]).name
+        if name not in sweep.outcomes:
+            break
+        entry = read_record(out / name)
+        verdict = judge(entry)
+        drive = TrialDrive(configs[0].seed, verdict.kind, str(entry["reason"]), str(verdict), name)
+        trial = replace(trial, drives=(*trial.drives, drive))
+        report(trial)
+    return trial
