@@ -11,8 +11,8 @@ import numpy as np
 
 from lirs_envs.robots.catalog import ROBOTS
 from lirs_envs.robots.robot import Robot
-from lirs_validation.config import MANUAL, RunConfig, driver_parts
-from lirs_validation.driving.coverage import plan_coverage
+from lirs_validation.config import MANUAL, TOUR, RunConfig, driver_parts
+from lirs_validation.driving.coverage import CoverageDriver, plan_coverage
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import PathDriver, driver_config
@@ -50,8 +50,9 @@ def make_driver(
     kind, path = _automatic(config)
     if kind == "replay":
         return replay(Path(path), config, world.name)
-    free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
-    pace = driver_config(robot)
+    if kind == TOUR:
+        return plan_tour(world, robot, config)
+    free, pace = _drivable(world, robot), driver_config(robot)
     waypoints: tuple[RoutePoint, ...] = ()
     if kind == "waypoints":
         waypoints = read_waypoints(Path(path))
@@ -66,11 +67,25 @@ def make_driver(
         named = Path(path if kind == "waypoints" else config.driver)
         check_waypoints(named, waypoints, free, robot.name, lambda place: _cause(world, robot, place)[0])
         return PathDriver(WaypointRoute(waypoints[1:], free, pace, world.surface), start, pace)
-    if kind == "frontier":
-        route = FrontierRoute(mapper_map, robot.radius, robot.radius + MARGIN, pace)
-        return PathDriver(route, start, pace)
+    route = FrontierRoute(mapper_map, robot.radius, robot.radius + MARGIN, pace)
+    return PathDriver(route, start, pace)
+
+
+def plan_tour(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
+    """Return the driver of the seed's tour over the drivable ground.
+
+    Raises:
+        ConfigError: the robot fits nowhere in this world.
+    """
+    free, pace = _drivable(world, robot), driver_config(robot)
+    start = _start(world, free, robot, config)
     rng = np.random.default_rng((config.seed, PLAN_STREAM))
     return plan_coverage(free, start, seconds=config.seconds, rng=rng, config=pace, surface=world.surface)
+
+
+def _drivable(world: World, robot: Robot) -> OccupancyGrid:
+    """Return the grid whose free cells a plan may use."""
+    return world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
 
 
 def check_driver(config: RunConfig) -> None:
