@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -44,6 +45,28 @@ def test_outputs_are_committed(path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
     check_outputs(notebook)
     assert path.stat().st_size < MOST_BYTES
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_sentence_follows_each_result_and_terms_are_defined(path: Path) -> None:
+    cells = nbformat.read(path, as_version=4).cells
+    for cell, following in zip(cells, [*cells[1:], None], strict=True):
+        outputs = cell.get("outputs", ())
+        if any(output.output_type == "execute_result" for output in outputs):
+            assert following is not None, cell.source
+            assert following.cell_type == "markdown", cell.source
+    text = "\n".join(cell.source for cell in cells if cell.cell_type == "markdown")
+    for term in ("ATE", "F1", "RTF"):
+        if re.search(rf"\b{term}\b", text):
+            assert re.search(rf"\*?{term}\*? (is|\(|=)|\({term} =", text), term
+
+
+def test_the_mapper_of_your_own_clearly_beats_dead_reckoning() -> None:
+    cells = nbformat.read(ROOT / "notebooks" / "04_your_own_mapper.ipynb", as_version=4).cells
+    printed = "".join(output.get("text", "") for cell in cells for output in cell.get("outputs", ()))
+    errors = {name: float(ate) for name, ate in re.findall(r"my_mapper:(\w+): ATE ([\d.]+) m", printed)}
+    assert errors["ScanMatcher"] < errors["DeadReckoning"] / 3
+    assert "ScanMatcher on turtlebot2 works" in printed
 
 
 def check_outputs(notebook: NotebookNode) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,8 @@ from lirs_wct.geometry import OccupancyGrid, Trajectory
 
 WIDTH = 6.4
 """Of the map, inches."""
+LINE = 110
+"""Characters in a line of the verdict."""
 LEAST_PLOTS = 2
 """Smallest number of plot slots under the metrics."""
 
@@ -56,9 +59,10 @@ def map_overview(
     rows, cols = canvas.shape
     plots = _plots(record, accuracy)
     tall = max(WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6)
-    figure = new_figure(WIDTH + 4.4, tall + 1.0)
+    figure = new_figure(WIDTH + 4.4, tall + 1.6)
     c = record.config
-    headline(figure, f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}")
+    verdict = textwrap.fill(str(record.verdict), LINE)
+    headline(figure, f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}\n{verdict}")
     halves = figure.add_gridspec(1, 2, width_ratios=(WIDTH, 4.0))
     _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _reference_in_map(reference, accuracy))
     rows = max(len(plots), LEAST_PLOTS)

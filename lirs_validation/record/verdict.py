@@ -85,7 +85,8 @@ def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
     """Return the verdict on the record of a mapped log, given as nested dicts."""
     figures = log_figures(entry)
     kind, reasons = classify(figures, limits)
-    lead = LEADS[kind].format(who=entry["config"]["mapper"].rpartition(":")[2], world=entry["name"])
+    log = Path(entry["config"].get("log", entry["name"])).name
+    lead = LEADS[kind].format(who=entry["config"]["mapper"].rpartition(":")[2], world=log)
     reason = entry["reason"]
     first = f"{lead}: {reason}." if reason and kind != "no reference" else f"{lead}."
     told = f"The mapper is lost: {reason}." if reason and kind == "no reference" else ""
