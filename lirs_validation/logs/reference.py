@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +14,7 @@ from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint, read_constraints
 from lirs_wct import ConfigError, SourceError, Trajectory
 from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.gzipped import readable_lines
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.sources.source import is_bag
@@ -64,21 +63,15 @@ def read_reference(path: Path, topic: str | None = None) -> Trajectory:
 
 
 def _begins_with_a_number(path: Path) -> bool:
-    """Return whether a file begins with a number, after comments.
-
-    The readers report unreadable files.
-    """
-    try:
-        with path.open("rb") as raw:
-            zipped = raw.read(2) == b"\x1f\x8b"
-        with gzip.open(path, "rb") if zipped else path.open("rb") as lines:
-            for line in lines:
-                tokens = line.split(None, 1)
-                if tokens and not tokens[0].startswith(b"#"):
-                    float(tokens[0])
-                    return True
-    except (OSError, EOFError, zlib.error, ValueError):
-        return False
+    """Return whether a file begins with a number, after comments."""
+    for line in readable_lines(path):
+        tokens = line.split(None, 1)
+        if tokens and not tokens[0].startswith(b"#"):
+            try:
+                float(tokens[0])
+            except ValueError:
+                return False
+            return True
     return False
 
 

@@ -5,8 +5,6 @@ Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems" (IROS 2012)
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +15,7 @@ from scipy.spatial import cKDTree
 from lirs_validation.metrics.alignment import associated, motion, nearest, planar, rms, wrap_angles
 from lirs_wct import Pose2, SourceError, Trajectory
 from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.formats.gzipped import read_gzipped
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,16 +139,12 @@ def read_constraints(path: Path) -> tuple[RelativePoseConstraint, ...]:
     Raises:
         SourceError: the file cannot be read, holds none, or a line has not eight finite numbers.
     """
+    data = read_gzipped(path)
     try:
-        raw = path.read_bytes()
-        text = (gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw).decode()
-        lines = [line.split() for line in text.splitlines()]
+        lines = [line.split() for line in data.decode().splitlines()]
         rows = [[float(field) for field in line] for line in lines if line and line[0][0] != "#"]
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise SourceError(f"{path}: the gzip stream is damaged or cut off ({error})") from error
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise SourceError(f"{path}: not readable as relations: {reason}") from error
+    except ValueError as error:
+        raise SourceError(f"{path}: not readable as relations: {error}") from error
     if not rows:
         raise SourceError(f"{path}: holds no relation (stamp1 stamp2 x y z roll pitch yaw)")
     if any(len(row) != 8 or not np.isfinite(row).all() for row in rows):

@@ -5,8 +5,6 @@ Commands begin with the start pose; their numbers are not rounded.
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +14,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write
+from lirs_wct.formats.gzipped import read_gzipped, write_gzipped
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 
@@ -83,26 +82,21 @@ def write_imu(path: Path, readings: Iterable[Imu]) -> None:
         OutputError: the file cannot be written.
     """
     rows = np.fromiter((reading.row for reading in readings), np.dtype((np.float64, IMU_COLUMNS)))
-    with (
-        atomic_write(path) as temporary,
-        temporary.open("wb") as raw,
-        gzip.GzipFile("", "wb", 1, raw, mtime=0) as zipped,
-    ):
+    with write_gzipped(path) as zipped:
         np.savetxt(zipped, rows, fmt="%.9g", delimiter=",", header=IMU_HEADER, comments="")
 
 
 def read_imu(path: Path) -> tuple[Imu, ...]:
-    """Read inertial readings.
+    """Read inertial readings, gzipped or not.
 
     Raises:
         SourceError: missing, damaged, or not as many numbers a line as the header has names.
     """
+    data = read_gzipped(path)
     try:
-        lines = gzip.decompress(path.read_bytes()).decode().splitlines()
+        lines = data.decode().splitlines()
         rows = [[float(word) for word in line.split(",")] for line in lines[1:]]
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (EOFError, zlib.error, ValueError) as error:
+    except ValueError as error:
         raise SourceError(f"{path}: not inertial readings: {error}") from error
     if lines[:1] != [IMU_HEADER] or any(len(row) != IMU_COLUMNS for row in rows):
         raise SourceError(f"{path}: inertial readings have {IMU_COLUMNS} numbers a line ({IMU_HEADER})")

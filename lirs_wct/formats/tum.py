@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +9,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import atomic_write
+from lirs_wct.formats.gzipped import read_gzipped
 from lirs_wct.geometry.trajectory import Trajectory
 
 FARTHEST = 1e9
@@ -37,15 +36,10 @@ def read_tum(path: Path) -> Trajectory:
     Raises:
         SourceError: missing or damaged, or not eight finite numbers a line with stamps that increase.
     """
+    data = read_gzipped(path)
     try:
-        data = path.read_bytes()
-        text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
-        lines = [line.split() for line in text.splitlines()]
+        lines = [line.split() for line in data.decode().splitlines()]
         rows = [[float(word) for word in words] for words in lines if words and words[0][0] != "#"]
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise SourceError(f"{path}: the gzip stream is damaged or cut off ({error})") from error
-    except OSError as error:
-        raise SourceError(f"{path}: {error.strerror or 'no such file'}") from error
     except ValueError as error:
         raise SourceError(f"{path}: not a TUM trajectory: {error}") from error
     if not rows or any(len(row) != 8 for row in rows) or not np.isfinite(rows).all():

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
 import math
-import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -17,6 +15,7 @@ import numpy as np
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.lines import LaserConfig, Message
+from lirs_wct.formats.gzipped import readable_lines
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 
@@ -221,13 +220,9 @@ def mount_comment(T_base_laser: Pose3) -> str:
 
 def read_mount(path: Path) -> Pose3 | None:
     """Return `T_base_laser` from the comments before the first message; None without it."""
-    with suppress(OSError, EOFError, zlib.error, UnicodeDecodeError, ValueError):
-        with path.open("rb") as raw:
-            zipped = raw.read(2) == b"\x1f\x8b"
-        opened = gzip.open if zipped else open
-        with opened(path, "rt", encoding="ascii") as lines:
-            for line in takewhile(lambda text: text.startswith("#"), lines):
-                if line.startswith(LABEL):
-                    x, y, z, roll, pitch, yaw = map(float, line.removeprefix(LABEL).split())
-                    return Pose3.from_rpy(x, y, z, roll, pitch, yaw)
+    for line in takewhile(lambda text: text.startswith(b"#"), readable_lines(path)):
+        if line.startswith(LABEL.encode()):
+            with suppress(ValueError):
+                x, y, z, roll, pitch, yaw = map(float, line.removeprefix(LABEL.encode()).split())
+                return Pose3.from_rpy(x, y, z, roll, pitch, yaw)
     return None

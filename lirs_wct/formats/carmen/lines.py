@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gzip
 import math
-import zlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +12,7 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import SourceError
+from lirs_wct.formats.gzipped import read_gzipped
 from lirs_wct.geometry.pose import Pose2
 
 BINARY_TEST = 65_536
@@ -62,14 +61,7 @@ def read_lines(path: Path) -> Lines:
     Raises:
         SourceError: it cannot be read, is a damaged gzip file, or is not text.
     """
-    try:
-        data = path.read_bytes()
-        if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise SourceError(f"{path}: the gzip stream is damaged or cut off ({error})") from error
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+    data = read_gzipped(path)
     if b"\0" in data[:BINARY_TEST]:
         raise SourceError(f"{path}: not a text file, a CARMEN log is one")
     lines: Lines = {}

@@ -7,7 +7,6 @@ invalid is 81.91, the code of a SICK.
 
 from __future__ import annotations
 
-import gzip
 import math
 from collections.abc import Iterable
 from functools import cache
@@ -16,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from lirs_wct.arrays import Float32Array, IntArray
-from lirs_wct.files import atomic_write
 from lirs_wct.formats.carmen.laser import mount_comment
+from lirs_wct.formats.gzipped import write_gzipped
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 
@@ -31,8 +30,6 @@ HEADER = (
     "#   timestamp host logger_timestamp\n"
     "# meters, radians, seconds since the start; the robot's pose is its odometry\n"
 )
-LEVEL = 1
-"""Level of gzip: higher ones hardly shrink sensor noise further and take many times as long."""
 
 
 def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
@@ -43,11 +40,7 @@ def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    with (
-        atomic_write(path) as temporary,
-        temporary.open("wb") as raw,
-        gzip.GzipFile("", "wb", LEVEL, raw, mtime=0) as zipped,
-    ):
+    with write_gzipped(path) as zipped:
         zipped.write(HEADER.encode())
         for k, (scan, T_odom_base) in enumerate(scans):
             if k == 0:

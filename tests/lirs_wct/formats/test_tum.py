@@ -74,7 +74,7 @@ def test_what_is_none_is_refused_in_one_line(case: str, tmp_path: Path) -> None:
 
 
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"none\.tum: No such file"):
+    with pytest.raises(SourceError, match=r"none\.tum: cannot be read: No such file"):
         read_tum(tmp_path / "none.tum")
 
 
