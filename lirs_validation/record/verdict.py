@@ -159,8 +159,8 @@ def log_figures(entry: Entry) -> VerdictFigures:
 def _lead(lead: str, kind: VerdictClass, entry: Entry, limits: VerdictLimits) -> str:
     """Return the first sentence, with the cause where one is known."""
     cause = ""
-    if kind in ("failed", "not evaluated", "loses its way"):
-        cause = entry["reason"] or ("" if entry["status"] == "ok" else entry["status"])
+    if entry["status"] not in ("ok", "wall limit") and kind in ("failed", "not evaluated", "loses its way"):
+        cause = entry["reason"] or entry["status"]
     if kind == "not evaluated" and not cause:
         needed = limits.robot_lengths * value_at(entry, "world.robot_length")
         cause = f"it drove {value_at(entry, 'trajectory.length'):.1f} m, at least {needed:.1f} m are needed"

@@ -52,6 +52,14 @@ def test_a_short_drive_says_what_is_needed() -> None:
     assert "drove 1.9 m, at least 6.4 m are needed" in verdict.sentence
 
 
+def test_the_end_of_an_ok_drive_is_no_cause() -> None:
+    trajectory = ENTRY["trajectory"] | {"robot_lengths": 3.0, "length": 1.9}
+    ended = ENTRY | {"reason": "the last waypoint is reached at 13.5 s", "trajectory": trajectory}
+    assert judge(ended).sentence.startswith("gmapping on jackal was not evaluated on quarry: it drove 1.9 m")
+    lost = judge(ended | {"status": "lost", "trajectory": ENTRY["trajectory"]})
+    assert lost.sentence.startswith("gmapping on jackal loses its way on quarry: the last waypoint is")
+
+
 def test_a_log_without_truth_has_no_reference_but_says_that_it_is_lost() -> None:
     accuracy = {"relations": None, "reference": None}
     config = {"mapper": "hector"}
