@@ -33,6 +33,15 @@ class Failing(HectorMapper):
         if scan.stamp > 3.0: raise ValueError("no more")
         return super().update(scan, odometry, imu)
 """
+LOOPING = """
+from dataclasses import replace
+from slam_baselines.hector.mapper import HectorMapper
+class Looping(HectorMapper):
+    @property
+    def stats(self):
+        found = super().stats
+        return replace(found, lost=int(found.received > 150), counts={"loops": int(found.received > 100)})
+"""
 TIMED = {"rtf", "cost", "machine", "versions", "file_sizes", "mapper"}
 """What is measured by the clock, or names the machine."""
 
@@ -117,6 +126,17 @@ def test_a_failing_mapper_ends_the_drive_with_reason_and_verdict(
     assert "failed for the scan at 3.04" in dict(moment.facts)["status"]
     assert moment.verdict.startswith("Verdict: Failing on husky gives no result on simple: mapper ")
     assert drive.marks == ((pytest.approx(3.0, abs=0.05), "error"),)
+
+
+def test_closed_loops_and_lost_places_are_marked(
+    tmp_path: Path, scenarios: ScenarioCache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lirs_validation.gui.session.live_drive.MAP_WALL_SECONDS", 0.0)
+    (tmp_path / "looping_slam.py").write_text(LOOPING)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    drive = driven(RunConfig(source="simple", mapper="looping_slam:Looping", seconds=7.0), scenarios)
+    assert [name for _, name in drive.marks] == ["loop closed", "lost"]
+    assert [time for time, _ in drive.marks] == pytest.approx([4.0, 6.0], abs=0.1)
 
 
 def test_verdict_curve_and_events_follow_the_drive(scenarios: ScenarioCache) -> None:
