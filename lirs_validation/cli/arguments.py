@@ -8,13 +8,15 @@ from typing import Annotated
 import typer
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.sources.bundled import RECIPES
 
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
 
 
 def complete_source(incomplete: str) -> list[str]:
     """Return bundled worlds and paths that begin with a text, for the shell."""
+    # Slow to import; only the shell's completion needs it.
+    from lirs_wct.sources.bundled import RECIPES
+
     worlds = [name for name in RECIPES if name.startswith(incomplete)]
     folder, separator, name = incomplete.rpartition("/")
     found = [path.name for path in Path(folder + separator).glob("*") if path.name.startswith(name)]
