@@ -1,4 +1,4 @@
-"""Atomic writes: a temporary name, then a rename.
+"""Atomic writes (a temporary name, then a rename) and gzipped files.
 
 A killed process leaves temporary files behind. The next write of the same path removes them.
 """
@@ -6,24 +6,30 @@ A killed process leaves temporary files behind. The next write of the same path 
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import os
 import re
 import secrets
 import shutil
 import sys
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from lirs_wct.errors import OutputError
+from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.foreign_files import link_foreign, move_foreign, write_manifest
 from lirs_wct.renames import exchange
 
 if sys.platform != "win32":
     import fcntl
 
+GZIP = b"\x1f\x8b"
+"""First bytes of a gzipped file."""
+GZIP_LEVEL = 1
+"""Level of gzip: higher ones hardly shrink sensor noise further and take many times as long."""
 _TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(~?)(|\.[^.]*)")
 """Stem, process, mark and suffix of a temporary name. The mark ~: the folder may hold the user's files."""
 _WRITING: set[str] = set()
@@ -56,6 +62,45 @@ def atomic_write(path: Path) -> Iterator[Path]:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         _WRITING.discard(temporary.name)
+
+
+def read_gzipped(path: Path) -> bytes:
+    """Return the content of a file, decompressed if it is gzipped.
+
+    Raises:
+        SourceError: it cannot be read, or the gzip stream is damaged.
+    """
+    try:
+        data = path.read_bytes()
+        return gzip.decompress(data) if data[:2] == GZIP else data
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise SourceError(f"{path}: the gzip stream is damaged or cut off ({error})") from error
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def readable_lines(path: Path) -> Iterator[bytes]:
+    """Yield the lines of a file, gzipped or not, up to where it cannot be read."""
+    with suppress(OSError, EOFError, zlib.error):
+        with path.open("rb") as raw:
+            zipped = raw.read(2) == GZIP
+        with gzip.open(path, "rb") if zipped else path.open("rb") as lines:
+            yield from lines
+
+
+@contextmanager
+def write_gzipped(path: Path) -> Iterator[gzip.GzipFile]:
+    """Yield a file that replaces `path` when the block succeeds; the same data give the same bytes.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with (
+        atomic_write(path) as temporary,
+        temporary.open("wb") as raw,
+        gzip.GzipFile("", "wb", GZIP_LEVEL, raw, mtime=0) as zipped,
+    ):
+        yield zipped
 
 
 def write_json(path: Path, document: object, default: Callable[[Any], Any] | None = None) -> None:

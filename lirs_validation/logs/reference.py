@@ -13,8 +13,8 @@ from lirs_validation.config import MapConfig
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint, read_constraints
 from lirs_wct import ConfigError, SourceError, Trajectory
+from lirs_wct.files import readable_lines
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.gzipped import readable_lines
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.sources.source import is_bag

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from lirs_validation.metrics.alignment import associated, motion, nearest, planar, rms, wrap_angles
 from lirs_wct import Pose2, SourceError, Trajectory
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.formats.gzipped import read_gzipped
+from lirs_wct.files import read_gzipped
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,8 +13,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
-from lirs_wct.files import atomic_write
-from lirs_wct.formats.gzipped import read_gzipped, write_gzipped
+from lirs_wct.files import atomic_write, read_gzipped, write_gzipped
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.files import atomic_write
-from lirs_wct.formats.gzipped import read_gzipped
+from lirs_wct.files import atomic_write, read_gzipped
 from lirs_wct.geometry.trajectory import Trajectory
 
 FARTHEST = 1e9

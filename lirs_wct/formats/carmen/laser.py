@@ -14,8 +14,8 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError
+from lirs_wct.files import readable_lines
 from lirs_wct.formats.carmen.lines import LaserConfig, Message
-from lirs_wct.formats.gzipped import readable_lines
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 

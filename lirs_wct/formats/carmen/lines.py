@@ -12,7 +12,7 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.gzipped import read_gzipped
+from lirs_wct.files import read_gzipped
 from lirs_wct.geometry.pose import Pose2
 
 BINARY_TEST = 65_536

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from lirs_wct.arrays import Float32Array, IntArray
+from lirs_wct.files import write_gzipped
 from lirs_wct.formats.carmen.laser import mount_comment
-from lirs_wct.formats.gzipped import write_gzipped
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 
