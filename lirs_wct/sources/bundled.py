@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, optimize
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import unknown_name
@@ -90,6 +89,8 @@ def slope_over(z: FloatArray, meters: float, cell: float) -> FloatArray:
 
 def _hills(recipe: Recipe, rng: np.random.Generator) -> FloatArray:
     """Choose the wavelength at which the recipe's relief has the recipe's slope."""
+    from scipy import ndimage, optimize  # imported here: the command line needs only the names of worlds
+
     coarse = 8
     spacing = coarse * SIZE / (PIXELS - 1)
     noise = rng.standard_normal((2, PIXELS // coarse + 1, PIXELS // coarse + 1))
