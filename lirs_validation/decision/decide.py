@@ -49,7 +49,7 @@ class Answer:
             parts.append(f"It works in at least {100 * LEAST_SHARE:.0f} % of the drives.")
         if decision == "undecided":
             parts.append("The budget ended before a decision.")
-        parts += [_failures_text(self.trial), _changes_text(self)]
+        parts += [_failures_text(self.trial), _changes_text(self), *self.trial.extents]
         return " ".join(part for part in parts if part)
 
     def to_dict(self) -> dict[str, Any]:
@@ -140,7 +140,8 @@ def _failures_text(trial: Trial) -> str:
         return ""
     kind, count = Counter(drive.kind for drive in failed).most_common(1)[0]
     example = next(drive for drive in failed if drive.kind == kind)
-    return f"Most frequent failure: {kind} ({count} of {len(failed)}), as with seed {example.seed}."
+    cause = f": {example.reason.rstrip('.')}" if example.reason else ""
+    return f"Most frequent failure: {kind} ({count} of {len(failed)}), as with seed {example.seed}{cause}."
 
 
 def _impassable_text(answer: Answer) -> str:

@@ -13,7 +13,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.decision.sequential_test import SequentialTest
 from lirs_validation.metrics.verdict import VerdictClass
 from lirs_validation.record.run_record import read_record
-from lirs_validation.record.verdict import judge
+from lirs_validation.record.verdict import cause_of, extent_sentences, judge
 from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
@@ -32,8 +32,9 @@ class TrialDrive:
     Attributes:
         seed: of its start, its tour and its sensors.
         kind: class of its verdict.
-        reason: why the drive ended early; empty if it did not.
+        reason: why it ended early, or that its scans see no walls; empty if neither.
         sentence: of its verdict.
+        extent: sentences on the evaluated part of the world; empty if it is the whole.
         folder: name of its folder.
     """
 
@@ -41,6 +42,7 @@ class TrialDrive:
     kind: VerdictClass
     reason: str
     sentence: str
+    extent: str
     folder: str
 
 
@@ -66,6 +68,11 @@ class Trial:
     def unevaluated(self) -> int:
         """Number of drives that were not evaluated."""
         return sum(drive.kind == "not evaluated" for drive in self.drives)
+
+    @property
+    def extents(self) -> tuple[str, ...]:
+        """Sentences on the evaluated part of the world, without repetitions."""
+        return tuple(dict.fromkeys(drive.extent for drive in self.drives if drive.extent))
 
     @property
     def decision(self) -> Decision:
@@ -132,7 +139,8 @@ def _with_results(trial: Trial, out: Path, sweep: Sweep, report: Callable[[Trial
             break
         entry = read_record(out / name)
         verdict = judge(entry)
-        drive = TrialDrive(configs[0].seed, verdict.kind, str(entry["reason"]), str(verdict), name)
+        reason, extent = cause_of(verdict.kind, entry), extent_sentences(entry)
+        drive = TrialDrive(configs[0].seed, verdict.kind, reason, str(verdict), extent, name)
         trial = replace(trial, drives=(*trial.drives, drive))
         report(trial)
     return trial

@@ -77,7 +77,7 @@ def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Ver
     lead = LEADS[kind].format(who=who, world=entry["world"]["name"])
     unjudged = kind in ("failed", "not evaluated")
     results = () if unjudged else (_path_sentence(figures), _map_sentence(figures))
-    parts = (_lead(lead, kind, entry, limits), *results, _extent(entry))
+    parts = (_lead(lead, kind, entry, limits), *results, extent_sentences(entry))
     return Verdict(kind, " ".join(part for part in parts if part), reasons)
 
 
@@ -158,15 +158,19 @@ def log_figures(entry: Entry) -> VerdictFigures:
 
 def _lead(lead: str, kind: VerdictClass, entry: Entry, limits: VerdictLimits) -> str:
     """Return the first sentence, with the cause where one is known."""
-    cause = ""
-    if entry["status"] not in ("ok", "wall limit") and kind in ("failed", "not evaluated", "loses its way"):
-        cause = entry["reason"] or entry["status"]
+    cause = cause_of(kind, entry)
     if kind == "not evaluated" and not cause:
         needed = limits.robot_lengths * value_at(entry, "world.robot_length")
         cause = f"it drove {value_at(entry, 'trajectory.length'):.1f} m, at least {needed:.1f} m are needed"
-    if kind in ("adds nothing", "loses its way") and not cause:
-        cause = _few_walls(entry)
     return f"{lead}: {cause.rstrip('.')}." if cause else f"{lead}."
+
+
+def cause_of(kind: VerdictClass, entry: Entry) -> str:
+    """Return why a run ended early, or that its scans see no walls; empty if neither."""
+    ended = entry["status"] not in ("ok", "wall limit")
+    if ended and kind in ("failed", "not evaluated", "loses its way"):
+        return str(entry["reason"] or entry["status"])
+    return _few_walls(entry) if kind in ("adds nothing", "loses its way") else ""
 
 
 def _few_walls(entry: Entry) -> str:
@@ -206,7 +210,7 @@ def _map_sentence(figures: VerdictFigures) -> str:
     return "The map was not evaluated."
 
 
-def _extent(entry: Entry) -> str:
+def extent_sentences(entry: Entry) -> str:
     """Return the evaluated part of a larger world, and samples that do not resolve the robot."""
     window, whole = value_at(entry, "world.window"), value_at(entry, "world.whole_size")
     spacing, length = value_at(entry, "world.sample_spacing"), value_at(entry, "world.robot_length")

@@ -119,7 +119,7 @@ def test_a_robot_without_room_is_refused_before_any_drive(driven: list[RunConfig
 
 def drives(kinds: str) -> tuple[TrialDrive, ...]:
     names: dict[str, Any] = {"w": "works", "l": "loses its way", "n": "not evaluated"}
-    return tuple(TrialDrive(k, names[letter], "", "", "") for k, letter in enumerate(kinds, start=1))
+    return tuple(TrialDrive(k, names[letter], "", "", "", "") for k, letter in enumerate(kinds, start=1))
 
 
 @pytest.mark.parametrize(
@@ -148,6 +148,19 @@ def test_drives_that_are_too_short_are_no_fault_of_the_terrain() -> None:
     sentence = Answer("simple", Trial(CONFIG, drives("n" * 10))).sentence
     assert sentence == (
         "husky drives too short a path on simple: 10 of 10 drives were not evaluated; raise --seconds."
+    )
+
+
+def test_the_evaluated_part_is_named_once() -> None:
+    extent = "Evaluated on a window of 50 m of 16 km."
+    made = tuple(replace(drive, extent=extent) for drive in drives("www"))
+    assert Answer("quarry", Trial(CONFIG, made)).sentence.count(extent) == 1
+
+
+def test_the_most_frequent_failure_is_named_with_its_cause() -> None:
+    made = tuple(replace(drive, reason="no walls within 20 m") for drive in drives("nll"))
+    assert Answer("quarry", Trial(CONFIG, made)).sentence.endswith(
+        "Most frequent failure: loses its way (2 of 2), as with seed 2: no walls within 20 m."
     )
 
 
