@@ -47,9 +47,7 @@ def test_one_field_is_an_axis_of_the_command_line() -> None:
 
 
 def test_one_field_is_a_control_and_a_documented_attribute() -> None:
-    assert [c.hint for c in controls(Foggy) if c.name == "fog"] == [
-        "Density of the fog. Form: N,N. Command line: --fog"
-    ]
+    assert [c.hint for c in controls(Foggy) if c.name == "fog"] == ["Density of the fog. Form: N,N."]
     assert "fog: Density of the fog." in str(Foggy.__doc__)
 
 
