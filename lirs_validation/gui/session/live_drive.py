@@ -225,10 +225,11 @@ class LiveDrive(Playback):
         """Return the figures until a scan."""
         log = self._drive.log
         walls = sum(log.walls[:scan])
+        stamp, seconds = log.observations[scan].scan.stamp, self.config.seconds
         speed = f"{scan * self._ready.simulation.period / walls:.1f}" if walls > 0 else "-"
         ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "driving"
         return (
-            ("time", f"{log.observations[scan].scan.stamp:.1f} of {self.config.seconds:g} s"),
+            ("time", f"{stamp:.1f} of {seconds:g} s ({100 * stamp / seconds:.0f} %)"),
             ("RTF", speed),
             ("ATE", f"{ate:.3f} m"),
             ("status", ended),

@@ -90,6 +90,10 @@ class Player:
         self._scene.begin(playback.robot, playback.world)
         self.show(0)
 
+    def stop_at(self, seconds: float) -> None:
+        """Let the timeline end where the drive ended."""
+        self._slider.max = max(0.1, round(seconds, 1))
+
     def end(self) -> None:
         """Show no drive."""
         self.playback = None
@@ -284,7 +288,9 @@ class DriveTab(PlaybackTab[LiveDrive]):
     def _end(self) -> None:
         """Stop, and name what can be done next."""
         self.pause()
-        self._hint.content = FAILED if self.playback is not None and self.playback.failed else NEXT
+        if self.playback is not None:
+            self._hint.content = FAILED if self.playback.failed else NEXT
+            self._player.stop_at(self.playback.time)
         self._show_command()
 
     def _show_command(self) -> None:

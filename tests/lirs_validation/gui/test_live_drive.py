@@ -216,7 +216,7 @@ def test_moments_are_the_drive(scenarios: ScenarioCache) -> None:
     assert len(z) > 50
     assert met.mean() > 0.98
     assert dict(end.facts)["status"] == "ok"
-    assert dict(begin.facts)["time"] == "0.0 of 3 s"
+    assert dict(begin.facts)["time"] == "0.0 of 3 s (0 %)"
 
 
 def test_nothing_driven_is_nothing_to_save(tmp_path: Path, scenarios: ScenarioCache) -> None:

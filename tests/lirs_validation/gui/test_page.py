@@ -51,6 +51,8 @@ def test_two_clicks_drive_and_the_end_says_what_is_next(open_page: Open, server:
     assert drive.time > stood
     assert "the last waypoint is reached" in figure(page, "status")
     page.get_by_text("hector on husky works on simple").wait_for()
+    assert field(page, "timeline").input_value() == f"{round(drive.time, 1):g}"
+    assert "%" in figure(page, "time")
     start, goal = drive.config.build.start, drive.config.driver
     assert drive.moment(0).truth[0, :2] == pytest.approx((start.x, start.y), abs=0.02)
     page.get_by_role("button", name="Copy command").click()
