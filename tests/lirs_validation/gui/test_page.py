@@ -12,7 +12,7 @@ from tests.lirs_validation.gui.pages import field, figure, upload, wait_for
 
 pytestmark = pytest.mark.slow
 Open = Callable[[], Any]
-UNNAMED = """() => [...document.querySelectorAll('input, button, img, [role=slider]')]
+UNNAMED = """() => [...document.querySelectorAll('input, button, img, [role=slider], .lirs-stick')]
   .filter(e => e.offsetParent && e.type !== 'file' && !(e.ariaLabel || e.alt || e.textContent.trim()
     || (e.labels && e.labels.length))).map(e => e.outerHTML.slice(0, 200))"""
 OUTSIDE = """() => [...document.querySelectorAll('button, input, label, img, code, td')].filter(e => {
@@ -101,9 +101,15 @@ def test_controls_have_names_and_stay_inside(browser: Any, server: Any, width: i
     page.get_by_text("50 x 50 m").first.wait_for()
     for tab in ("World", "Drive", "Replay"):
         page.get_by_role("tab", name=tab).click()
+        if tab == "Drive":
+            field(page, "drive by hand").click()
+            page.locator(".lirs-stick").wait_for()
+            page.get_by_text("More options").click()
+            field(page, "walkers").wait_for()
         wait_for(lambda: page.evaluate(UNNAMED) == [])
         assert page.evaluate(OUTSIDE) == []
     page.get_by_role("tab", name="Drive").click()
+    field(page, "drive by hand").click()
     for place in ((-7.0, -13.0), (0.0, -12.5)):
         server.pages[-1].drive.click(place)
     page.get_by_text("The drive has ended.").wait_for()
