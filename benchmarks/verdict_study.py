@@ -1,0 +1,442 @@
+"""How often is the verdict's forecast right, and how often its sequential test?
+
+    python benchmarks/verdict_study.py drive [--data FOLDER] [--minutes 60] [--drives 20] [--quick]
+    python benchmarks/verdict_study.py evaluate
+    python benchmarks/verdict_study.py streams
+
+`drive` drives every method in every world, one drive of each after the other, and continues where the
+last call ended: `verdict_drives.csv` has the classes of the drives, a letter each, `verdict_sites.csv` the
+features of the worlds. `evaluate` reads both: the forecast with one family of worlds left out at a time, its
+Brier score against the base rate and against the wall hits alone, with a bootstrap over worlds; a table of
+reliability; the error rates of the sequential test on random streams (`streams` prints these alone)
+and on the stored drives.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from scipy.optimize import minimize
+from verdict_features import FEATURES, site_features
+
+from lirs_envs.generators.floor_plan import floor_plan
+from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
+from lirs_envs.generators.terrain import generate
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.config import RunConfig
+from lirs_validation.decision.sequential_test import P0, P1, SequentialTest
+from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
+from lirs_wct import MapperError, WctError
+from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.ground import Terrain
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.world import World
+
+HERE = Path(__file__).parent
+DATA = HERE.parents[1] / "shared" / "data"
+EXAMPLES = HERE.parent / "examples" / "data"
+METHODS = ("hector", "hector_original", "gmapping_original", "genz-icp")
+RING_LIDAR = "vlp16"
+SECONDS = 60.0
+LETTERS = {
+    "works": "w",
+    "path only": "p",
+    "adds nothing": "a",
+    "loses its way": "l",
+    "not evaluated": "n",
+    "failed": "f",
+}
+"""Letter of each class in the table."""
+Key = tuple[str, str, str]
+DRIVES, SITES = HERE / "verdict_drives.csv", HERE / "verdict_sites.csv"
+ROBOTS = ("husky", "jackal")
+"""Robots of the worlds of a family, in turn."""
+
+
+@dataclass(frozen=True)
+class Site:
+    """World of the study, its family and its robot."""
+
+    family: str
+    name: str
+    robot: str
+    make: Callable[[], World | tuple[str, BuildOptions]]
+
+    def scenario(self, config: RunConfig) -> Scenario:
+        """Return the config's scenario in this world."""
+        made = self.make()
+        if isinstance(made, World):
+            return Scenario(replace(config, source=self.name), made, None)
+        return build_scenario(replace(config, source=made[0], build=made[1]))
+
+
+def sites(data: Path) -> Iterator[Site]:
+    """Yield the worlds: five generated families, real laser maps, real heights, the bundled worlds."""
+    rocks = [name for name in NATURAL_TERRAINS if "rocks" in name]
+    bare = [name for name in NATURAL_TERRAINS if "rocks" not in name]
+    courses = ("slopes", "steps", "stones", "waves", "craters", "gaps")
+    families: dict[str, list[tuple[str, Callable[[], World | tuple[str, BuildOptions]]]]] = {
+        "natural": [(f"{name} 11", _natural(name, 11)) for name in bare],
+        "rocks": [(f"{name} {seed}", _natural(name, seed)) for name in rocks for seed in (21, 22)],
+        "floor plans": [(f"floor plan {seed}", _floor_plan(seed)) for seed in range(31, 36)],
+        "mazes": [
+            (f"maze {seed}", _course("mazes", level, seed)) for level, seed in ((0.2, 41), (0.6, 42), (1, 43))
+        ],
+        "courses": [(f"{kind} 51", _course(kind, 0.3, 51)) for kind in courses],
+        "maps": [(path, _file(data / "maps" / path)) for path in MAPS],
+        "heights": [(path, _file(data / "height" / path)) for path in HEIGHTS],
+        "bundled": [(name, _file(Path(name))) for name in ("simple", "medium", "advanced")]
+        + [(name, _file(EXAMPLES / name)) for name in ("office.yaml", "dunes.png")],
+    }
+    for family, worlds in families.items():
+        for k, (name, make) in enumerate(worlds):
+            yield Site(family, name, ROBOTS[k % len(ROBOTS)], make)
+
+
+MAPS = (
+    "navigation2/depot.yaml",
+    "turtlebot_apps/willow-2010-02-18-0.10.yaml",
+    "mir_robot/maze.yaml",
+    "turtlebot3/map.yaml",
+    "f1tenth_racetracks/Spielberg_map.yaml",
+)
+HEIGHTS = (
+    "PX4-SITL_gazebo-classic__terrain.png",
+    "gazebo_terrain_generator__prayag_height_map.tif",
+    "gz-common__dem_squared.tif",
+    "hmstl__scene.png",
+    "unitree_mujoco__height_field.png",
+    "vrc_driving_heightmap.png",
+)
+
+
+def _natural(kind: str, seed: int) -> Callable[[], World]:
+    cell = EDGE / (NODES - 1)
+
+    def make() -> World:
+        z = NATURAL_TERRAINS[kind](np.random.default_rng(seed)).astype(np.float32)
+        return World(f"{kind} {seed}", Terrain(HeightField.centered(z - z.min(), (cell, cell))))
+
+    return make
+
+
+def _floor_plan(seed: int) -> Callable[[], World]:
+    return lambda: World(f"floor plan {seed}", floor_plan(np.random.default_rng(seed)))
+
+
+def _course(kind: str, difficulty: float, seed: int) -> Callable[[], World]:
+    return lambda: replace(generate(kind, difficulty, np.random.default_rng(seed)).world(), spawn_poses=())
+
+
+def _file(path: Path) -> Callable[[], tuple[str, BuildOptions]]:
+    return lambda: (str(path), BuildOptions())
+
+
+def configs(site: Site, seed: int) -> Iterator[RunConfig]:
+    """Yield the config of each method's drive."""
+    for method in METHODS:
+        lidar = RING_LIDAR if method == "genz-icp" else None
+        yield RunConfig(
+            source=site.name, robot=site.robot, mapper=method, lidar=lidar, seed=seed, seconds=SECONDS
+        )
+
+
+def drive(options: argparse.Namespace) -> None:
+    """Drive until the time is over or every method has its drives everywhere."""
+    end = time.monotonic() + 60 * options.minutes
+    classes, features = read_drives(), read_sites()
+    chosen = list(sites(options.data))[:: 7 if options.quick else 1]
+    for seed in range(1, options.drives + 1):
+        for site in chosen:
+            if all(len(classes.get((site.family, site.name, method), "")) >= seed for method in METHODS):
+                continue
+            if time.monotonic() > end:
+                return
+            drive_site(site, seed, classes, features)
+            write_drives(classes)
+            write_sites(features)
+
+
+def drive_site(
+    site: Site,
+    seed: int,
+    classes: dict[Key, str],
+    features: dict[Key, list[float]],
+) -> None:
+    """Add a drive of each method, and the features of a new site."""
+    cache, robot = ScenarioCache(), make_robot(site.robot)
+    for config in configs(site, seed):
+        key = site.family, site.name, config.mapper
+        if len(classes.get(key, "")) >= seed:
+            continue
+        try:
+            scenario = site.scenario(config)
+        except WctError as error:
+            print(f"left out: {site.name}: {error}", flush=True)
+            return
+        cache.put(scenario)
+        lidar = config.lidar or "planar"
+        try:
+            if (site.family, site.name, lidar) not in features:
+                found = site_features(scenario.world, robot, config)
+                features[site.family, site.name, lidar] = found.vector.tolist()
+            verdict = run(scenario.config, scenarios=cache).record.verdict.kind
+        except MapperError:
+            verdict = "failed"
+        except WctError as error:
+            print(f"left out: {site.name}: {error}", flush=True)
+            return
+        classes[key] = classes.get(key, "") + LETTERS[verdict]
+
+
+def read_drives() -> dict[Key, str]:
+    """Return the classes of the drives of each family, world and method."""
+    return {(row[0], row[1], row[2]): row[3] for row in _rows(DRIVES)}
+
+
+def read_sites() -> dict[Key, list[float]]:
+    """Return the features of each family, world and lidar."""
+    return {(row[0], row[1], row[2]): [float(value) for value in row[3:]] for row in _rows(SITES)}
+
+
+def _rows(path: Path) -> list[list[str]]:
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.reader(file))[1:]
+
+
+def write_drives(classes: dict[Key, str]) -> None:
+    """Write the drives' classes."""
+    _write(
+        DRIVES, ("family", "world", "method", "classes"), [[*key, found] for key, found in classes.items()]
+    )
+
+
+def write_sites(features: dict[Key, list[float]]) -> None:
+    """Write the sites' features."""
+    rows = [[*key, *(f"{value:.4g}" for value in found)] for key, found in features.items()]
+    _write(SITES, ("family", "world", "lidar", *FEATURES), rows)
+
+
+def _write(path: Path, headings: tuple[str, ...], rows: list[list[str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([headings, *rows])
+
+
+@dataclass(frozen=True)
+class Logistic:
+    """Logistic regression on standardized features.
+
+    Attributes:
+        mean: (k,) of the features.
+        scale: (k,) standard deviations; 1 where a feature is constant.
+        weights: (k + 1,) of the standardized features, the last of the constant.
+    """
+
+    mean: FloatArray
+    scale: FloatArray
+    weights: FloatArray
+
+    def probability(self, features: FloatArray) -> FloatArray:
+        """Return (n,) probabilities of success of features (n, k)."""
+        standard = (features - self.mean) / self.scale
+        return 1 / (1 + np.exp(-(standard @ self.weights[:-1] + self.weights[-1])))
+
+
+def fit(features: FloatArray, successes: FloatArray, drives: FloatArray) -> Logistic:
+    """Fit by maximum likelihood, with a Gaussian prior of standard deviation 1 on the weights.
+
+    Args:
+        features: (n, k) of the worlds.
+        successes: (n,) drives that worked.
+        drives: (n,) evaluated drives. A world counts as one observation, however often it was driven.
+    """
+    mean, scale = features.mean(axis=0), features.std(axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    standard = (features - mean) / scale
+    share = successes / drives
+
+    def loss(weights: FloatArray) -> float:
+        logit = standard @ weights[:-1] + weights[-1]
+        return float((np.logaddexp(0, logit) - share * logit).sum() + (weights[:-1] ** 2).sum() / 2)
+
+    found = minimize(loss, np.zeros(features.shape[1] + 1))
+    return Logistic(mean, scale, found.x)
+
+
+@dataclass(frozen=True)
+class MethodData:
+    """Worlds of one method.
+
+    Attributes:
+        families: (n,) names.
+        features: (n, k).
+        successes: (n,) drives that worked.
+        drives: (n,) evaluated drives, at least one.
+        classes: (n,) letters of all drives.
+    """
+
+    families: NDArray[np.str_]
+    features: FloatArray
+    successes: FloatArray
+    drives: FloatArray
+    classes: tuple[str, ...]
+
+
+def data_of(method: str) -> MethodData:
+    """Return the worlds in which a method has an evaluated drive."""
+    sites, rows = read_sites(), []
+    for (family, world, name), classes in read_drives().items():
+        evaluated = classes.replace("n", "")
+        if name == method and evaluated:
+            lidar = RING_LIDAR if method == "genz-icp" else "planar"
+            rows.append((family, sites[family, world, lidar], classes.count("w"), len(evaluated), classes))
+    families, features, successes, drives, letters = zip(*rows, strict=True)
+    return MethodData(
+        np.array(families), np.array(features), np.array(successes, float), np.array(drives, float), letters
+    )
+
+
+def left_out_predictions(data: MethodData) -> dict[str, FloatArray]:
+    """Return (n,) predictions of each model, whose family was left out of the fit."""
+    found = {name: np.empty(len(data.drives)) for name in ("forecast", "walls alone", "base rate")}
+    for family in np.unique(data.families):
+        held = data.families == family
+        train = data.features[~held], data.successes[~held], data.drives[~held]
+        found["forecast"][held] = fit(*train).probability(data.features[held])
+        walls = fit(train[0][:, :1], *train[1:])
+        found["walls alone"][held] = walls.probability(data.features[held, :1])
+        found["base rate"][held] = (train[1] / train[2]).mean()
+    return found
+
+
+def brier(predicted: FloatArray, data: MethodData) -> FloatArray:
+    """Return (n,) the mean squared error over the drives of each world."""
+    share = data.successes / data.drives
+    return share * (1 - predicted) ** 2 + (1 - share) * predicted**2
+
+
+def evaluate(console: Console) -> None:
+    """Print Brier scores, reliability, and error rates of the sequential test."""
+    rng = np.random.default_rng(1)
+    headings = (
+        "method",
+        "worlds",
+        "drives",
+        "forecast",
+        "base rate",
+        "walls",
+        "over base rate",
+        "over walls",
+    )
+    title = "Brier score, one family left out; gains over the others with their lower 90 % bound"
+    table = Table(*headings, title=title)
+    points: list[tuple[float, float]] = []
+    for method in METHODS:
+        data = data_of(method)
+        if len(np.unique(data.families)) < 2:
+            raise SystemExit("evaluate needs drives in at least two families: drive first")
+        predictions = left_out_predictions(data)
+        scores = {name: brier(predicted, data) for name, predicted in predictions.items()}
+        points += zip(predictions["forecast"], data.successes / data.drives, strict=True)
+        table.add_row(
+            method, str(len(data.drives)), f"{data.drives.sum():.0f}",
+            *(f"{scores[name].mean():.3f}" for name in ("forecast", "base rate", "walls alone")),
+            *(gain_text(scores[name] - scores["forecast"], rng) for name in ("base rate", "walls alone")),
+        )  # fmt: skip
+    console.print(table, reliability(points), stream_errors(rng), stored_errors(rng))
+
+
+def gain_text(gains: FloatArray, rng: np.random.Generator) -> str:
+    """Return a mean gain with its lower 90 % bound by a bootstrap over worlds."""
+    means = gains[rng.integers(len(gains), size=(4000, len(gains)))].mean(axis=1)
+    return f"{gains.mean():+.3f} (above {np.quantile(means, 0.1):+.3f})"
+
+
+def reliability(points: list[tuple[float, float]]) -> Table:
+    """Return the observed share by forecast, over methods and worlds."""
+    table = Table("forecast", "worlds", "mean forecast", "observed share", title="Reliability")
+    forecast, share = np.array(points).T
+    for low in np.arange(0.0, 1.0, 0.2):
+        held = (forecast >= low) & (forecast < low + 0.2 + (low > 0.7))
+        if held.any():
+            shares = f"{forecast[held].mean():.2f}", f"{share[held].mean():.2f}"
+            table.add_row(f"{low:.1f} to {low + 0.2:.1f}", str(held.sum()), *shares)
+    return table
+
+
+def stream_errors(rng: np.random.Generator, streams: int = 10_000) -> Table:
+    """Return the error rates and lengths of the sequential test on random streams."""
+    headings = ("share", "accepted", "rejected", "drives, mean", "interval holds the share")
+    table = Table(*headings, title=f"{streams} random streams each")
+    for share in (P0, P1):
+        ends = [end_of(rng.random(1000) < share) for _ in range(streams)]
+        accepted = sum(test.outcome == "accepted" for test in ends) / streams
+        length = np.mean([test.successes + test.failures for test in ends])
+        covered = sum(test.interval[0] <= share <= test.interval[1] for test in ends) / streams
+        rates = (f"{value:.3f}" for value in (accepted, 1 - accepted))
+        table.add_row(f"{share:g}", *rates, f"{length:.1f}", f"{covered:.3f}")
+    return table
+
+
+def stored_errors(rng: np.random.Generator, orders: int = 100) -> Table:
+    """Return decisions on the stored drives in random orders, by the share of all of them."""
+    table = Table("share of all drives", "worlds", "accepted", "rejected", "undecided", title="Stored drives")
+    rows: dict[str, list[float]] = {}
+    for method in METHODS:
+        data = data_of(method)
+        for share, letters in zip(data.successes / data.drives, data.classes, strict=True):
+            key = "at least 0.9" if share >= P1 else "at most 0.65" if share <= P0 else "between"
+            works = np.array([letter == "w" for letter in letters.replace("n", "")])
+            ends = [end_of(rng.permutation(works)).outcome for _ in range(orders)]
+            shares = (ends.count("accepted"), ends.count("rejected"), ends.count(None))
+            row = rows.setdefault(key, [0, 0, 0, 0])
+            rows[key] = [row[0] + 1, *(total + n / orders for total, n in zip(row[1:], shares, strict=True))]
+    for key, (worlds, *decided) in rows.items():
+        table.add_row(key, f"{worlds:.0f}", *(f"{total / worlds:.2f}" for total in decided))
+    return table
+
+
+def end_of(stream: BoolArray) -> SequentialTest:
+    """Return the state of the test at its decision, or at the end of the stream."""
+    test = SequentialTest()
+    for success in stream.tolist():
+        if test.outcome is not None:
+            break
+        test = test.observed(success)
+    return test
+
+
+def main() -> None:
+    """Drive or evaluate."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("action", choices=("drive", "evaluate", "streams"))
+    parser.add_argument("--data", type=Path, default=DATA)
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--drives", type=int, default=20)
+    parser.add_argument("--quick", action="store_true", help="six worlds")
+    options = parser.parse_args()
+    if options.action == "drive":
+        drive(options)
+    elif options.action == "evaluate":
+        evaluate(Console(width=110))
+    else:
+        Console(width=110).print(stream_errors(np.random.default_rng(1)))
+
+
+if __name__ == "__main__":
+    main()
