@@ -13,7 +13,8 @@ and errors below `MARGIN`. A hillside seen from two heights contradicts itself: 
 and the robot tilts, there is no test; where it is unknown, the ground is taken for level.
 
 The revisit residual measures the same in meters: the mean distance from a hit to the nearest hit of another
-pass, at most `FARTHEST`; hits behind what the other scan sees by more than that are hidden and not counted.
+pass, at most `FARTHEST`. Hits behind what the other scan sees by more than that, or where it has no return,
+are not counted.
 """
 
 from __future__ import annotations
@@ -331,7 +332,7 @@ def _nearest_hit(ranges: FloatArray, turn: float, step: float, distance: float) 
         distance: of the point, meters.
     """
     beam = int(turn / step + 0.5)
-    if beam >= len(ranges) or ranges[beam] < distance - FARTHEST:
+    if beam >= len(ranges) or not ranges[beam] >= distance - FARTHEST:  # no return says nothing
         return -1.0
     around = math.asin(min(1.0, FARTHEST / distance))
     first, last = max(0, math.floor((turn - around) / step)), math.ceil((turn + around) / step)

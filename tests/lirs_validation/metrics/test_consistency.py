@@ -142,6 +142,16 @@ def test_the_revisit_residual_is_the_distance_of_the_walls() -> None:
         assert found.pass_residual == pytest.approx(quality(TRUE).pass_residual, abs=0.02)
 
 
+def test_walls_beyond_the_range_of_another_scan_are_not_counted() -> None:
+    """A beam without return may have met nothing, or a wall too far away."""
+    near = [replace(s, ranges=np.where(s.ranges < 2.5, s.ranges, np.inf), range_max=2.5) for s in SCANS]
+    trajectory = Trajectory.from_poses([s.stamp for s in SCANS], TRUE)
+    found = scan_consistency(near, UNKNOWN, trajectory)
+    assert found is not None
+    assert found.revisit_residual is not None
+    assert found.revisit_residual < 0.1
+
+
 def test_walls_drawn_twice_are_thicker() -> None:
     thin, thick = quality(TRUE).wall_thickness, quality(shifted(0.15, 0.15)).wall_thickness
     assert thin is not None
