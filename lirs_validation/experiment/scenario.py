@@ -12,13 +12,10 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import SourceFile, source_files
-from lirs_wct import BuildOptions, Pose2, World, build_world
+from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import LogSourceError
-from lirs_wct.sources.window import Window
+from lirs_wct.sources.window import Window, driven_window
 
-LARGE = 200.0
-"""A terrain longer than this (meters) is validated on a window."""
-WINDOW = 50.0
 KEPT = 2
 """Worlds that a cache holds at a time; memory stays flat over a long sweep."""
 
@@ -66,16 +63,9 @@ def build_scenario(config: RunConfig) -> Scenario:
         raise LogSourceError(
             f"{error}: lirs-wct build does both, and so does lirs_validation.resolve_source"
         ) from None
-    if (
-        max(world.surface.size) <= LARGE
-        or world.kind == "map"
-        or world.overhangs
-        or config.build.window is not None
-    ):
+    window = None if world.kind == "map" or world.overhangs else driven_window(world.surface, world.start)
+    if window is None or config.build.window is not None:
         return Scenario(config, world, config.build.window, files)
-    west, south, east, north = world.surface.bounds
-    middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
-    window = (middle.x, middle.y, WINDOW)
     cut = build_world(config.source, replace(config.build, window=window))
     return Scenario(config, cut, window, files, world.surface.size)
 

@@ -17,10 +17,26 @@ Window = tuple[float, float, float]
 """Center x, y and side, meters."""
 
 
+LARGE, DRIVEN = 200.0, 50.0
+"""A terrain longer than LARGE is driven on a square of DRIVEN, meters."""
 FEW_CELLS = 16
 """Cells along a window's side below which it is resampled."""
 SAMPLES = 65
 """Nodes along each side of a resampled window."""
+
+
+def driven_window(surface: HeightField, start: Pose2 | None) -> Window | None:
+    """Return the square of a large terrain that is driven; None = all of it.
+
+    Args:
+        surface: the terrain.
+        start: middle of the square; None = the middle of the terrain.
+    """
+    if max(surface.size) <= LARGE:
+        return None
+    west, south, east, north = surface.bounds
+    middle = start or Pose2((west + east) / 2, (south + north) / 2)
+    return middle.x, middle.y, DRIVEN
 
 
 def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> HeightField:
