@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,6 +40,7 @@ from lirs_wct import MapperError, WctError
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
+from lirs_wct.option import read_names
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World
 
@@ -143,9 +144,9 @@ def _file(path: Path) -> Callable[[], tuple[str, BuildOptions]]:
     return lambda: (str(path), BuildOptions())
 
 
-def configs(site: Site, seed: int) -> Iterator[RunConfig]:
+def configs(site: Site, seed: int, methods: tuple[str, ...]) -> Iterator[RunConfig]:
     """Yield the config of each method's drive."""
-    for method in METHODS:
+    for method in methods:
         lidar = RING_LIDAR if method == "genz-icp" else None
         yield RunConfig(
             source=site.name, robot=site.robot, mapper=method, lidar=lidar, seed=seed, seconds=SECONDS
@@ -159,16 +160,19 @@ def drive(options: argparse.Namespace) -> None:
     chosen = list(sites(options.data))[:: 7 if options.quick else 1]
     for seed in range(1, options.drives + 1):
         for site in chosen:
-            if all(len(classes.get((site.family, site.name, method), "")) >= seed for method in METHODS):
+            keys = [(site.family, site.name, method) for method in options.methods]
+            if all(len(classes.get(key, "")) >= seed for key in keys):
                 continue
             if time.monotonic() > end:
                 return
-            drive_site(site, seed, classes, features)
-            write_drives(classes)
-            write_sites(features)
+            drive_site(configs(site, seed, options.methods), site, seed, classes, features)
+            own = {key: found for key, found in classes.items() if key[2] in options.methods}
+            write_drives(read_drives() | own)  # another call may have written for other methods
+            write_sites(read_sites() | features)
 
 
 def drive_site(
+    configs: Iterable[RunConfig],
     site: Site,
     seed: int,
     classes: dict[Key, str],
@@ -176,7 +180,7 @@ def drive_site(
 ) -> None:
     """Add a drive of each method, and the features of a new site."""
     cache, robot = ScenarioCache(), make_robot(site.robot)
-    for config in configs(site, seed):
+    for config in configs:
         key = site.family, site.name, config.mapper
         if len(classes.get(key, "")) >= seed:
             continue
@@ -428,8 +432,10 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--drives", type=int, default=20)
+    parser.add_argument("--methods", default=",".join(METHODS), help="to drive; two calls can share the work")
     parser.add_argument("--quick", action="store_true", help="six worlds")
     options = parser.parse_args()
+    options.methods = read_names(options.methods, "--methods")
     if options.action == "drive":
         drive(options)
     elif options.action == "evaluate":
