@@ -231,7 +231,7 @@ class LiveDrive(Playback):
         return (
             ("time", f"{stamp:.1f} of {seconds:g} s ({100 * stamp / seconds:.0f} %)"),
             ("RTF", speed),
-            ("ATE", f"{ate:.3f} m"),
+            ("ATE online", f"{ate:.3f} m"),
             ("status", ended),
         )
 

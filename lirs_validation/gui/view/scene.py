@@ -43,7 +43,7 @@ SERIES: tuple[Any, ...] = (
     {"label": "event", "stroke": "#D55E00", "scale": "event", "points": EVENT},
 )
 SCALES: dict[str, Any] = {"x": {"time": False}, "y": {}, "rtf": {}, "event": {"range": (0, 1.1)}}
-AXES: tuple[Any, ...] = ({}, {"size": 55}, {"scale": "rtf", "side": 1, "size": 35, "grid": {"show": False}})
+AXES: tuple[Any, ...] = ({}, {"size": 65}, {"scale": "rtf", "side": 1, "size": 35, "grid": {"show": False}})
 LEGEND = (
     "black: occupied, white: free, <b style='color:#0072B2'>true path</b><br>error of the estimate: 0 "
     "<span style='background:linear-gradient(90deg,#0d0887,#cc4778,#f0f921);padding:0 1.2em'></span> {:.2f} m"

@@ -35,7 +35,7 @@ def test_drive_steer_save_and_replay(open_page: Open, server: Any, tmp_path: Pat
     page.get_by_role("button", name="Step one scan").click()
     wait_for(lambda: drive.scans == stood + 1)
     wait_for(lambda: float(field(page, "timeline").input_value()) == round(drive.time, 1))  # "5" at 5.0 s
-    assert figure(page, "ATE").endswith(" m")
+    assert figure(page, "ATE online").endswith(" m")
 
     field(page, "timeline").fill("1")
     wait_for(lambda: figure(page, "time").startswith("1.0 "))
