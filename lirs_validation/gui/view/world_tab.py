@@ -55,7 +55,7 @@ class WorldTab:
             tuple(self._sources),
             hint="A bundled world, or a file that was opened here.",
         )
-        self._source.on_update(self._page.guard(lambda _: self.preview()))
+        self._source.on_update(self._page.guard(self._chosen))
         upload = gui.add_upload_button(
             "Open a file ...",
             icon=viser.Icon.UPLOAD,
@@ -81,6 +81,11 @@ class WorldTab:
             self._terrain = gui.add_dropdown(
                 "Gazebo model", TERRAINS, hint="The solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit)."
             )
+
+    def _chosen(self, event: viser.GuiEvent[Any]) -> None:
+        """Show the chosen source; the name of an opened file is set when it is shown already."""
+        if event.client_id is not None:
+            self.preview()
 
     def preview(self) -> None:
         """Show a coarse preview for the present controls."""

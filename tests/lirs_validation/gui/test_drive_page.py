@@ -10,7 +10,7 @@ import pytest
 from tests.lirs_validation.gui.pages import field, figure, upload, wait_for
 
 pytestmark = pytest.mark.slow
-Open = Callable[[], Any]
+Open = Callable[..., Any]
 
 
 def _time(page: Any) -> float:

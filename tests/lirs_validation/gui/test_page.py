@@ -11,7 +11,7 @@ from tests.lirs_validation.gui.conftest import PATIENCE
 from tests.lirs_validation.gui.pages import field, figure, upload, wait_for
 
 pytestmark = pytest.mark.slow
-Open = Callable[[], Any]
+Open = Callable[..., Any]
 UNNAMED = """() => [...document.querySelectorAll('input, button, img, [role=slider], .lirs-stick')]
   .filter(e => e.offsetParent && e.type !== 'file' && !(e.ariaLabel || e.alt || e.textContent.trim()
     || (e.labels && e.labels.length))).map(e => e.outerHTML.slice(0, 200))"""
@@ -94,11 +94,8 @@ def test_a_refused_file_changes_nothing(open_page: Open, server: Any, picture: P
 
 
 @pytest.mark.parametrize("width", [390, 900, 1300])
-def test_controls_have_names_and_stay_inside(browser: Any, server: Any, width: int) -> None:
-    page = browser.new_page(viewport={"width": width, "height": 844})
-    page.set_default_timeout(PATIENCE)
-    page.goto(server.address)
-    page.get_by_text("50 x 50 m").first.wait_for()
+def test_controls_have_names_and_stay_inside(open_page: Open, server: Any, width: int) -> None:
+    page = open_page(width, 844)
     for tab in ("World", "Drive", "Replay"):
         page.get_by_role("tab", name=tab).click()
         if tab == "Drive":
@@ -117,11 +114,10 @@ def test_controls_have_names_and_stay_inside(browser: Any, server: Any, width: i
     assert page.evaluate(OUTSIDE) == []
     if width == 390:
         page.get_by_text("Map", exact=True).click()
-    map_box = page.get_by_alt_text("Map of the drive").bounding_box()
-    assert map_box["width"] > 200
+    page.get_by_alt_text("Map of the drive").wait_for()
+    wait_for(lambda: page.get_by_alt_text("Map of the drive").bounding_box()["width"] > 200)
     middle = page.evaluate("document.elementFromPoint(innerWidth * 0.45, innerHeight * 0.5).tagName")
     assert middle == "CANVAS"  # the robot in the middle is not covered
-    page.close()
 
 
 def test_title_icon_loading_and_dark_mode(browser: Any, server: Any) -> None:

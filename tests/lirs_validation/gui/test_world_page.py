@@ -16,7 +16,7 @@ from lirs_wct.world import World
 from tests.lirs_validation.gui.pages import drop, field, upload, wait_for
 
 pytestmark = pytest.mark.slow
-Open = Callable[[], Any]
+Open = Callable[..., Any]
 
 
 def test_a_picture_is_opened_changed_built_and_downloaded(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,18 +13,13 @@ from lirs_validation.report.contents import report_of
 from lirs_validation.report.page import page
 from tests.lirs_validation.records import saved
 
-pytestmark = pytest.mark.slow
 PAPER = 1047
 """Width of A4 on its side less margins of 10 mm, pixels."""
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def shown(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """The page of two mappers with three seeds each, all details open."""
-    api = pytest.importorskip("playwright.sync_api")
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser")
-    if chromium is None:
-        pytest.skip("chromium is not installed (apt-get install chromium)")
     root: Path = tmp_path_factory.mktemp("report")
     for mapper in ("hector", "gmapping_original"):
         for seed in (1, 2, 3):
@@ -33,12 +27,10 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     file = root / "report.html"
     html = page(report_of(read_results(root)), "lirs-wct report out")
     file.write_text(html.replace("<details>", "<details open>"), encoding="utf-8")
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        opened = browser.new_page(viewport={"width": 1300, "height": 900})
-        opened.goto(file.as_uri())
-        yield opened
-        browser.close()
+    opened = browser.new_page(viewport={"width": 1300, "height": 900})
+    opened.goto(file.as_uri())
+    yield opened
+    opened.close()
 
 
 def cut(shown: Any) -> list[str]:
