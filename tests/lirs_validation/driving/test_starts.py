@@ -11,15 +11,19 @@ import cv2
 import numpy as np
 import pytest
 
+from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
+from lirs_envs.placement import standing_pose
 from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_validation.collision.random_drive import places
 from lirs_validation.config import RunConfig
-from lirs_validation.driving.choice import MARGIN, check_driver, enough_size, make_driver
+from lirs_validation.driving.choice import MARGIN, check_driver, enough_size, make_driver, plan_tour
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
+from lirs_wct.ground import Terrain
 from lirs_wct.navigation.footprints import FOOTPRINTS
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
@@ -154,3 +158,21 @@ def test_a_refused_start_says_its_slope_and_the_nearest_place(tmp_path: Path) ->
     assert free.free_at(*map(float, found[2].split(",")))
     with pytest.raises(ConfigError, match=r"outside the world.*; nearest place: "):
         build_world(tmp_path / "ramp.png", replace(options, start=Pose2(11.0, 0.0)))
+
+
+def test_a_robot_can_be_set_down_at_every_start() -> None:
+    z = NATURAL_TERRAINS["rough hills"](np.random.default_rng(11)).astype(np.float32)
+    cell = EDGE / (NODES - 1)
+    world = World("rough", Terrain(HeightField.centered(z - z.min(), (cell, cell))))
+    jackal = make_robot("jackal")
+    config = RunConfig(source="rough", robot="jackal", seconds=1)
+    free = world.traversable(clearance=jackal.radius + MARGIN, max_slope=jackal.max_slope)
+    refused = 0
+    for start in world.starts(free):
+        try:
+            standing_pose(world, jackal, start)
+        except SimulationError:
+            refused += 1
+    assert refused
+    for seed in range(1, 9):
+        standing_pose(world, jackal, plan_tour(world, jackal, replace(config, seed=seed)).start)
