@@ -99,6 +99,15 @@ def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
     return Pose3.from_rpy(start.x, start.y, height, *_attitude_on(a, b, start.yaw), start.yaw)
 
 
+def can_stand(world: World, robot: Robot, start: Pose2) -> bool:
+    """Whether a robot can be set down; the free cells know nothing of rough ground under its whole body."""
+    try:
+        standing_pose(world, robot, start)
+    except SimulationError:
+        return False
+    return True
+
+
 def check_settled(robot: Robot, start: Pose2, settled: Pose3, *, tipped: bool) -> None:
     """Check that a robot came to rest where it was released.
 

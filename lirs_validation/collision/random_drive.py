@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from lirs_envs.collisions import check_divergence
-from lirs_envs.placement import standing_pose
+from lirs_envs.placement import can_stand, standing_pose
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.drive import make_controllers
@@ -80,7 +80,7 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
         for k in rng.integers(len(edge), size=TRIES if len(edge) else 0).tolist()
     ]
     found = [
-        [start for start in starts if _stands(world, robot, start)][:PLACES]
+        [start for start in starts if can_stand(world, robot, start)][:PLACES]
         for starts in (world.starts(free, PLACES), beside)
     ]
     if not any(found):
@@ -105,14 +105,6 @@ def drive_at_random(
         left -= len(leg.commanded)
         if leg.diverged or left <= 0:
             return
-
-
-def _stands(world: World, robot: Robot, start: Pose2) -> bool:
-    try:
-        standing_pose(world, robot, start)
-    except SimulationError:
-        return False
-    return True
 
 
 def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.random.Generator) -> Leg:

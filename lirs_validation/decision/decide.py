@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,9 @@ from lirs_validation.config import RunConfig
 from lirs_validation.decision.changes import changes
 from lirs_validation.decision.sequential_test import CONFIDENCE
 from lirs_validation.decision.trials import Perform, Trial, run_trials
-from lirs_validation.driving.choice import plan_tour
+from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_wct import World
+from lirs_wct import OccupancyGrid, World
 
 LEAST_SHARE = 0.8
 """Share of drives that a sentence promises if the whole interval lies above it."""
@@ -68,6 +69,7 @@ def decide(
     *,
     budget: float,
     report: Callable[[Trial], None] = lambda trial: None,
+    retry_failed: bool = False,
 ) -> tuple[Answer, ...]:
     """Drive every config until its method is decided, then its changes, until the budget is over.
 
@@ -77,20 +79,24 @@ def decide(
         perform: runs the drives.
         budget: wall seconds.
         report: called with a trial after each of its drives.
+        retry_failed: repeat drives that are there already and failed.
 
     Raises:
         WctError: a config cannot be driven as it asks, or a drive not be written.
     """
     deadline = time.monotonic() + budget
     worlds = [world.name for world in check_starts(configs)]
-    trials = run_trials([Trial(c) for c in configs], out, perform, deadline=deadline, report=report)
+    drive = partial(
+        run_trials, out=out, perform=perform, deadline=deadline, report=report, retry_failed=retry_failed
+    )
+    trials = drive([Trial(c) for c in configs])
     named = [
         (k, change.label, Trial(change.config))
         for k, trial in enumerate(trials)
         if trial.decision in ("works", "does not work")
         for change in changes(trial.config, works=trial.decision == "works")
     ]
-    tried = run_trials([t for *_, t in named], out, perform, deadline=deadline, report=report)
+    tried = drive([t for *_, t in named])
     return tuple(
         Answer(
             worlds[k],
@@ -102,16 +108,20 @@ def decide(
 
 
 def check_starts(configs: Sequence[RunConfig]) -> Iterator[World]:
-    """Yield the world of each config, in which its robot finds a start.
+    """Yield the world of each config, in which its driver finds a start.
 
     Raises:
-        WctError: a source cannot be used, or a robot fits nowhere.
+        WctError: a source or a driver's file cannot be used, or a robot fits nowhere.
     """
     scenarios = ScenarioCache()
     for config in configs:
         world = scenarios.scenario(config).world
-        plan_tour(world, make_robot(config.robot), replace(config, seconds=1.0))
+        make_driver(world, make_robot(config.robot), replace(config, seconds=1.0), _no_map)
         yield world
+
+
+def _no_map() -> OccupancyGrid:
+    raise NotImplementedError("no mapper runs while starts are checked")
 
 
 def method_name(config: RunConfig) -> str:

@@ -100,7 +100,13 @@ Perform = Callable[[Sweep], Generator[Outcome]]
 
 
 def run_trials(
-    trials: Sequence[Trial], out: Path, perform: Perform, *, deadline: float, report: Callable[[Trial], None]
+    trials: Sequence[Trial],
+    out: Path,
+    perform: Perform,
+    *,
+    deadline: float,
+    report: Callable[[Trial], None],
+    retry_failed: bool = False,
 ) -> tuple[Trial, ...]:
     """Drive trials until each is decided or the time is over.
 
@@ -110,6 +116,7 @@ def run_trials(
         perform: runs the drives.
         deadline: time of `time.monotonic` after which no drive begins.
         report: called with a trial after each of its drives.
+        retry_failed: repeat drives that are there already and failed.
 
     Raises:
         WctError: a drive cannot be performed as its config asks, or not be written.
@@ -119,7 +126,9 @@ def run_trials(
         configs = [config for trial in done for config in trial.next_configs()]
         if not configs:
             break
-        sweep = Sweep([SlamExperiment(config) for config in configs], out, listed=False)
+        sweep = Sweep(
+            [SlamExperiment(config) for config in configs], out, listed=False, retry_failed=retry_failed
+        )
         done = [_with_results(trial, out, sweep, report) for trial in done]
         with closing(perform(sweep)) as outcomes:
             for _ in outcomes:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_envs.placement import standing_pose
+from lirs_envs.placement import can_stand
 from lirs_envs.robots.catalog import ROBOTS
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import MANUAL, TOUR, RunConfig, driver_parts
@@ -19,7 +19,7 @@ from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import PathDriver, driver_config
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
-from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, SimulationError, World
+from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, World
 from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
 from lirs_wct.ground import Terrain
 from lirs_wct.option import numbers
@@ -151,19 +151,10 @@ def _start(world: World, free: OccupancyGrid, robot: Robot, config: RunConfig) -
                 f"(--start): {cause}; nearest place: {nearest}"
             )
         return world.start
-    starts = [start for start in world.starts(free) if _stands(world, robot, start)]
+    starts = [start for start in world.starts(free) if can_stand(world, robot, start)]
     if not starts:
         raise no_room(config.source, world, robot, MARGIN)
     return starts[(config.seed - 1) % len(starts)]
-
-
-def _stands(world: World, robot: Robot, start: Pose2) -> bool:
-    """Whether a robot can be set down; the free cells know nothing of rough ground under its whole body."""
-    try:
-        standing_pose(world, robot, start)
-    except SimulationError:
-        return False
-    return True
 
 
 def _cause(world: World, robot: Robot, place: tuple[float, float]) -> tuple[str, str | None]:

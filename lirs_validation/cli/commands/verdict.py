@@ -65,7 +65,14 @@ def verdict(
     if len(run.get("seed", ())) > 1:
         raise ConfigError(f"--seed is the first seed of the drives: one number, got {len(run['seed'])}")
     configs = cross(tuple(sources), build=options, **run)
-    answers = decide(configs, output, _performer(engine), budget=seconds, report=_print_drive)
+    answers = decide(
+        configs,
+        output,
+        _performer(engine),
+        budget=seconds,
+        report=_print_drive,
+        retry_failed=engine.retry_failed,
+    )
     page = write_decision(output, answers, shlex.join(["lirs-wct", *sys.argv[1:]]))
     out.print(methods_table(answers))
     if any(answer.changed for answer in answers):

@@ -21,7 +21,7 @@ from lirs_validation.sweep.engines import Serial
 from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry import Pose2, Trajectory
 from tests.lirs_validation.records import record, saved_whole
@@ -90,6 +90,26 @@ def test_finished_drives_are_kept(driven: list[RunConfig], tmp_path: Path) -> No
     count = len(driven)
     assert decide([CONFIG], tmp_path, perform, budget=60) == first
     assert len(driven) == count
+
+
+def test_failed_drives_are_repeated_on_request(driven: list[RunConfig], tmp_path: Path) -> None:
+    decide([CONFIG], tmp_path, perform, budget=60)
+    saved_whole(tmp_path, replace(record("simple", status="error"), config=replace(CONFIG, seed=2)))
+    driven.clear()
+    (kept,) = decide([CONFIG], tmp_path, perform, budget=60)
+    assert [drive.kind for drive in kept.trial.drives].count("failed") == 1
+    (again,) = decide([CONFIG], tmp_path, perform, budget=60, retry_failed=True)
+    assert [drive.kind for drive in again.trial.drives] == 10 * ["works"]
+    assert [config.seed for config in driven].count(2) == 1
+
+
+def test_waypoints_are_checked_before_any_drive(driven: list[RunConfig], tmp_path: Path) -> None:
+    waypoints = tmp_path / "way.csv"
+    waypoints.write_text("x,y\n0,0\n1000,0\n")
+    with pytest.raises(WctError, match=r"way\.csv"):
+        decide([replace(CONFIG, driver=f"waypoints:{waypoints}")], tmp_path / "out", perform, budget=60)
+    assert not driven
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_time_nothing_is_decided(driven: list[RunConfig], tmp_path: Path) -> None:
