@@ -1,15 +1,16 @@
 """How often is the verdict's forecast right, and how often its sequential test?
 
     python benchmarks/verdict_study.py drive [--data FOLDER] [--minutes 60] [--drives 20] [--quick]
+    python benchmarks/verdict_study.py features [--data FOLDER] [--quick]
     python benchmarks/verdict_study.py evaluate
     python benchmarks/verdict_study.py streams
 
-`drive` drives every method in every world, one drive of each after the other, and continues where the
-last call ended: `verdict_drives.csv` has the classes of the drives, a letter each, `verdict_sites.csv` the
-features of the worlds. `evaluate` reads both: the forecast with one family of worlds left out at a time, its
-Brier score against the base rate and against the wall hits alone, with a bootstrap over worlds; a table of
-reliability; the error rates of the sequential test on random streams (`streams` prints these alone)
-and on the stored drives.
+`drive` drives every method in every world, a few drives of each after the other, and continues where the
+last call ended: `verdict_drives.csv` has the classes of the drives, a letter each. `features` writes the
+features of the worlds to `verdict_sites.csv`. `evaluate` reads both: the forecast with one family of worlds
+left out at a time, its Brier score against the base rate and against the wall hits alone, with a bootstrap
+over worlds; a table of reliability; the error rates of the sequential test on random streams (`streams`
+prints these alone) and on the stored drives.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -50,6 +51,10 @@ EXAMPLES = HERE.parent / "examples" / "data"
 METHODS = ("hector", "hector_original", "gmapping_original", "genz-icp")
 RING_LIDAR = "vlp16"
 SECONDS = 60.0
+BLOCK = 4
+"""Drives of a method in one world, at most, before the next world."""
+PLANAR = "planar"
+"""Lidar of a planar method in the table of worlds: the robot's own."""
 LETTERS = {
     "works": "w",
     "path only": "p",
@@ -144,10 +149,10 @@ def _file(path: Path) -> Callable[[], tuple[str, BuildOptions]]:
     return lambda: (str(path), BuildOptions())
 
 
-def configs(site: Site, seed: int, methods: tuple[str, ...]) -> Iterator[RunConfig]:
-    """Yield the config of each method's drive."""
-    for method in methods:
-        lidar = RING_LIDAR if method == "genz-icp" else None
+def configs(site: Site, method: str, seeds: Iterable[int]) -> Iterator[RunConfig]:
+    """Yield the config of a method's drive with each seed."""
+    lidar = RING_LIDAR if method == "genz-icp" else None
+    for seed in seeds:
         yield RunConfig(
             source=site.name, robot=site.robot, mapper=method, lidar=lidar, seed=seed, seconds=SECONDS
         )
@@ -156,52 +161,67 @@ def configs(site: Site, seed: int, methods: tuple[str, ...]) -> Iterator[RunConf
 def drive(options: argparse.Namespace) -> None:
     """Drive until the time is over or every method has its drives everywhere."""
     end = time.monotonic() + 60 * options.minutes
-    classes, features = read_drives(), read_sites()
-    chosen = list(sites(options.data))[:: 7 if options.quick else 1]
-    for seed in range(1, options.drives + 1):
-        for site in chosen:
-            keys = [(site.family, site.name, method) for method in options.methods]
-            if all(len(classes.get(key, "")) >= seed for key in keys):
-                continue
-            if time.monotonic() > end:
-                return
-            drive_site(configs(site, seed, options.methods), site, seed, classes, features)
-            own = {key: found for key, found in classes.items() if key[2] in options.methods}
-            write_drives(read_drives() | own)  # another call may have written for other methods
-            write_sites(read_sites() | features)
+    own = {key: found for key, found in read_drives().items() if key[2] in options.methods}
+    for last in range(BLOCK, options.drives + BLOCK, BLOCK):
+        for site in chosen_sites(options):
+            scenario, cache = None, ScenarioCache()
+            try:
+                for config in pending_drives(site, own, options.methods, min(last, options.drives)):
+                    if time.monotonic() > end:
+                        return
+                    cache.put(scenario := scenario or site.scenario(config))
+                    key = site.family, site.name, config.mapper
+                    own[key] = own.get(key, "") + letter_of(config, scenario, cache)
+                    write_drives(read_drives() | own)  # another call may have written for other methods
+            except WctError as error:
+                print(f"left out: {site.name}: {error}", flush=True)
 
 
-def drive_site(
-    configs: Iterable[RunConfig],
-    site: Site,
-    seed: int,
-    classes: dict[Key, str],
-    features: dict[Key, list[float]],
-) -> None:
-    """Add a drive of each method, and the features of a new site."""
-    cache, robot = ScenarioCache(), make_robot(site.robot)
-    for config in configs:
-        key = site.family, site.name, config.mapper
-        if len(classes.get(key, "")) >= seed:
-            continue
-        try:
-            scenario = site.scenario(config)
-        except WctError as error:
-            print(f"left out: {site.name}: {error}", flush=True)
-            return
-        cache.put(scenario)
-        lidar = config.lidar or "planar"
-        try:
-            if (site.family, site.name, lidar) not in features:
-                found = site_features(scenario.world, robot, config)
-                features[site.family, site.name, lidar] = found.vector.tolist()
-            verdict = run(scenario.config, scenarios=cache).record.verdict.kind
-        except MapperError:
-            verdict = "failed"
-        except WctError as error:
-            print(f"left out: {site.name}: {error}", flush=True)
-            return
-        classes[key] = classes.get(key, "") + LETTERS[verdict]
+def pending_drives(
+    site: Site, classes: dict[Key, str], methods: Sequence[str], drives: int
+) -> Iterator[RunConfig]:
+    """Yield the configs of the drives that a world lacks, method by method."""
+    for method in methods:
+        done = len(classes.get((site.family, site.name, method), ""))
+        yield from configs(site, method, range(done + 1, drives + 1))
+
+
+def letter_of(config: RunConfig, scenario: Scenario, cache: ScenarioCache) -> str:
+    """Return the letter of a drive's class.
+
+    Raises:
+        WctError: the robot fits nowhere in this world.
+    """
+    built = scenario.config
+    try:
+        ended = run(replace(config, source=built.source, build=built.build), scenarios=cache)
+    except MapperError:
+        return LETTERS["failed"]
+    return LETTERS[ended.record.verdict.kind]
+
+
+def find_features(options: argparse.Namespace) -> None:
+    """Write the features of every world for both lidars, with the processor seconds of each."""
+    for site in chosen_sites(options):
+        for method in ("hector", "genz-icp"):
+            (config,) = configs(site, method, (1,))
+            try:
+                world = site.scenario(config).world
+                start = time.process_time()
+                found = site_features(world, make_robot(site.robot), config)
+            except WctError as error:
+                print(f"left out: {site.name}: {error}", flush=True)
+                break
+            seconds = time.process_time() - start
+            print(f"{site.name} {config.lidar or PLANAR}: {seconds:.1f} s", flush=True)
+            write_sites(
+                read_sites() | {(site.family, site.name, config.lidar or PLANAR): found.vector.tolist()}
+            )
+
+
+def chosen_sites(options: argparse.Namespace) -> list[Site]:
+    """Return the worlds of the study; of a quick one, six."""
+    return list(sites(options.data))[:: 7 if options.quick else 1]
 
 
 def read_drives() -> dict[Key, str]:
@@ -235,8 +255,10 @@ def write_sites(features: dict[Key, list[float]]) -> None:
 
 
 def _write(path: Path, headings: tuple[str, ...], rows: list[list[str]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
+    written = path.with_suffix(".part")
+    with written.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([headings, *rows])
+    written.replace(path)
 
 
 @dataclass(frozen=True)
@@ -305,7 +327,7 @@ def data_of(method: str) -> MethodData:
     for (family, world, name), classes in read_drives().items():
         evaluated = classes.replace("n", "")
         if name == method and evaluated:
-            lidar = RING_LIDAR if method == "genz-icp" else "planar"
+            lidar = RING_LIDAR if method == "genz-icp" else PLANAR
             rows.append((family, sites[family, world, lidar], classes.count("w"), len(evaluated), classes))
     families, features, successes, drives, letters = zip(*rows, strict=True)
     return MethodData(
@@ -428,7 +450,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("action", choices=("drive", "evaluate", "streams"))
+    parser.add_argument("action", choices=("drive", "features", "evaluate", "streams"))
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--drives", type=int, default=20)
@@ -438,6 +460,8 @@ def main() -> None:
     options.methods = read_names(options.methods, "--methods")
     if options.action == "drive":
         drive(options)
+    elif options.action == "features":
+        find_features(options)
     elif options.action == "evaluate":
         evaluate(Console(width=110))
     else:
