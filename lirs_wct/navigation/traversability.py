@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import SourceError
@@ -18,6 +20,8 @@ from lirs_wct.kernels import njit
 
 BASELINE = 0.3
 """Baseline of a slope, meters: about a wheel. Shorter steps are roughness, not slope."""
+THINNED_REACH = 8
+"""Nodes in half a baseline, at least, of a thinned surface; a finer one would take minutes."""
 
 MOST_CELLS = 400_000_000
 """Limit of a grid's cells: 1.6 GB, the square of 2 km at 0.1 m."""
@@ -160,21 +164,37 @@ def _gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Array:
     if min(surface.cell) > COARSE:
         return _triangle_gradient(surface, grid)
     fine = surface if max(surface.cell) <= grid.resolution else _resample(surface, grid.resolution)
-    reach = [max(1, round(BASELINE / 2 / c)) for c in fine.cell]
+    every = [max(1, int(BASELINE / 2 / c) // THINNED_REACH) for c in fine.cell]
+    high, low = _thin(fine, every, cv2.dilate), _thin(fine, every, cv2.erode)
+    # A thinned node holds the extreme of its neighbors up to `spread` meters away.
+    spread = [(n - 1) * c for n, c in zip(every, fine.cell, strict=True)]
+    reach = [max(1, round((BASELINE / 2 - s) / c)) for s, c in zip(spread, high.cell, strict=True)]
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach[0] + 1, 2 * reach[1] + 1))
-    baseline = 2 * max(r * c for r, c in zip(reach, fine.cell, strict=True))
-    rows, cols = _node_rows_cols(fine, grid)
+    baseline = 2 * max(r * c + s for r, c, s in zip(reach, high.cell, spread, strict=True))
+    rows, cols = _node_rows_cols(high, grid)
     first = np.flatnonzero(np.diff(cols, prepend=-1))
     for start in range(0, len(rows), _STRIP):
         # A strip needs the rows within reach of it.
         above = min(start, reach[1])
-        z = fine.z[start - above : start + _STRIP + reach[1]]
-        relief = cv2.dilate(z, kernel) - cv2.erode(z, kernel)
+        part = slice(start - above, start + _STRIP + reach[1])
+        relief = cv2.dilate(high.z[part], kernel) - cv2.erode(low.z[part], kernel)
         strip = relief[above : above + len(rows[start : start + _STRIP])] / np.float32(baseline)
         # Neighboring nodes share a cell.
         for row, values in zip(rows[start:], np.maximum.reduceat(strip, first, axis=1), strict=False):
             largest[row, cols[first]] = np.maximum(largest[row, cols[first]], values)
     return largest
+
+
+def _thin(
+    surface: HeightField, every: list[int], extreme: Callable[[Float32Array, NDArray[np.uint8]], Any]
+) -> HeightField:
+    """Return every n-th column and row of nodes; each holds the extreme of those up to the next ones."""
+    n, m = every
+    if n == m == 1:
+        return surface
+    z = extreme(surface.z, np.ones((2 * m - 1, 2 * n - 1), np.uint8))
+    dx, dy = surface.cell
+    return HeightField(z[::-1][::m, ::n][::-1], (n * dx, m * dy), surface.origin)
 
 
 def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -> BoolArray:

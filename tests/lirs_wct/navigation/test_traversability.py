@@ -102,3 +102,19 @@ def test_grids_of_several_limits_are_those_of_each() -> None:
     for (clearance, slope), grid in zip(limits, traversable_by(limits, surface), strict=True):
         alone = traversable(surface, clearance=clearance, max_slope=slope)
         np.testing.assert_array_equal(grid.free, alone.free)
+
+
+@pytest.mark.parametrize("slope", [18.0, 24.0, 26.0, 32.0])
+def test_a_ramp_of_millimeters_is_judged_as_a_coarse_one(slope: float) -> None:
+    x = np.arange(501) * 0.003
+    z = np.tile((x * math.tan(math.radians(slope))).astype(np.float32), (501, 1))
+    grid = traversable(HeightField.centered(z, (0.003, 0.003)), clearance=0.2, max_slope=math.radians(25.0))
+    assert at(grid, 0, 0) == (slope < 25)
+
+
+def test_a_thin_wall_on_a_fine_surface_blocks() -> None:
+    z = np.zeros((501, 501), np.float32)
+    z[:, 250:252] = 0.3
+    grid = traversable(HeightField.centered(z, (0.003, 0.003)), clearance=0.2, max_slope=math.radians(25.0))
+    assert not at(grid, 0, 0)
+    assert at(grid, -0.45, 0)
