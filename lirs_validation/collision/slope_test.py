@@ -110,7 +110,8 @@ def _steepest(world: World, robot: Robot) -> list[tuple[float, Pose2]]:
         return []
     r, z = robot.radius, world.surface.height_at
     east, north = (z(x + r, y) - z(x - r, y)) / (2 * r), (z(x, y + r) - z(x, y - r)) / (2 * r)
-    slope, uphill = np.nan_to_num(np.arctan(np.hypot(east, north)), nan=np.inf), np.arctan2(north, east)
+    slope = np.nan_to_num(np.arctan(np.hypot(east, north)), nan=np.inf)
+    uphill = np.nan_to_num(np.arctan2(north, east))
     v, ramp, distance = _course(robot)
     length = v * ramp + distance
     ends = free.cells(np.stack((x + length * np.cos(uphill), y + length * np.sin(uphill)), axis=-1))

@@ -75,7 +75,8 @@ class OccupancyGrid(ShownAsPicture):
         """(rows, cols) probability of being occupied, NaN = unknown."""
         # Computed in place: with millions of cells, a further array costs more than the arithmetic.
         p = np.negative(self.log_odds)
-        np.exp(p, out=p)
+        with np.errstate(over="ignore"):  # Beyond float32, the probability is 0.
+            np.exp(p, out=p)
         p += 1
         return np.divide(1, p, out=p)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -27,6 +28,13 @@ def test_unknown_is_neither_free_nor_occupied() -> None:
     assert grid.known.tolist() == [[True, True, False, True]]
     assert grid.occupied.tolist() == [[False, True, False, False]]
     assert grid.free.tolist() == [[True, False, False, False]]
+
+
+def test_log_odds_beyond_float32_are_certain_without_a_warning() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        grid = OccupancyGrid(np.array([[-200.0, 200.0]], np.float32), 1.0)
+        assert grid.probability.tolist() == [[0.0, 1.0]]
 
 
 def test_row_0_is_the_south_and_column_0_the_west() -> None:
