@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from lirs_wct.export.package import write_package
     from lirs_wct.geometry import (
         Imu,
+        ImuReadings,
         LaserScan,
         OccupancyGrid,
         PointCloud,
@@ -39,6 +40,7 @@ _HOMES = {
     "ConfigError": "errors",
     "HeightField": "geometry.heightfield",
     "Imu": "geometry.scan",
+    "ImuReadings": "geometry.scan",
     "LaserScan": "geometry.scan",
     "MapperError": "errors",
     "OccupancyGrid": "geometry.grid",
@@ -64,6 +66,7 @@ __all__ = [
     "ConfigError",
     "HeightField",
     "Imu",
+    "ImuReadings",
     "LaserScan",
     "MapperError",
     "OccupancyGrid",

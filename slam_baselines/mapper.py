@@ -181,6 +181,9 @@ class CloudMapper(Protocol):
     def update(self, cloud: PointCloud, imu: Imu | None) -> Pose3:
         """Take in a sweep and return `T_map_base` at its stamp.
 
+        A mapper with the attribute `reads_inertial = True` gets `ImuReadings` as a third argument: all
+        readings near 200 Hz since the last sweep.
+
         Args:
             cloud: as the sensor gave it, in the sensor's frame.
             imu: inertial reading at the cloud's stamp, if there is one.
@@ -205,6 +208,11 @@ class CloudMapper(Protocol):
 def reads_clouds(mapper: object) -> TypeGuard[CloudMapper]:
     """Return whether a mapper takes point clouds; False without the attribute."""
     return bool(getattr(mapper, "reads_clouds", False))
+
+
+def reads_inertial(mapper: object) -> bool:
+    """Return whether a cloud mapper takes all inertial readings; False without the attribute."""
+    return reads_clouds(mapper) and bool(getattr(mapper, "reads_inertial", False))
 
 
 def requires_odometry(mapper: object) -> bool:

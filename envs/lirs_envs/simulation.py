@@ -16,7 +16,8 @@ from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.ray_casting import WalkerCaster, make_caster
 from lirs_envs.placement import check_fit, resolve_start
 from lirs_envs.robots.command import Twist, Waypoint, check_command
-from lirs_envs.sensing.sensors import Observation, sensor_streams
+from lirs_envs.sensing.inertial import InertialUnit
+from lirs_envs.sensing.sensors import INERTIAL_STREAM, Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct import ConfigError, HeightField, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
@@ -92,7 +93,10 @@ class Simulation:
         self.body = make_body(
             world, config, self.period, height_range=config.height_range, contact_sensors=False
         )
-        self._bodies = SingleBody(config.robot, self.body)
+        self._bodies = SingleBody(config.robot, self.body, record_motion=config.inertial is not None)
+        self._inertial = None
+        if config.inertial is not None:
+            self._inertial = InertialUnit(config.inertial, self.body.timestep, self.body.gravity)
         self._row = RobotGroup(config, range(1), self._bodies, world.surface)
         self._commands = np.zeros((1, 3))
         self._meet_world()
@@ -116,6 +120,9 @@ class Simulation:
         self._lidar = Lidar(preset, self.caster, mount, lidar, noise, rolling_scan=rolling_scan)
         self._row.begin(0, odometry, imu, self.period)
         self._bodies.clear()
+        if self._inertial is not None:
+            rng = np.random.default_rng((self._seed, INERTIAL_STREAM))
+            self._inertial.begin(self._bodies.motion(), rng)
         self._initial_state: FloatArray | None = None
         self._initial_walkers = None if self.walkers is None else self.walkers.state()
         self.timing = Timing()
@@ -190,10 +197,12 @@ class Simulation:
         body, lidar, stamp = self.body, self._lidar, self.time
         velocity = BaseVelocity(body.velocity(), body.rates()) if lidar.time_increment else None
         odometry, imu = Pose2(*self._row.odometry[0].tolist()), self._row.imu.reading(0, stamp)
+        inertial = None if self._inertial is None else self._inertial.read(self._bodies.take_motion())
         if self.preset.rings == 1:
-            return Observation(lidar.scan(self.T_world_base, stamp, velocity), odometry, imu)
+            scan = lidar.scan(self.T_world_base, stamp, velocity)
+            return Observation(scan, odometry, imu, inertial=inertial)
         scan, cloud = lidar.sweep(self.T_world_base, stamp, velocity)
-        return Observation(scan, odometry, imu, cloud)
+        return Observation(scan, odometry, imu, cloud, inertial)
 
     @property
     def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair

@@ -10,6 +10,7 @@ from lirs_envs.lidar.ray_casting import Rays, resolve_rays
 from lirs_envs.placement import check_start
 from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.inertial import InertialNoise
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.walkers import TOUCHABLE
 from lirs_wct import ConfigError, Pose2, unknown_name
@@ -36,6 +37,7 @@ class SimulationConfig:
         height_range: lowest and highest height that `Simulation.replace_terrain` may write, meters; wheels
             then touch the surface itself, node by node. None = the ground stays.
         longest_timestep: longest step of the physics, seconds; None = the robot's own, never exceeded.
+        inertial: noise of inertial readings near 200 Hz, which observations then hold; None = none.
 
     Raises:
         ConfigError: a value is of the wrong type or not legal, or no lidar, rays or contact geometry has the
@@ -52,6 +54,7 @@ class SimulationConfig:
     start: Pose2 | None = None
     height_range: tuple[float, float] | None = None
     longest_timestep: float | None = None
+    inertial: InertialNoise | None = None
 
     def __post_init__(self) -> None:
         require_type(self, Robot, "robot")
@@ -70,6 +73,7 @@ class SimulationConfig:
         self._check_height_range()
         if self.longest_timestep is not None:
             require_above(self, 0, "longest_timestep", unit="s", finite=True)
+        require_type(self, InertialNoise | None, "inertial")
         make_lidar_preset(self.preset_name)
 
     def _check_height_range(self) -> None:

@@ -104,7 +104,7 @@ class MapperProcess(MapperUnderTest):
         self._sent = 0
         try:
             self._send("make", MapperSpec(config.mapper, config.seed, config.attitude))
-            self.reads_clouds, self.requires_odometry = self._reply()
+            self.reads_clouds, self.requires_odometry, self.reads_inertial = self._reply()
             self._send("warm_up")
         except BaseException:
             self._end()  # a traceback may keep this object for long
@@ -179,7 +179,8 @@ class MapperProcess(MapperUnderTest):
         """Queue the readings that the mapper takes; send a full batch."""
         o = observation
         scan, cloud = (None, o.cloud) if self.reads_clouds else (o.scan, None)
-        self._given.append(SensorReadings(scan, o.odometry, o.imu, cloud))
+        inertial = o.inertial if self.reads_inertial else None
+        self._given.append(SensorReadings(scan, o.odometry, o.imu, cloud, inertial))
         if len(self._given) >= BATCH:
             self._flush()
 
@@ -296,12 +297,13 @@ def _await(pipe: Connection) -> None:
 class _Server:
     """A run's mapper; each method is a request."""
 
-    def make(self, spec: MapperSpec) -> tuple[bool, bool]:
-        """Make the mapper; return whether it reads clouds, and whether it requires odometry."""
+    def make(self, spec: MapperSpec) -> tuple[bool, bool, bool]:
+        """Make the mapper; return whether it reads clouds, requires odometry, and reads all of the IMU."""
         self._name, self._meter = spec.mapper, CostMeter()
         make = partial(mapper_named, spec.mapper, spec.seed)
         self._mapper = MapperUnderTest(make, spec.mapper, spec.attitude)
-        return self._mapper.reads_clouds, self._mapper.requires_odometry
+        mapper = self._mapper
+        return mapper.reads_clouds, mapper.requires_odometry, mapper.reads_inertial
 
     def warm_up(self) -> float:
         """Compile the mapper's kernels; return the seconds that the compiler took."""

@@ -6,6 +6,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
 from dataclasses import FrozenInstanceError, astuple, dataclass, replace
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -17,6 +18,7 @@ from lirs_validation.interrupts import is_interrupt
 from lirs_wct import (
     ConfigError,
     Imu,
+    ImuReadings,
     LaserScan,
     MapperError,
     OccupancyGrid,
@@ -26,7 +28,14 @@ from lirs_wct import (
     Trajectory,
     WctError,
 )
-from slam_baselines.mapper import CloudMapper, Mapper, MapperStats, reads_clouds, requires_odometry
+from slam_baselines.mapper import (
+    CloudMapper,
+    Mapper,
+    MapperStats,
+    reads_clouds,
+    reads_inertial,
+    requires_odometry,
+)
 
 if TYPE_CHECKING:  # mapping a log does not load the simulator
     from lirs_envs.sensing.sensors import Observation
@@ -48,12 +57,14 @@ class SensorReadings:
         odometry: `T_odom_base`; None without odometry.
         imu: inertial reading; None without one.
         cloud: point cloud; None for a planar mapper.
+        inertial: readings near 200 Hz since the last stamp; None for a mapper that does not take them.
     """
 
     scan: LaserScan | None = None
     odometry: Pose2 | None = None
     imu: Imu | None = None
     cloud: PointCloud | None = None
+    inertial: ImuReadings | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +95,7 @@ class MapperUnderTest:
         name: of the mapper in messages.
         reads_clouds: whether it reads point clouds.
         requires_odometry: whether it needs odometry.
+        reads_inertial: whether it takes all inertial readings.
         place: location of the mapper.
 
     Args:
@@ -101,22 +113,26 @@ class MapperUnderTest:
         self._mapper: Any = make()
         self.reads_clouds = reads_clouds(self._mapper)
         self.requires_odometry = requires_odometry(self._mapper)
+        self.reads_inertial = reads_inertial(self._mapper)
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Give the mapper an observation; return its estimate.
 
         Raises:
-            ConfigError: it reads point clouds, and the lidar has no rings.
+            ConfigError: it reads point clouds or all inertial readings, and there are none.
             MapperError: it fails, writes into its inputs, or returns no finite pose of its kind.
         """
         begun = time.perf_counter()
         sensed = observation.cloud if self.reads_clouds else observation.scan
         if sensed is None:
             raise ConfigError("a mapper of point clouds needs a lidar with rings")
+        if self.reads_inertial and observation.inertial is None:
+            raise ConfigError(f"mapper {self.name!r} needs inertial readings near 200 Hz: there are none")
         imu = imu_copy(observation.imu) if self._attitude == "imu" else None
         try:
             if isinstance(sensed, PointCloud):
-                pose = self._mapper.update(cloud_copy(sensed), imu)
+                inertial = (deepcopy(observation.inertial),) if self.reads_inertial else ()
+                pose = self._mapper.update(cloud_copy(sensed), imu, *inertial)
             else:
                 pose = self._mapper.update(scan_copy(sensed), pose_copy(observation.odometry), imu)
         except BaseException as error:

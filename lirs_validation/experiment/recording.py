@@ -53,6 +53,7 @@ class Recording:
             truth=self._T_map_world @ T_world_base,
             estimate=T_map_base if self._slam else None,
             cloud=observation.cloud,
+            inertial=observation.inertial,
         )
         self._writer.add(tick)
 

@@ -170,7 +170,8 @@ def prepare(
             if isinstance(mapper, MapperProcess):
                 mapper.wait_until_ready()
             warm_up(scenario, robot, mapper)
-        simulation = scenario.simulation(robot)
+        inertial = config.bag is not None or mapper.reads_inertial
+        simulation = scenario.simulation(robot, inertial=inertial)
         started.pop_all()
     return ReadyRun(scenario, simulation, driver, mapper, compile_seconds())
 

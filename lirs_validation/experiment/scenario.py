@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.inertial import InertialNoise
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
@@ -38,8 +39,8 @@ class Scenario:
     files: tuple[SourceFile, ...] = ()
     whole_size: tuple[float, float] | None = None
 
-    def simulation(self, robot: Robot) -> Simulation:
-        """Put the robot into the world."""
+    def simulation(self, robot: Robot, *, inertial: bool = False) -> Simulation:
+        """Put the robot into the world, with inertial readings near 200 Hz on request."""
         c = self.config
         config = SimulationConfig(
             robot=robot,
@@ -48,6 +49,7 @@ class Scenario:
             rays=resolve_rays(c.rays),
             actors=c.actors,
             noise=SensorNoise().with_odometry_noise(c.odometry_noise),
+            inertial=InertialNoise() if inertial else None,
         )
         return Simulation(self.world, config, seed=c.seed)
 

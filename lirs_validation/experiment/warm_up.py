@@ -41,7 +41,7 @@ def warm_up(scenario: Scenario, robot: Robot, mapper: MapperUnderTest) -> None:
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
     driver = make_driver(scenario.world, robot, config, mapper.map)
-    drive(scenario.simulation(robot), driver, mapper, config.seconds)
+    drive(scenario.simulation(robot, inertial=mapper.reads_inertial), driver, mapper, config.seconds)
     mapper.restart()
     if mapper.place == "drive":
         _WARM.add(kind)

@@ -97,3 +97,25 @@ class Imu:
         """Build a reading from the nine numbers of `row`."""
         p, q, r, x, y, z = vectors
         return Imu(roll, pitch, (p, q, r), (x, y, z), stamp)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ImuReadings:
+    """Inertial readings in the base frame, without attitude; each is the mean over its interval.
+
+    Attributes:
+        stamps: (n,) ends of the intervals, seconds.
+        angular_velocity: (n, 3) rates about x, y, z of the base, rad/s.
+        linear_acceleration: (n, 3) specific force along x, y, z of the base, m/s^2.
+        rate_sigma: standard deviation of the white noise of each rate, rad/s.
+        acceleration_sigma: standard deviation of the white noise of each acceleration, m/s^2.
+    """
+
+    stamps: FloatArray
+    angular_velocity: FloatArray
+    linear_acceleration: FloatArray
+    rate_sigma: float = 0.0
+    acceleration_sigma: float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.stamps)

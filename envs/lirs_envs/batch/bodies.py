@@ -251,25 +251,32 @@ class SingleBody:
         qvel: (1, nv) velocities, live.
         ctrl: (1, nu) controls, to be written.
         mocap_pos: (1, m, 3) centers of the walkers with a body, to be written.
+
+    Args:
+        robot: the robot's figures.
+        body: its compiled model and state.
+        record_motion: whether to record the base after each step (see `take_motion`).
     """
 
-    def __init__(self, robot: Robot, body: RobotModel) -> None:
+    def __init__(self, robot: Robot, body: RobotModel, *, record_motion: bool = False) -> None:
         self.robot, self.body, self.count = robot, body, 1
+        self._record_motion = record_motion
         self.clear()
         self._bind()
 
     def clear(self) -> None:
         """Clear the records."""
         self.contacts = ContactMonitor(self.body.contact_drops)
-        self._controls = array("d")
+        self._controls, self._motion = array("d"), array("d")
 
     def _bind(self) -> None:
         body = self.body
         self.qpos, self.qvel, self.ctrl = body.qpos[None], body.qvel[None], body.ctrl[None]
         self.mocap_pos, self._force = body.walker_centers[None], body.force[None]
+        self._quaternion, self._velocity = body.qpos[3:7], body.qvel[:6]
 
     def __getstate__(self) -> dict[str, Any]:
-        live = ("qpos", "qvel", "ctrl", "mocap_pos", "_force")
+        live = ("qpos", "qvel", "ctrl", "mocap_pos", "_force", "_quaternion", "_velocity")
         return {name: value for name, value in self.__dict__.items() if name not in live}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -289,8 +296,24 @@ class SingleBody:
     def step(self, ids: Int32Array | None, steps: int) -> dict[int, str]:
         """Step the robot with its controls."""
         self._controls.frombytes(self.body.ctrl.tobytes())
-        self.body.step(steps)
+        if not self._record_motion:
+            self.body.step(steps)
+            return {}
+        for _ in range(steps):
+            self.body.step(1)
+            self._motion.frombytes(self._quaternion.tobytes())
+            self._motion.frombytes(self._velocity.tobytes())
         return {}
+
+    def motion(self) -> FloatArray:
+        """Return the base (10,): quaternion, real part first, velocity in the world, m/s, rates, rad/s."""
+        return np.concatenate((self._quaternion, self._velocity))
+
+    def take_motion(self) -> FloatArray:
+        """Return and forget the base (n, 10) after each step since the last call (see `motion`)."""
+        taken = np.array(self._motion).reshape(-1, 10)
+        self._motion = array("d")
+        return taken
 
     def settle(self, i: int, T_world_base: Pose3, walkers: FloatArray | None = None) -> None:
         """Release the robot in a pose with its wheels held, and settle (see `RobotModel.settle`)."""

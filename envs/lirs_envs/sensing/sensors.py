@@ -16,9 +16,9 @@ from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.field_validators import require_type
-from lirs_wct.geometry import Imu, LaserScan, PointCloud, Pose2, Pose3
+from lirs_wct.geometry import Imu, ImuReadings, LaserScan, PointCloud, Pose2, Pose3
 
-LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM = 11, 12, 13
+LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM, INERTIAL_STREAM = 11, 12, 13, 14
 """Random stream of each sensor: with one each, another lidar leaves the noise of the others as it was."""
 
 
@@ -31,12 +31,14 @@ class Observation:
         odometry: `T_odom_base`.
         imu: reading of the inertial unit.
         cloud: cloud of a lidar with rings; None for a planar one.
+        inertial: readings near 200 Hz since the last observation; None where the config has none.
     """
 
     scan: LaserScan
     odometry: Pose2
     imu: Imu
     cloud: PointCloud | None = None
+    inertial: ImuReadings | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

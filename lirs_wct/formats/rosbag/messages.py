@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from lirs_wct.formats.rosbag.cdr import Layout, Zeros
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 
 MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
 """Frames by REP 105."""
@@ -21,11 +22,18 @@ Edges = tuple[tuple[str, str], ...]
 """Parent and child frame of each transform of a message."""
 
 TIME, POSE, COVARIANCE = "iI", "ddddddd", Zeros("d", 36)
+DIAGONAL = ("d", Zeros("d", 3), "d", Zeros("d", 3), "d")
+"""Covariance of three independent values."""
+NO_ATTITUDE = (0.0, 0.0, 0.0, 1.0, -1.0)
+"""Quaternion and first covariance of a message without attitude, as `sensor_msgs/Imu` defines it."""
 _CLOCK = Layout(TIME)
 _POSE = Layout(TIME, MAP.encode(), POSE)
 _ODOMETRY = Layout(TIME, ODOM.encode(), BASE.encode(), POSE, COVARIANCE, "dddddd", COVARIANCE)
 _IMU = Layout(
     TIME, BASE.encode(), "dddd", Zeros("d", 8), "d", "ddd", Zeros("d", 9), "ddd", Zeros("d", 9)
+)  # fmt: skip
+_IMU_RAW = Layout(
+    TIME, BASE.encode(), "dddd", "d", Zeros("d", 8), "ddd", *DIAGONAL, "ddd", *DIAGONAL
 )  # fmt: skip
 _SCAN = Layout(TIME, LASER.encode(), "fffffff", "I")
 _MAP = Layout(TIME, MAP.encode(), TIME, "fII", POSE, "I")
@@ -102,6 +110,22 @@ def imu(reading: Imu, stamp: float) -> bytearray:
         *reading.angular_velocity,
         *reading.linear_acceleration,
     )
+
+
+def imu_raw(readings: ImuReadings) -> Iterator[tuple[float, bytearray]]:
+    """Yield stamp and `sensor_msgs/Imu` in base_link, without attitude, of each reading."""
+    variances = [3 * (sigma**2,) for sigma in (readings.rate_sigma, readings.acceleration_sigma)]
+    rows = zip(
+        readings.stamps.tolist(),
+        readings.angular_velocity.tolist(),
+        readings.linear_acceleration.tolist(),
+        strict=True,
+    )
+    for stamp, rates, force in rows:
+        yield (
+            stamp,
+            _IMU_RAW.pack(*_time(stamp), *NO_ATTITUDE, *rates, *variances[0], *force, *variances[1]),
+        )
 
 
 def odometry(stamp: float, T_odom_base: Pose2, velocity: tuple[float, float, float]) -> bytearray:

@@ -34,7 +34,7 @@ from lirs_wct.formats.rosbag.storage import Storage
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 
 TOPICS = {
     "/clock": "rosgraph_msgs/msg/Clock",
@@ -42,6 +42,7 @@ TOPICS = {
     "/tf": "tf2_msgs/msg/TFMessage",
     "/odom": "nav_msgs/msg/Odometry",
     "/imu": "sensor_msgs/msg/Imu",
+    "/imu/data_raw": "sensor_msgs/msg/Imu",
     "/scan": "sensor_msgs/msg/LaserScan",
     "/points": "sensor_msgs/msg/PointCloud2",
     "/ground_truth": "geometry_msgs/msg/PoseStamped",
@@ -72,6 +73,7 @@ class BagTick:
         truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
         estimate: `T_map_base`, a mapper's pose estimate; None = no transform from map to odom.
         cloud: of a lidar with rings at the same place; None for a planar lidar.
+        inertial: readings near 200 Hz since the previous scan; None = none.
     """
 
     scan: LaserScan
@@ -80,6 +82,7 @@ class BagTick:
     truth: Pose3
     estimate: Pose2 | None = None
     cloud: PointCloud | None = None
+    inertial: ImuReadings | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,6 +187,9 @@ class BagWriter:
         t = scan.stamp
         if self._last is None:
             self._write("/tf_static", t, messages.transforms(t, MOUNTED, (scan.T_base_laser,)))
+        if tick.inertial is not None:
+            for stamp, message in messages.imu_raw(tick.inertial):
+                self._write("/imu/data_raw", stamp, message)
         self._write("/clock", t, messages.clock(t))
         self._write("/tf", t, _frames(tick))
         self._write("/odom", t, messages.odometry(t, odometry, self._velocity(tick)))

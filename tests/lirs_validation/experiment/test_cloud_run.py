@@ -55,6 +55,19 @@ class Still:
     @property
     def stats(self): return MapperStats(received=len(self.poses), used=len(self.poses))
 
+class Gyro(Still):
+    '''Turns by the yaw rate of all inertial readings.'''
+    reads_inertial = True
+    yaw = 0.0
+    def update(self, cloud, imu, readings):
+        wanted = 20 if self.stamps else 0
+        if len(readings) != wanted: raise ValueError(f"{len(readings)} readings instead of {wanted}")
+        if wanted and abs(readings.stamps[-1] - cloud.stamp) > 1e-9: raise ValueError("late readings")
+        self.yaw += readings.angular_velocity[:, 2].sum() / 200
+        self.stamps.append(cloud.stamp)
+        self.poses.append(Pose3.from_rpy(0.0, 0.0, 0.0, 0.0, 0.0, self.yaw))
+        return self.poses[-1]
+
 class Half:
     reads_clouds = True
     def update(self, cloud, imu): ...
@@ -94,6 +107,18 @@ def test_the_figures_are_those_of_a_mapper_that_stands_still(still: Run) -> None
     raw = np.linalg.norm(flat - expected, axis=1)
     assert record.trajectory["ate_rmse_unaligned"] == pytest.approx(math.sqrt((raw**2).mean()), rel=1e-3)
     assert record.trajectory["length"] > 1.0
+
+
+def test_a_mapper_gets_all_inertial_readings_on_request(here: Path) -> None:
+    log = validate("medium", mapper="still_slam:Gyro", lidar="vlp16", seconds=8).log
+    yaw = np.unwrap([pose.to_pose2().yaw for pose in log.truth])
+    assert np.ptp(yaw) > 0.3
+    turned = np.unwrap([pose.to_pose2().yaw for pose in log.estimates])
+    np.testing.assert_allclose(turned, yaw - yaw[0], atol=0.03)
+    mapper = MapperUnderTest(lambda: mapper_named("still_slam:Gyro", 1), "still_slam:Gyro")
+    cloud = PointCloud(np.zeros((1, 3), np.float32), np.zeros(1, np.uint16), np.zeros(1, np.float32), 0.0)
+    with pytest.raises(ConfigError, match="needs inertial readings near 200 Hz"):
+        mapper.observe(SensorReadings(cloud=cloud))
 
 
 def test_elevation_stands_in_the_place_of_an_occupancy_map(still: Run) -> None:

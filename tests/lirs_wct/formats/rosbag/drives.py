@@ -14,7 +14,7 @@ from lirs_wct.formats.rosbag.writer import BagDrive, BagTick
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 
 MOUNT = Pose3.from_rpy(0.22, -0.01, 0.32, 0.0, 0.02, 0.1)
 
@@ -37,10 +37,16 @@ def drive(scans: int = 5) -> BagDrive:
             truth=Pose3.from_rpy(0.011 * k, 0.0, 0.5, 0.01, 0.02, 0.005 * k),
             cloud=PointCloud(xyz[k], ring, time, t, MOUNT),
             estimate=Pose2(0.0105 * k, -0.001 * k, 0.0052 * k),
+            inertial=readings(t, k) if k else None,
         )
         for k, t in enumerate(stamps)
     ]
     return BagDrive(ticks=ticks, grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)))
+
+
+def readings(stamp: float, k: int) -> ImuReadings:
+    """Return two inertial readings, the last one at a stamp."""
+    return ImuReadings(stamp - np.array((0.01, 0.0)), np.full((2, 3), float(k)), np.ones((2, 3)), 0.1, 0.2)
 
 
 def copy_bag(

@@ -55,7 +55,7 @@ def test_messages_are_encoded_as_the_library_encodes_them(bag: Path) -> None:
 def test_every_topic_has_a_message_for_every_scan(read: dict[str, list[Any]], given: BagDrive) -> None:
     assert {topic: len(found) for topic, found in read.items()} == {
         topic: 1 if topic in LATCHED else len(given.ticks) for topic in TOPICS
-    }
+    } | {"/imu/data_raw": 2 * (len(given.ticks) - 1)}
 
 
 def test_scans_are_those_given(read: dict[str, list[Any]], given: BagDrive) -> None:
@@ -130,6 +130,23 @@ def test_odometry_imu_and_truth(read: dict[str, list[Any]], given: BagDrive) -> 
         assert (force.x, force.y, force.z) == reading.linear_acceleration
         assert truth.header.frame_id == "map"
         assert pose_of(truth.pose.position, truth.pose.orientation) == given.ticks[k].truth
+
+
+def test_inertial_readings_have_their_own_stamps_and_covariances(
+    read: dict[str, list[Any]], given: BagDrive
+) -> None:
+    readings = [tick.inertial for tick in given.ticks if tick.inertial is not None]
+    stamps = np.concatenate([each.stamps for each in readings])
+    rates = np.concatenate([each.angular_velocity for each in readings])
+    for message, stamp, rate in zip(read["/imu/data_raw"], stamps, rates, strict=True):
+        assert seconds(message.header.stamp) == pytest.approx(stamp, abs=1e-9)
+        assert message.header.frame_id == "base_link"
+        assert message.orientation_covariance[0] == -1
+        omega, force = message.angular_velocity, message.linear_acceleration
+        assert (omega.x, omega.y, omega.z) == tuple(rate)
+        assert (force.x, force.y, force.z) == (1.0, 1.0, 1.0)
+        np.testing.assert_allclose(message.angular_velocity_covariance, np.diag([0.01] * 3).ravel())
+        np.testing.assert_allclose(message.linear_acceleration_covariance, np.diag([0.04] * 3).ravel())
 
 
 def test_a_map_larger_than_a_chunk_is_whole(read: dict[str, list[Any]], given: BagDrive) -> None:
