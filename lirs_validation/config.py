@@ -37,6 +37,8 @@ from slam_baselines.mapper import MAPPERS
 
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
+ScanTime = Literal["instant", "rolling"]
+SCAN_TIMES: tuple[ScanTime, ...] = get_args(ScanTime)
 TOUR, FRONTIER = "tour", "frontier"
 DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN", "goal": "X,Y"}
 """Drivers, and the argument that each needs."""
@@ -212,6 +214,17 @@ class RunConfig(Options):
         check=within("[1, 2]"),
         slider=Slider(low=1, high=2, step=1, neutral=1),
         shown="threads: {}",
+    )
+    scan_time: ScanTime = option(
+        "instant",
+        "Beams of a scan: all at its stamp, or one after the other while the robot goes on.",
+        axis=read_names,
+        metavar="instant|rolling",
+        panel=AXES,
+        check=one_of(SCAN_TIMES),
+        shown="scan time: {}",
+        hidden=True,
+        on_page=False,
     )
     odometry_noise: float = option(
         1.0,

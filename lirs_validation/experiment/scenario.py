@@ -42,13 +42,14 @@ class Scenario:
     def simulation(self, robot: Robot, *, inertial: bool = False) -> Simulation:
         """Put the robot into the world, with inertial readings near 200 Hz on request."""
         c = self.config
+        noise = SensorNoise().with_odometry_noise(c.odometry_noise)
         config = SimulationConfig(
             robot=robot,
             lidar=c.lidar,
             contact_geometry=c.terrain,
             rays=resolve_rays(c.rays),
             actors=c.actors,
-            noise=SensorNoise().with_odometry_noise(c.odometry_noise),
+            noise=replace(noise, rolling_scan=c.scan_time == "rolling"),
             inertial=InertialNoise() if inertial else None,
         )
         return Simulation(self.world, config, seed=c.seed)

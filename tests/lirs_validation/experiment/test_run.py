@@ -187,6 +187,16 @@ def test_compile_seconds_hold_neither_planning_nor_driving(monkeypatch: pytest.M
     assert record.cost["compile_seconds"] == record.rtf["compile_seconds"] == 0.0
 
 
+def test_rolling_scans_roll_and_other_sensors_keep_their_readings() -> None:
+    runs = [validate("simple", seconds=2.0, scan_time=each) for each in ("instant", "rolling")]
+    instant, rolling = (found.log.observations for found in runs)
+    assert {o.scan.time_increment for o in instant} == {0.0}
+    assert min(o.scan.time_increment for o in rolling) > 0
+    assert [o.odometry for o in instant] == [o.odometry for o in rolling]
+    assert np.isclose(instant[0].scan.ranges, rolling[0].scan.ranges, atol=0.01).mean() > 0.99, "at rest"
+    assert instant[-1].scan.ranges.tobytes() != rolling[-1].scan.ranges.tobytes()
+
+
 def test_odometry_noise_scales_wheels_and_gyro_alone() -> None:
     husky = make_robot("husky")
     configs = [RunConfig(source="simple", odometry_noise=factor) for factor in (1.0, 0.5)]
