@@ -253,6 +253,15 @@ class RunConfig(Options):
         slider=Slider(low=1, high=3600, step=1, neutral=120),
         shown="{:g} s",
     )
+    stand: float = option(
+        0.0,
+        "Simulated seconds at the beginning of a drive for which the robot stands still.",
+        metavar="S",
+        check=within("[0, inf)"),
+        shown="stands for {:g} s",
+        hidden=True,
+        on_page=False,
+    )
     wall_limit: float | None = option(
         None,
         "Stop a drive after this many wall seconds; its RTF is extrapolated and marked.",

@@ -12,6 +12,7 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
+from lirs_validation.driving.standing import StandingDriver
 from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
@@ -166,6 +167,7 @@ def prepare(
         with compile_timer() as compile_seconds:
             progress("plan", 0.0)
             driver = make_driver(scenario.world, robot, config, mapper.map)
+            driver = StandingDriver(driver, config.stand) if config.stand else driver
             progress("compile", 0.0)
             if isinstance(mapper, MapperProcess):
                 mapper.wait_until_ready()

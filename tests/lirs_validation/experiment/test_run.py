@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.command import Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import drive
@@ -185,6 +186,17 @@ def test_compile_seconds_hold_neither_planning_nor_driving(monkeypatch: pytest.M
     monkeypatch.setattr("lirs_validation.experiment.warm_up._WARM", set())
     record = validate("simple", seconds=1).record
     assert record.cost["compile_seconds"] == record.rtf["compile_seconds"] == 0.0
+
+
+def test_a_robot_stands_still_before_it_drives() -> None:
+    log = validate("simple", robot="jackal", seconds=3.0, stand=1.5).log
+    period = log.stamps[1] - log.stamps[0]
+    still = round(1.5 / period)
+    assert set(log.commands[:still]) == {Twist()}
+    assert log.commands[still] != Twist()
+    gone = [float(np.hypot(*(pose.position - log.truth[0].position)[:2])) for pose in log.truth]
+    assert max(gone[: still + 1]) < 0.01
+    assert gone[-1] > 0.2
 
 
 def test_rolling_scans_roll_and_other_sensors_keep_their_readings() -> None:
