@@ -29,6 +29,10 @@ ROW = np.zeros(1, np.int64)
 """The row of a single robot."""
 
 
+TRACK_RATE = 50.0
+"""Aimed rate of the odometry between scans, Hz."""
+
+
 @dataclass
 class Timing:
     """Wall-clock seconds of each `advance`: in MuJoCo's step, and in all sensors."""
@@ -119,6 +123,8 @@ class Simulation:
         mount = self.robot.T_base_laser
         self._lidar = Lidar(preset, self.caster, mount, lidar, noise, rolling_scan=rolling_scan)
         self._row.begin(0, odometry, imu, self.period)
+        filtered = self.robot.flies or config.noise.odometry.method == "ekf"
+        self._row.track = None if config.inertial is None or filtered else []
         self._bodies.clear()
         if self._inertial is not None:
             rng = np.random.default_rng((self._seed, INERTIAL_STREAM))
@@ -198,11 +204,22 @@ class Simulation:
         velocity = BaseVelocity(body.velocity(), body.rates()) if lidar.time_increment else None
         odometry, imu = Pose2(*self._row.odometry[0].tolist()), self._row.imu.reading(0, stamp)
         inertial = None if self._inertial is None else self._inertial.read(self._bodies.take_motion())
+        track = self._odometry_track(stamp)
         if self.preset.rings == 1:
-            scan = lidar.scan(self.T_world_base, stamp, velocity)
-            return Observation(scan, odometry, imu, inertial=inertial)
-        scan, cloud = lidar.sweep(self.T_world_base, stamp, velocity)
-        return Observation(scan, odometry, imu, cloud, inertial)
+            scan, cloud = lidar.scan(self.T_world_base, stamp, velocity), None
+        else:
+            scan, cloud = lidar.sweep(self.T_world_base, stamp, velocity)
+        return Observation(scan, odometry, imu, cloud, inertial, track)
+
+    def _odometry_track(self, stamp: float) -> tuple[tuple[float, Pose2], ...]:
+        """Return and forget stamps and `T_odom_base` near TRACK_RATE since the last scan, without its own."""
+        if not self._row.track:
+            return ()
+        poses, self._row.track = self._row.track, []
+        ends = stamp - self.period + self.body.timestep * np.cumsum(self.body.substeps)
+        every = max(1, round(len(poses) / (TRACK_RATE * self.period)))
+        chosen = range(len(poses) - 1 - every, -1, -every)
+        return tuple((float(ends[k]), Pose2(*poses[k])) for k in reversed(chosen))
 
     @property
     def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair

@@ -92,7 +92,7 @@ class DriveLog:
                 self.clouds.offer(len(self.observations), observation.cloud, tick.walker_points)
             scan = replace(observation.scan, ranges=observation.scan.ranges.copy())  # not the whole sweep
             observation = replace(observation, scan=scan, cloud=None)
-        self.observations.append(replace(observation, inertial=None))
+        self.observations.append(replace(observation, inertial=None, odometry_track=()))
         if tick.walker_beams is not None:
             self.walker_beams.append(tick.walker_beams)
         self.truth.append(tick.T_world_base)

@@ -54,6 +54,7 @@ class Recording:
             estimate=T_map_base if self._slam else None,
             cloud=observation.cloud,
             inertial=observation.inertial,
+            odometry_track=observation.odometry_track,
         )
         self._writer.add(tick)
 

@@ -39,6 +39,7 @@ class RobotGroup(Generic[B]):
         surfaces: ground of each robot; replaceable.
         walkers: walkers around each robot; empty = none; replaceable.
         waypoints: pose that each quadrotor flies to instead of its command; None = the command.
+        track: odometry after each control update of the last `advance`, x, y, yaw each; None = not recorded.
         touched: (n,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
         physics_seconds: wall-clock seconds of the last `advance` in MuJoCo's step.
         sensor_seconds: wall-clock seconds of the last `advance` in gyro and odometry.
@@ -57,6 +58,7 @@ class RobotGroup(Generic[B]):
         self.touched: BoolArray = np.zeros(count, np.bool_)
         self.physics_seconds = self.sensor_seconds = 0.0
         self.imu = ImuSensors(noise.imu, count)
+        self.track: list[list[float]] | None = None
         self.waypoints: list[Waypoint | None] = [None] * count
         views = bodies.views
         self._control = make_controllers(robot, body.actuators, views, self.surfaces, self.waypoints)
@@ -125,6 +127,8 @@ class RobotGroup(Generic[B]):
             begun = clock()
             imu.read_rates(ids, bodies.qvel)
             self._odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
+            if self.track is not None:
+                self.track.append(self.odometry[0].tolist())
             self.sensor_seconds += clock() - begun
         self.touched[ids] = touched[ids]
         stopped = {*failed, *ids[bodies.find_diverged()[ids]].tolist()}

@@ -32,6 +32,8 @@ class Observation:
         imu: reading of the inertial unit.
         cloud: cloud of a lidar with rings; None for a planar one.
         inertial: readings near 200 Hz since the last observation; None where the config has none.
+        odometry_track: stamps and `T_odom_base` near 50 Hz between the last observation and this one; empty
+            where the config has no inertial readings, and of odometry that is filtered once a scan.
     """
 
     scan: LaserScan
@@ -39,6 +41,7 @@ class Observation:
     imu: Imu
     cloud: PointCloud | None = None
     inertial: ImuReadings | None = None
+    odometry_track: tuple[tuple[float, Pose2], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

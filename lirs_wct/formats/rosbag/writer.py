@@ -74,6 +74,7 @@ class BagTick:
         estimate: `T_map_base`, a mapper's pose estimate; None = no transform from map to odom.
         cloud: of a lidar with rings at the same place; None for a planar lidar.
         inertial: readings near 200 Hz since the previous scan; None = none.
+        odometry_track: stamps and `T_odom_base` since the previous scan.
     """
 
     scan: LaserScan
@@ -83,6 +84,7 @@ class BagTick:
     estimate: Pose2 | None = None
     cloud: PointCloud | None = None
     inertial: ImuReadings | None = None
+    odometry_track: Sequence[tuple[float, Pose2]] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,6 +128,7 @@ class BagWriter:
         self._period = period
         self._connections: dict[str, Connection] = {}
         self._last: BagTick | None = None
+        self._odometry: tuple[float, Pose2] | None = None
         self._waiting: list[BagTick] = []
         try:
             self._writer.open()
@@ -183,31 +186,34 @@ class BagWriter:
 
     def _write_tick(self, tick: BagTick) -> None:
         """Write the messages of a scan; transforms precede measurements."""
-        scan, odometry = tick.scan, tick.odometry
-        t = scan.stamp
+        scan, t = tick.scan, tick.scan.stamp
         if self._last is None:
             self._write("/tf_static", t, messages.transforms(t, MOUNTED, (scan.T_base_laser,)))
         if tick.inertial is not None:
             for stamp, message in messages.imu_raw(tick.inertial):
                 self._write("/imu/data_raw", stamp, message)
-        self._write("/clock", t, messages.clock(t))
-        self._write("/tf", t, _frames(tick))
-        self._write("/odom", t, messages.odometry(t, odometry, self._velocity(tick)))
+        for stamp, pose in tick.odometry_track:
+            self._write_odometry(stamp, pose, messages.transforms(stamp, DRIVEN, (Pose3.from_pose2(pose),)))
+        self._write_odometry(t, tick.odometry, _frames(tick))
         self._write("/imu", t, messages.imu(tick.imu, t))
         self._write("/scan", t, messages.laser_scan(scan, self._period))
         if tick.cloud is not None:
             self._write("/points", tick.cloud.stamp, messages.point_cloud(tick.cloud))
         self._write("/ground_truth", t, messages.pose(t, tick.truth))
 
+    def _write_odometry(self, stamp: float, T_odom_base: Pose2, frames: bytearray) -> None:
+        """Write clock, transforms and odometry, with the velocity since the previous odometry; 0 at first."""
+        velocity = 0.0, 0.0, 0.0
+        if self._odometry is not None:
+            seconds = stamp - self._odometry[0]
+            velocity = messages.body_velocity(self._odometry[1], T_odom_base, seconds)
+        self._odometry = stamp, T_odom_base
+        self._write("/clock", stamp, messages.clock(stamp))
+        self._write("/tf", stamp, frames)
+        self._write("/odom", stamp, messages.odometry(stamp, T_odom_base, velocity))
+
     def _write(self, topic: str, stamp: float, message: bytearray) -> None:
         self._writer.write(self._connection(topic), nanoseconds(stamp), memoryview(message))
-
-    def _velocity(self, tick: BagTick) -> tuple[float, float, float]:
-        """Return the odometry's velocity since the previous scan; 0 at the first one."""
-        if self._last is None:
-            return 0.0, 0.0, 0.0
-        seconds = tick.scan.stamp - self._last.scan.stamp
-        return messages.body_velocity(self._last.odometry, tick.odometry, seconds)
 
     def _output_error(self, error: Exception) -> OutputError:
         return OutputError(f"{self._folder}: cannot be written: {getattr(error, 'strerror', None) or error}")
