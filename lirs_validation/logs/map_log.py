@@ -28,7 +28,7 @@ from lirs_validation.logs.reference import odometry_accuracy, read_truth, refere
 from lirs_validation.metrics.alignment import rms, scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
 from lirs_validation.metrics.log_accuracy import Accuracy, reference_errors, trajectory_accuracy
-from lirs_validation.metrics.verdict import incompleteness, inconsistency
+from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
 from lirs_wct.files import atomic_folder
@@ -157,13 +157,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with _measure_time(seconds, "map_seconds"):
-        if mapper.reads_clouds:
-            tracking, level = replay_clouds(config.log, mapper, log.clouds or (), readings, progress)
-            trajectory = mapper.trajectory()
-            grid = horizontal_map(level, trajectory, config.resolution)
-        else:
-            tracking = replay(config, mapper, log, readings, progress)
-            grid, trajectory = mapper.map(), mapper.trajectory()
+        tracking, grid, trajectory = _map(config, mapper, log, readings, progress)
     relations = None if relations is None else relations_in_time(relations, log.lines)
     reference = None if reference is None else reference_in_time(reference, log.lines)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
@@ -195,6 +189,22 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         cost=cost,
     )
     return MappedLog(record, log, grid, trajectory, reference, accuracy)
+
+
+def _map(
+    config: MapConfig,
+    mapper: MapperUnderTest,
+    log: LaserLog,
+    readings: Sequence[Imu | None],
+    progress: Progress,
+) -> tuple[LostRule, OccupancyGrid, Trajectory]:
+    """Return tracking, map and trajectory of a log."""
+    if not mapper.reads_clouds:
+        tracking = replay(config, mapper, log, readings, progress)
+        return tracking, mapper.map(), mapper.trajectory()
+    tracking, level = replay_clouds(config.log, mapper, log.clouds or (), readings, progress)
+    trajectory = mapper.trajectory()
+    return tracking, horizontal_map(level, trajectory, config.resolution), trajectory
 
 
 def _compare(
