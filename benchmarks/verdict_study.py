@@ -3,6 +3,7 @@
     python benchmarks/verdict_study.py drive [--data FOLDER] [--minutes 60] [--drives 20] [--quick]
     python benchmarks/verdict_study.py features [--data FOLDER] [--quick]
     python benchmarks/verdict_study.py evaluate
+    python benchmarks/verdict_study.py fit
     python benchmarks/verdict_study.py streams
 
 `drive` drives every method in every world, a few drives of each after the other, and continues where the
@@ -10,7 +11,7 @@ last call ended: `verdict_drives.csv` has the classes of the drives, a letter ea
 features of the worlds to `verdict_sites.csv`. `evaluate` reads both: the forecast with one family of worlds
 left out at a time, its Brier score against the base rate and against the wall hits alone, with a bootstrap
 over worlds; a table of reliability; the error rates of the sequential test on random streams (`streams`
-prints these alone) and on the stored drives.
+prints these alone) and on the stored drives. `fit` stores the models that `lirs-wct verdict` uses.
 """
 
 from __future__ import annotations
@@ -19,26 +20,30 @@ import argparse
 import csv
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize
-from verdict_features import FEATURES, site_features
 
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.generators.terrain import generate
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig
+from lirs_validation.decision import forecast
+from lirs_validation.decision.forecast import LogisticModel
 from lirs_validation.decision.sequential_test import P0, P1, SequentialTest
+from lirs_validation.decision.site_features import FEATURES, SiteFeatures, site_features
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_wct import MapperError, WctError
 from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.files import write_json
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.option import read_names
@@ -65,7 +70,6 @@ LETTERS = {
 }
 """Letter of each class in the table."""
 Key = tuple[str, str, str]
-DRIVES, SITES = HERE / "verdict_drives.csv", HERE / "verdict_sites.csv"
 ROBOTS = ("husky", "jackal")
 """Robots of the worlds of a family, in turn."""
 
@@ -161,7 +165,7 @@ def configs(site: Site, method: str, seeds: Iterable[int]) -> Iterator[RunConfig
 def drive(options: argparse.Namespace) -> None:
     """Drive until the time is over or every method has its drives everywhere."""
     end = time.monotonic() + 60 * options.minutes
-    own = {key: found for key, found in read_drives().items() if key[2] in options.methods}
+    own = {key: found for key, found in options.tables.drives().items() if key[2] in options.methods}
     for last in range(BLOCK, options.drives + BLOCK, BLOCK):
         for site in chosen_sites(options):
             scenario, cache = None, ScenarioCache()
@@ -172,7 +176,7 @@ def drive(options: argparse.Namespace) -> None:
                     cache.put(scenario := scenario or site.scenario(config))
                     key = site.family, site.name, config.mapper
                     own[key] = own.get(key, "") + letter_of(config, scenario, cache)
-                    write_drives(read_drives() | own)  # another call may have written for other methods
+                    options.tables.add_drives(own)
             except WctError as error:
                 print(f"left out: {site.name}: {error}", flush=True)
 
@@ -214,9 +218,8 @@ def find_features(options: argparse.Namespace) -> None:
                 break
             seconds = time.process_time() - start
             print(f"{site.name} {config.lidar or PLANAR}: {seconds:.1f} s", flush=True)
-            write_sites(
-                read_sites() | {(site.family, site.name, config.lidar or PLANAR): found.vector.tolist()}
-            )
+            key = site.family, site.name, config.lidar or PLANAR
+            options.tables.add_sites({key: list(astuple(found))})
 
 
 def chosen_sites(options: argparse.Namespace) -> list[Site]:
@@ -224,14 +227,35 @@ def chosen_sites(options: argparse.Namespace) -> list[Site]:
     return list(sites(options.data))[:: 7 if options.quick else 1]
 
 
-def read_drives() -> dict[Key, str]:
-    """Return the classes of the drives of each family, world and method."""
-    return {(row[0], row[1], row[2]): row[3] for row in _rows(DRIVES)}
+@dataclass(frozen=True)
+class Tables:
+    """Results of the study, which several calls may write.
 
+    Attributes:
+        folder: of `verdict_drives.csv` and `verdict_sites.csv`.
+    """
 
-def read_sites() -> dict[Key, list[float]]:
-    """Return the features of each family, world and lidar."""
-    return {(row[0], row[1], row[2]): [float(value) for value in row[3:]] for row in _rows(SITES)}
+    folder: Path = HERE
+
+    def drives(self) -> dict[Key, str]:
+        """Return the classes of the drives of each family, world and method."""
+        return {(row[0], row[1], row[2]): row[3] for row in _rows(self.folder / "verdict_drives.csv")}
+
+    def sites(self) -> dict[Key, list[float]]:
+        """Return the features of each family, world and lidar."""
+        rows = _rows(self.folder / "verdict_sites.csv")
+        return {(row[0], row[1], row[2]): [float(value) for value in row[3:]] for row in rows}
+
+    def add_drives(self, classes: dict[Key, str]) -> None:
+        """Add or replace classes of drives."""
+        rows = [[*key, found] for key, found in (self.drives() | classes).items()]
+        _write(self.folder / "verdict_drives.csv", ("family", "world", "method", "classes"), rows)
+
+    def add_sites(self, features: dict[Key, list[float]]) -> None:
+        """Add or replace features of worlds."""
+        found = (self.sites() | features).items()
+        rows = [[*key, *(f"{value:.4g}" for value in values)] for key, values in found]
+        _write(self.folder / "verdict_sites.csv", ("family", "world", "lidar", *FEATURES), rows)
 
 
 def _rows(path: Path) -> list[list[str]]:
@@ -241,19 +265,6 @@ def _rows(path: Path) -> list[list[str]]:
         return list(csv.reader(file))[1:]
 
 
-def write_drives(classes: dict[Key, str]) -> None:
-    """Write the drives' classes."""
-    _write(
-        DRIVES, ("family", "world", "method", "classes"), [[*key, found] for key, found in classes.items()]
-    )
-
-
-def write_sites(features: dict[Key, list[float]]) -> None:
-    """Write the sites' features."""
-    rows = [[*key, *(f"{value:.4g}" for value in found)] for key, found in features.items()]
-    _write(SITES, ("family", "world", "lidar", *FEATURES), rows)
-
-
 def _write(path: Path, headings: tuple[str, ...], rows: list[list[str]]) -> None:
     written = path.with_suffix(".part")
     with written.open("w", newline="", encoding="utf-8") as file:
@@ -261,27 +272,7 @@ def _write(path: Path, headings: tuple[str, ...], rows: list[list[str]]) -> None
     written.replace(path)
 
 
-@dataclass(frozen=True)
-class Logistic:
-    """Logistic regression on standardized features.
-
-    Attributes:
-        mean: (k,) of the features.
-        scale: (k,) standard deviations; 1 where a feature is constant.
-        weights: (k + 1,) of the standardized features, the last of the constant.
-    """
-
-    mean: FloatArray
-    scale: FloatArray
-    weights: FloatArray
-
-    def probability(self, features: FloatArray) -> FloatArray:
-        """Return (n,) probabilities of success of features (n, k)."""
-        standard = (features - self.mean) / self.scale
-        return 1 / (1 + np.exp(-(standard @ self.weights[:-1] + self.weights[-1])))
-
-
-def fit(features: FloatArray, successes: FloatArray, drives: FloatArray) -> Logistic:
+def fit(features: FloatArray, successes: FloatArray, drives: FloatArray) -> LogisticModel:
     """Fit by maximum likelihood, with a Gaussian prior of standard deviation 1 on the weights.
 
     Args:
@@ -290,16 +281,14 @@ def fit(features: FloatArray, successes: FloatArray, drives: FloatArray) -> Logi
         drives: (n,) evaluated drives. A world counts as one observation, however often it was driven.
     """
     mean, scale = features.mean(axis=0), features.std(axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    standard = (features - mean) / scale
-    share = successes / drives
+    start = LogisticModel(mean, np.where(scale > 0, scale, 1.0), np.zeros(features.shape[1] + 1))
+    standard, share = start.standardize(features), successes / drives
 
     def loss(weights: FloatArray) -> float:
         logit = standard @ weights[:-1] + weights[-1]
         return float((np.logaddexp(0, logit) - share * logit).sum() + (weights[:-1] ** 2).sum() / 2)
 
-    found = minimize(loss, np.zeros(features.shape[1] + 1))
-    return Logistic(mean, scale, found.x)
+    return replace(start, weights=minimize(loss, start.weights).x)
 
 
 @dataclass(frozen=True)
@@ -309,6 +298,7 @@ class MethodData:
     Attributes:
         families: (n,) names.
         features: (n, k).
+        walls: (n, 1) median share of beams on walls.
         successes: (n,) drives that worked.
         drives: (n,) evaluated drives, at least one.
         classes: (n,) letters of all drives.
@@ -316,36 +306,44 @@ class MethodData:
 
     families: NDArray[np.str_]
     features: FloatArray
+    walls: FloatArray
     successes: FloatArray
     drives: FloatArray
     classes: tuple[str, ...]
 
 
-def data_of(method: str) -> MethodData:
+def data_of(method: str, tables: Tables) -> MethodData:
     """Return the worlds in which a method has an evaluated drive."""
-    sites, rows = read_sites(), []
-    for (family, world, name), classes in read_drives().items():
+    sites, rows = tables.sites(), []
+    lidar = RING_LIDAR if method == "genz-icp" else PLANAR
+    for (family, world, name), classes in tables.drives().items():
         evaluated = classes.replace("n", "")
         if name == method and evaluated:
-            lidar = RING_LIDAR if method == "genz-icp" else PLANAR
-            rows.append((family, sites[family, world, lidar], classes.count("w"), len(evaluated), classes))
-    families, features, successes, drives, letters = zip(*rows, strict=True)
-    return MethodData(
-        np.array(families), np.array(features), np.array(successes, float), np.array(drives, float), letters
-    )
+            site = SiteFeatures(**dict(zip(FEATURES, sites[family, world, lidar], strict=True)))
+            rows.append((family, site.vector, (site.walls,), classes.count("w"), len(evaluated), classes))
+    families, *numbers, letters = zip(*rows, strict=True)
+    return MethodData(np.array(families), *(np.array(column, float) for column in numbers), letters)
 
 
 def left_out_predictions(data: MethodData) -> dict[str, FloatArray]:
     """Return (n,) predictions of each model, whose family was left out of the fit."""
-    found = {name: np.empty(len(data.drives)) for name in ("forecast", "walls alone", "base rate")}
+    found = {name: np.empty(len(data.drives)) for name in ("forecast", "base rate", "walls alone")}
     for family in np.unique(data.families):
         held = data.families == family
-        train = data.features[~held], data.successes[~held], data.drives[~held]
-        found["forecast"][held] = fit(*train).probability(data.features[held])
-        walls = fit(train[0][:, :1], *train[1:])
-        found["walls alone"][held] = walls.probability(data.features[held, :1])
-        found["base rate"][held] = (train[1] / train[2]).mean()
+        train = data.successes[~held], data.drives[~held]
+        for name, features in (("forecast", data.features), ("walls alone", data.walls)):
+            found[name][held] = fit(features[~held], *train).probability(features[held])
+        found["base rate"][held] = (train[0] / train[1]).mean()
     return found
+
+
+def fit_models(tables: Tables) -> dict[str, Any]:
+    """Return the model of each method, fitted to all of its worlds, as JSON stores them."""
+    fitted = {}
+    for method in METHODS:
+        data = data_of(method, tables)
+        fitted[method] = fit(data.features, data.successes, data.drives).to_dict()
+    return {"features": list(FEATURES), "methods": fitted}
 
 
 def brier(predicted: FloatArray, data: MethodData) -> FloatArray:
@@ -354,9 +352,26 @@ def brier(predicted: FloatArray, data: MethodData) -> FloatArray:
     return share * (1 - predicted) ** 2 + (1 - share) * predicted**2
 
 
-def evaluate(console: Console) -> None:
+def score_rows(
+    tables: Tables, rng: np.random.Generator
+) -> tuple[list[tuple[str, ...]], list[tuple[float, float]]]:
+    """Return a row of scores per method, and forecast and observed share of every world."""
+    rows, points = [], list[tuple[float, float]]()
+    for method in METHODS:
+        data = data_of(method, tables)
+        predictions = left_out_predictions(data)
+        scores = {name: brier(predicted, data) for name, predicted in predictions.items()}
+        points += zip(predictions["forecast"], data.successes / data.drives, strict=True)
+        means = (f"{scores[name].mean():.3f}" for name in ("forecast", "base rate", "walls alone"))
+        gains = (gain_text(scores[name] - scores["forecast"], rng) for name in ("base rate", "walls alone"))
+        rows.append((method, str(len(data.drives)), f"{data.drives.sum():.0f}", *means, *gains))
+    return rows, points
+
+
+def evaluate(tables: Tables, console: Console) -> None:
     """Print Brier scores, reliability, and error rates of the sequential test."""
     rng = np.random.default_rng(1)
+    title = "Brier score, one family left out; gains over the others with their lower 90 % bound"
     headings = (
         "method",
         "worlds",
@@ -367,22 +382,11 @@ def evaluate(console: Console) -> None:
         "over base rate",
         "over walls",
     )
-    title = "Brier score, one family left out; gains over the others with their lower 90 % bound"
+    rows, points = score_rows(tables, rng)
     table = Table(*headings, title=title)
-    points: list[tuple[float, float]] = []
-    for method in METHODS:
-        data = data_of(method)
-        if len(np.unique(data.families)) < 2:
-            raise SystemExit("evaluate needs drives in at least two families: drive first")
-        predictions = left_out_predictions(data)
-        scores = {name: brier(predicted, data) for name, predicted in predictions.items()}
-        points += zip(predictions["forecast"], data.successes / data.drives, strict=True)
-        table.add_row(
-            method, str(len(data.drives)), f"{data.drives.sum():.0f}",
-            *(f"{scores[name].mean():.3f}" for name in ("forecast", "base rate", "walls alone")),
-            *(gain_text(scores[name] - scores["forecast"], rng) for name in ("base rate", "walls alone")),
-        )  # fmt: skip
-    console.print(table, reliability(points), stream_errors(rng), stored_errors(rng))
+    for row in rows:
+        table.add_row(*row)
+    console.print(table, reliability(points), stream_errors(rng), stored_errors(tables, rng))
 
 
 def gain_text(gains: FloatArray, rng: np.random.Generator) -> str:
@@ -417,12 +421,12 @@ def stream_errors(rng: np.random.Generator, streams: int = 10_000) -> Table:
     return table
 
 
-def stored_errors(rng: np.random.Generator, orders: int = 100) -> Table:
+def stored_errors(tables: Tables, rng: np.random.Generator, orders: int = 100) -> Table:
     """Return decisions on the stored drives in random orders, by the share of all of them."""
     table = Table("share of all drives", "worlds", "accepted", "rejected", "undecided", title="Stored drives")
     rows: dict[str, list[float]] = {}
     for method in METHODS:
-        data = data_of(method)
+        data = data_of(method, tables)
         for share, letters in zip(data.successes / data.drives, data.classes, strict=True):
             key = "at least 0.9" if share >= P1 else "at most 0.65" if share <= P0 else "between"
             works = np.array([letter == "w" for letter in letters.replace("n", "")])
@@ -445,25 +449,29 @@ def end_of(stream: BoolArray) -> SequentialTest:
     return test
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Drive or evaluate."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("action", choices=("drive", "features", "evaluate", "streams"))
+    parser.add_argument("action", choices=("drive", "features", "evaluate", "fit", "streams"))
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--drives", type=int, default=20)
     parser.add_argument("--methods", default=",".join(METHODS), help="to drive; two calls can share the work")
     parser.add_argument("--quick", action="store_true", help="six worlds")
-    options = parser.parse_args()
+    parser.add_argument("--tables", type=Path, default=HERE, help="folder of the two tables")
+    options = parser.parse_args(arguments)
+    options.tables = Tables(options.tables)
     options.methods = read_names(options.methods, "--methods")
     if options.action == "drive":
         drive(options)
     elif options.action == "features":
         find_features(options)
     elif options.action == "evaluate":
-        evaluate(Console(width=110))
+        evaluate(options.tables, Console(width=110))
+    elif options.action == "fit":
+        write_json(Path(forecast.__file__).with_name(forecast.MODELS), fit_models(options.tables))
     else:
         Console(width=110).print(stream_errors(np.random.default_rng(1)))
 

@@ -13,11 +13,12 @@ from typing import Any
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.decision.changes import changes
+from lirs_validation.decision.forecast import forecast
 from lirs_validation.decision.sequential_test import CONFIDENCE
 from lirs_validation.decision.trials import Perform, Trial, run_trials
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_wct import OccupancyGrid, World
+from lirs_wct import OccupancyGrid
 
 LEAST_SHARE = 0.8
 """Share of drives that a sentence promises if the whole interval lies above it."""
@@ -78,18 +79,20 @@ def decide(
         out: folder of the drives' folders; drives that are there already are not repeated.
         perform: runs the drives.
         budget: wall seconds.
-        report: called with a trial after each of its drives.
+        report: called with a method's trial before its drives, and with any trial after each drive.
         retry_failed: repeat drives that are there already and failed.
 
     Raises:
         WctError: a config cannot be driven as it asks, or a drive not be written.
     """
     deadline = time.monotonic() + budget
-    worlds = [world.name for world in check_starts(configs)]
+    worlds, planned = zip(*plan_trials(configs), strict=True)
+    for trial in planned:
+        report(trial)
     drive = partial(
         run_trials, out=out, perform=perform, deadline=deadline, report=report, retry_failed=retry_failed
     )
-    trials = drive([Trial(c) for c in configs])
+    trials = drive(planned)
     named = [
         (k, change.label, Trial(change.config))
         for k, trial in enumerate(trials)
@@ -107,17 +110,17 @@ def decide(
     )
 
 
-def check_starts(configs: Sequence[RunConfig]) -> Iterator[World]:
-    """Yield the world of each config, in which its driver finds a start.
+def plan_trials(configs: Sequence[RunConfig]) -> Iterator[tuple[str, Trial]]:
+    """Yield world name and trial of each config; its driver finds a start there.
 
     Raises:
         WctError: a source or a driver's file cannot be used, or a robot fits nowhere.
     """
     scenarios = ScenarioCache()
     for config in configs:
-        world = scenarios.scenario(config).world
-        make_driver(world, make_robot(config.robot), replace(config, seconds=1.0), _no_map)
-        yield world
+        world, robot = scenarios.scenario(config).world, make_robot(config.robot)
+        make_driver(world, robot, replace(config, seconds=1.0), _no_map)
+        yield world.name, Trial(config, forecast=forecast(world, robot, config))
 
 
 def _no_map() -> OccupancyGrid:
@@ -128,6 +131,14 @@ def method_name(config: RunConfig) -> str:
     """Return mapper and robot as a sentence names them."""
     attitude = " without attitude" if config.attitude == "none" else ""
     return f"{config.mapper.rpartition(':')[2]}{attitude} on {config.robot}"
+
+
+def forecast_text(trial: Trial) -> str:
+    """Return the forecast of a trial as a sentence."""
+    name = method_name(trial.config)
+    if trial.forecast is None:
+        return f"forecast: none for {name} (only for methods and sensors of the study)"
+    return f"forecast: {name} works in {100 * trial.forecast:.0f} % of the drives"
 
 
 def share_text(trial: Trial) -> str:
@@ -188,6 +199,7 @@ def _trial_dict(trial: Trial) -> dict[str, Any]:
     return {
         "robot": trial.config.robot,
         "mapper": trial.config.mapper,
+        "forecast": trial.forecast,
         "decision": trial.decision,
         "share": trial.test.share,
         "interval": [low, high],

@@ -19,15 +19,18 @@ from lirs_wct.files import atomic_write, write_json
 CAPTION = (
     "Share of the evaluated drives that worked, with its exact 95 % interval (Clopper and Pearson). A "
     "sequential test decides: it accepts a share of 90 % and rejects one of 65 %, with at most 5 % errors "
-    "each (Wald)."
+    "each (Wald). The forecast is the share that a model expected before the drives."
 )
 HEADINGS = ("decision", "worked", "share", "95 % interval", "not evaluated", "verdicts")
 
 
 def methods_table(answers: Sequence[Answer]) -> ReportTable:
     """Return the decision on each method."""
-    rows = tuple((a.world, method_name(a.trial.config), *_cells(a.trial)) for a in answers)
-    return ReportTable("methods", "Decision", CAPTION, ("world", "method", *HEADINGS), rows, 3, remarks=True)
+    rows = tuple(
+        (a.world, method_name(a.trial.config), _percent(a.trial.forecast), *_cells(a.trial)) for a in answers
+    )
+    headings = ("world", "method", "forecast", *HEADINGS)
+    return ReportTable("methods", "Decision", CAPTION, headings, rows, 4, remarks=True)
 
 
 def changes_table(answers: Sequence[Answer]) -> ReportTable:
@@ -52,16 +55,19 @@ def _cells(trial: Trial) -> tuple[str, ...]:
     test = trial.test
     total = test.successes + test.failures
     low, high = test.interval
-    share = NOTHING if test.share is None else f"{100 * test.share:.0f} %"
     kinds = Counter(drive.kind for drive in trial.drives)
     return (
         trial.decision,
         f"{test.successes} of {total}",
-        share,
+        _percent(test.share),
         f"{100 * low:.0f} to {100 * high:.0f} %" if total else NOTHING,
         str(trial.unevaluated),
         ", ".join(f"{kind} {count}" for kind, count in kinds.most_common()),
     )
+
+
+def _percent(share: float | None) -> str:
+    return NOTHING if share is None else f"{100 * share:.0f} %"
 
 
 def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:

@@ -1,4 +1,4 @@
-"""Features of a site along paths that its robot would drive: inputs of the forecast.
+"""Site features: scans along paths that a robot would drive, as inputs of the forecast.
 
 Noise-free scans are cast along tours of the coverage planner, with the robot standing as the ground lies.
 """
@@ -19,9 +19,9 @@ from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import plan_tour
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_validation.metrics.scan_support import NEAR, standing_on
-from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.world import World
+from lirs_wct import Pose2, Pose3, World
+from lirs_wct.arrays import BoolArray, FloatArray
+from slam_baselines.mapper import CLOUD_MAPPERS
 
 TOURS = 3
 """Tours along which scans are cast, each from another start."""
@@ -31,6 +31,10 @@ MOST_SCANS = 120
 """Largest number of scans of a tour."""
 NEIGHBORS = 0.5
 """Largest gap between neighboring hits of one surface, meters."""
+EVERY_COLUMN, WIDE = 10, 1.0
+"""Columns of a ring lidar of which one is cast, and the largest gap between its neighboring hits, meters."""
+LEAST_SHARE = 0.01
+"""Share of a scan's beams on walls below which it is taken for this."""
 LEAST_INFORMATION = 1e-4
 """Information per beam below which a scan tells nothing."""
 REVISIT, AFTER = 1.0, 10.0
@@ -45,27 +49,24 @@ class SiteFeatures:
         walls: median share of hits on walls.
         walls_low: 10th percentile of that share.
         ground: median share of hits on ground, which looks like walls to a planar mapper.
-        ground_high: 90th percentile of that share.
-        tilt: root mean square of the angle between the robot's z and the vertical, degrees.
-        position_information: 10th percentile of the logarithm (base 10) of the smallest eigenvalue of the
-            scan's information in x and y per beam (Censi, ICRA 2007).
-        yaw_information: the same of the information in yaw, given x and y, per beam and square meter.
+        position_information: 10th percentile of the logarithm (base 10) of the least information in x and y
+            (see `scan_information`).
+        yaw_information: the same of the information in yaw.
         loops: share of the path that revisits places.
     """
 
     walls: float
     walls_low: float
     ground: float
-    ground_high: float
-    tilt: float
     position_information: float
     yaw_information: float
     loops: float
 
     @property
     def vector(self) -> FloatArray:
-        """(8,) features in the order of FEATURES."""
-        return np.array(astuple(self))
+        """(6,) features in the order of FEATURES; the first two as logarithms, since few walls are enough."""
+        shares = np.maximum((self.walls, self.walls_low), LEAST_SHARE)
+        return np.array((*np.log10(shares), *astuple(self)[2:]))
 
 
 FEATURES = tuple(entry.name for entry in fields(SiteFeatures))
@@ -77,22 +78,21 @@ def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures
     Args:
         world: the site.
         robot: that drives, with its lidar's mount.
-        config: lidar, seed and seconds of the drives.
+        config: mapper, lidar, seed and seconds of the drives.
 
     Raises:
         ConfigError: the robot fits nowhere in this world.
     """
     preset = make_lidar_preset(config.lidar or robot.lidar)
+    preset = preset if config.mapper in CLOUD_MAPPERS else preset.planar
     caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
     tours = [plan_tour(world, robot, replace(config, seed=config.seed + k)).path for k in range(TOURS)]
     rows = [_scan_row(world, robot, preset, caster, pose) for tour in tours for pose in _poses(tour)]
-    walls, ground, tilt, position, yaw = np.array(rows).T
+    walls, ground, position, yaw = np.array(rows).T
     return SiteFeatures(
         walls=float(np.median(walls)),
         walls_low=float(np.percentile(walls, 10)),
         ground=float(np.median(ground)),
-        ground_high=float(np.percentile(ground, 90)),
-        tilt=float(np.sqrt(np.mean(tilt**2))),
         position_information=float(np.percentile(position, 10)),
         yaw_information=float(np.percentile(yaw, 10)),
         loops=float(np.mean([_revisited(tour) for tour in tours])),
@@ -111,24 +111,36 @@ def _poses(path: FloatArray) -> list[Pose2]:
 
 def _scan_row(
     world: World, robot: Robot, preset: LidarPreset, caster: Caster, pose: Pose2
-) -> tuple[float, float, float, float, float]:
-    """Return shares of walls and ground, tilt (deg), information in position and yaw of a scan."""
-    T_world_base = standing_on(world, robot, pose)
-    laser = T_world_base @ robot.T_base_laser
-    directions = np.ascontiguousarray(preset.directions @ laser.rotation.T)
-    ranges = caster.ranges(laser.position, directions, preset.range_max)
+) -> tuple[float, float, float, float]:
+    """Return shares of walls and ground, information in position and yaw of a scan."""
+    laser = standing_on(world, robot, pose) @ robot.T_base_laser
+    points, hit = _cast(caster, preset, laser, preset.directions)
+    near = near_obstacle(points[hit][:, :2] + laser.position[:2], world.surface, world.walls, NEAR)
+    shares = near.sum() / preset.beams, (~near).sum() / preset.beams
+    if preset.rings == 1:
+        return *shares, *scan_information(points[hit][:, :2], preset.beams)
+    columns = preset.all_directions.reshape(preset.rings, preset.beams, 3)[:, ::EVERY_COLUMN]
+    cloud, _ = _cast(caster, preset, laser, columns.reshape(-1, 3))
+    return *shares, *cloud_information(cloud.reshape(columns.shape))
+
+
+def _cast(
+    caster: Caster, preset: LidarPreset, laser: Pose3, directions: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return end points (n, 3) of beams relative to the sensor, axes of the world, and which are hits.
+
+    The points of the others are NaN.
+    """
+    turned = np.ascontiguousarray(directions @ laser.rotation.T)
+    ranges = caster.ranges(laser.position, turned, preset.range_max)
     hit = (ranges >= preset.range_min) & (ranges < preset.range_max)
-    points = laser.position + ranges[hit, None] * directions[hit]
-    near = near_obstacle(np.ascontiguousarray(points[:, :2]), world.surface, world.walls, NEAR)
-    tilt = math.degrees(math.acos(min(1.0, float(T_world_base.rotation[2, 2]))))
-    position, yaw = scan_information(points[:, :2] - laser.position[:2], preset.beams)
-    return near.sum() / preset.beams, (~near).sum() / preset.beams, tilt, position, yaw
+    return np.where(hit, ranges, np.nan)[:, None] * turned, hit
 
 
 def scan_information(points: FloatArray, beams: int) -> tuple[float, float]:
-    """Return logarithms of a scan's information in position and yaw, per beam.
+    """Return logarithms of a planar scan's information in position and yaw, per beam.
 
-    Fisher information of scan matching with unit noise (Censi, ICRA 2007): the sum of J^T J over hits, with
+    Fisher information of scan matching with unit noise (Censi, ICRA 2007): the sum of J J^T over hits, with
     J = (n, p x n) of a hit p with the normal n. The position's is the smallest eigenvalue in x and y; the
     yaw's is its Schur complement, in square meters.
 
@@ -139,13 +151,35 @@ def scan_information(points: FloatArray, beams: int) -> tuple[float, float]:
     along = np.diff(points, axis=0)
     length = np.hypot(*along.T)
     joined = (length > 0) & (length < NEIGHBORS)
-    if joined.sum() < 3:
-        return math.log10(LEAST_INFORMATION), math.log10(LEAST_INFORMATION)
     normals = np.column_stack((-along[joined, 1], along[joined, 0])) / length[joined, None]
     middle = (points[:-1][joined] + points[1:][joined]) / 2
-    moment = middle[:, 0] * normals[:, 1] - middle[:, 1] * normals[:, 0]
-    J = np.column_stack((normals, moment))
-    A: Any = J.T @ J / beams
+    J = np.column_stack((normals, middle[:, 0] * normals[:, 1] - middle[:, 1] * normals[:, 0]))
+    return _logarithms(J.T @ J / beams)
+
+
+def cloud_information(cloud: FloatArray) -> tuple[float, float]:
+    """Return logarithms of a cloud's information in position and yaw, per point.
+
+    As for a planar scan, with normals in space: J = (n, p x n), with z, roll and pitch eliminated.
+
+    Args:
+        cloud: (rings, columns, 3) end points relative to the sensor, meters; NaN without a hit.
+    """
+    corner, aside, above = cloud[:-1, :-1], cloud[:-1, 1:] - cloud[:-1, :-1], cloud[1:, :-1] - cloud[:-1, :-1]
+    normals = np.cross(aside, above)
+    area = np.linalg.norm(normals, axis=2)
+    with np.errstate(invalid="ignore"):
+        joined = (area > 0) & (np.linalg.norm(aside, axis=2) < WIDE) & (np.linalg.norm(above, axis=2) < WIDE)
+    n, p = normals[joined] / area[joined, None], (corner + (aside + above) / 2)[joined]
+    turn = np.cross(p, n)
+    kept, eliminated = np.column_stack((n[:, :2], turn[:, 2])), np.column_stack((n[:, 2], turn[:, :2]))
+    across: Any = kept.T @ eliminated
+    A = kept.T @ kept - across @ np.linalg.pinv(eliminated.T @ eliminated) @ across.T
+    return _logarithms(A / area.size)
+
+
+def _logarithms(A: Any) -> tuple[float, float]:
+    """Return logarithms of the smallest information (3, 3) in x and y, and of that in yaw given these."""
     smallest = float(np.linalg.eigvalsh(A[:2, :2])[0])
     schur = float(A[2, 2] - A[2, :2] @ np.linalg.pinv(A[:2, :2]) @ A[:2, 2])
     return math.log10(max(smallest, LEAST_INFORMATION)), math.log10(max(schur, LEAST_INFORMATION))

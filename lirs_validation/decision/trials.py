@@ -53,10 +53,12 @@ class Trial:
     Attributes:
         config: of the first drive.
         drives: in the order of their seeds, without those after the decision.
+        forecast: probability that a drive works, from before the drives; None without one.
     """
 
     config: RunConfig
     drives: tuple[TrialDrive, ...] = ()
+    forecast: float | None = None
 
     @property
     def test(self) -> SequentialTest:

@@ -24,7 +24,11 @@ if TYPE_CHECKING:
 
 Budget = Annotated[
     str,
-    typer.Option("--budget", metavar="TIME", help="Wall time after which no drive begins: 90s, 10min, 2h."),
+    typer.Option(
+        "--budget",
+        metavar="TIME",
+        help="Wall time after which no drive begins: 90s, 10min, 2h; 0s = forecast alone.",
+    ),
 ]
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for page and drives.")]
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
@@ -37,8 +41,8 @@ def read_duration(text: str, flag: str) -> float:
         ConfigError: the text is none.
     """
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", text)
-    if match is None or not float(match[1]) > 0:
-        raise ConfigError(f"{flag} must be a duration above 0 such as 90s, 10min or 2h, got {text!r}")
+    if match is None:
+        raise ConfigError(f"{flag} must be a duration such as 90s, 10min or 2h, got {text!r}")
     return float(match[1]) * UNITS[match[2]]
 
 
@@ -70,7 +74,7 @@ def verdict(
         output,
         _performer(engine),
         budget=seconds,
-        report=_print_drive,
+        report=_print_state,
         retry_failed=engine.retry_failed,
     )
     page = write_decision(output, answers, shlex.join(["lirs-wct", *sys.argv[1:]]))
@@ -97,8 +101,13 @@ def _performer(engine: EngineOptions) -> Perform:
     return perform
 
 
-def _print_drive(trial: Trial) -> None:
-    """Print the verdict of a trial's last drive, and what it means for the decision."""
+def _print_state(trial: Trial) -> None:
+    """Print the forecast of a trial, or the verdict of its last drive and what it means for the decision."""
+    from lirs_validation.decision.decide import forecast_text
+
+    if not trial.drives:
+        err.print(forecast_text(trial), soft_wrap=True, highlight=False, markup=False)
+        return
     drive, test = trial.drives[-1], trial.test
     decided = "" if trial.decision == "undecided" else f": {trial.decision}"
     counts = f"{test.successes} of {test.successes + test.failures} worked{decided}"
