@@ -95,7 +95,7 @@ def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures
         ground=float(np.median(ground)),
         position_information=float(np.percentile(position, 10)),
         yaw_information=float(np.percentile(yaw, 10)),
-        loops=float(np.mean([_revisited(tour) for tour in tours])),
+        loops=float(np.mean([_loop_share(tour) for tour in tours])),
     )
 
 
@@ -185,7 +185,7 @@ def _logarithms(A: Any) -> tuple[float, float]:
     return math.log10(max(smallest, LEAST_INFORMATION)), math.log10(max(schur, LEAST_INFORMATION))
 
 
-def _revisited(path: FloatArray) -> float:
+def _loop_share(path: FloatArray) -> float:
     """Return the share of a path's points that revisit places."""
     steps = np.hypot(*np.diff(path, axis=0).T)
     along = np.concatenate(([0.0], np.cumsum(steps)))
