@@ -18,7 +18,7 @@ from lirs_wct.arrays import FloatArray
 
 MODELS = "forecast.json"
 """File of the models in this package; `python benchmarks/verdict_study.py fit` writes it."""
-STUDIED = ("attitude", "driver", "odometry_noise", "actors")
+STUDIED = ("attitude", "driver", "odometry_noise", "actors", "scan_time")
 """Options that must have their defaults for a forecast."""
 LARGEST = 3.0
 """Largest standardized feature, either side: beyond the studied worlds, a forecast gets no bolder."""

@@ -87,8 +87,9 @@ def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures
     preset = preset if config.mapper in CLOUD_MAPPERS else preset.planar
     caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
     tours = [plan_tour(world, robot, replace(config, seed=config.seed + k)).path for k in range(TOURS)]
-    rows = [_scan_row(world, robot, preset, caster, pose) for tour in tours for pose in _poses(tour)]
-    walls, ground, position, yaw = np.array(rows).T
+    scans = [_look_around(world, robot, preset, caster, pose) for tour in tours for pose in _poses(tour)]
+    walls, ground = _shares([hits for hits, _ in scans], world, preset.beams)
+    position, yaw = np.array([information for _, information in scans]).T
     return SiteFeatures(
         walls=float(np.median(walls)),
         walls_low=float(np.percentile(walls, 10)),
@@ -109,19 +110,27 @@ def _poses(path: FloatArray) -> list[Pose2]:
     return [Pose2(*values) for values in np.column_stack((x, y, yaw)).tolist()]
 
 
-def _scan_row(
+def _shares(hits: list[FloatArray], world: World, beams: int) -> tuple[FloatArray, FloatArray]:
+    """Return shares of beams on walls and on ground of scans with hits (n, 2) in the world frame each."""
+    # All scans together: each call copies the surface.
+    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, NEAR)
+    scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
+    walls, ground = (np.bincount(scan[each], minlength=len(hits)) / beams for each in (near, ~near))
+    return walls, ground
+
+
+def _look_around(
     world: World, robot: Robot, preset: LidarPreset, caster: Caster, pose: Pose2
-) -> tuple[float, float, float, float]:
-    """Return shares of walls and ground, information in position and yaw of a scan."""
+) -> tuple[FloatArray, tuple[float, float]]:
+    """Return a scan's hits (n, 2) in the world frame, and its information in position and yaw."""
     laser = standing_on(world, robot, pose) @ robot.T_base_laser
     points, hit = _cast(caster, preset, laser, preset.directions)
-    near = near_obstacle(points[hit][:, :2] + laser.position[:2], world.surface, world.walls, NEAR)
-    shares = near.sum() / preset.beams, (~near).sum() / preset.beams
+    met = points[hit][:, :2]
     if preset.rings == 1:
-        return *shares, *scan_information(points[hit][:, :2], preset.beams)
+        return met + laser.position[:2], scan_information(met, preset.beams)
     columns = preset.all_directions.reshape(preset.rings, preset.beams, 3)[:, ::EVERY_COLUMN]
     cloud, _ = _cast(caster, preset, laser, columns.reshape(-1, 3))
-    return *shares, *cloud_information(cloud.reshape(columns.shape))
+    return met + laser.position[:2], cloud_information(cloud.reshape(columns.shape))
 
 
 def _cast(
@@ -190,6 +199,8 @@ def _loop_share(path: FloatArray) -> float:
     steps = np.hypot(*np.diff(path, axis=0).T)
     along = np.concatenate(([0.0], np.cumsum(steps)))
     every = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], SPACING)))
+    if not len(every):
+        return 0.0
     points, at = path[every], along[every]
     near = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) < REVISIT
     earlier = at[None] < at[:, None] - AFTER
