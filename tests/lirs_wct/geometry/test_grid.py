@@ -124,3 +124,35 @@ def test_a_mask_is_what_certain_probabilities_are() -> None:
     expected = OccupancyGrid.from_probability(mask.astype(float), 0.5, Pose2(1, 2, 0.3))
     assert grid.log_odds.tobytes() == expected.log_odds.tobytes()
     assert (grid.resolution, grid.origin) == (expected.resolution, expected.origin)
+
+
+@given(
+    poses,
+    st.floats(0.05, 2.0),
+    st.integers(0, 4),
+    st.integers(0, 6),
+    st.floats(0.01, 0.99),
+    st.floats(0.01, 0.99),
+)
+def test_a_point_is_free_where_its_cell_is_and_nowhere_outside(
+    origin: Pose2, resolution: float, row: int, col: int, across: float, along: float
+) -> None:
+    p = np.random.default_rng(0).uniform(0, 1, (3, 5))
+    p[0, 0], p[2, 4], p[1, 1] = 0.1, 0.1, np.nan
+    grid = OccupancyGrid.from_probability(p, resolution, origin)
+    place = origin.apply(((col - 1 + along) * resolution, (row - 1 + across) * resolution))
+    inside = 1 <= row <= 3 and 1 <= col <= 5
+    assert grid.free_at(*place.tolist()) == (inside and bool(p[row - 1, col - 1] < 0.25))
+
+
+@pytest.mark.parametrize(("p", "free"), [(0.2499, True), (0.2501, False)])
+def test_a_point_is_free_below_the_threshold_of_ros(p: float, free: bool) -> None:
+    assert OccupancyGrid.from_probability([[p]], 1.0).free_at(0.5, 0.5) is free
+
+
+def test_a_mask_becomes_certain_walls_and_certain_free_cells() -> None:
+    mask = np.array([[True, False, False], [False, False, True]])
+    grid = OccupancyGrid.from_mask(mask, 0.5, Pose2(1.0, 2.0))
+    assert grid.occupied.tolist() == mask.tolist()
+    assert grid.free.tolist() == (~mask).tolist()
+    assert (grid.resolution, grid.origin) == (0.5, Pose2(1.0, 2.0))

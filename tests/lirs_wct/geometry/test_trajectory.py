@@ -113,3 +113,9 @@ def test_what_is_no_trajectory_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match="a trajectory"):
         Trajectory(np.array(stamps), np.zeros(positions), np.zeros(quaternions))
+
+
+def test_its_text_states_poses_time_and_length() -> None:
+    poses = [Pose2(0.0), Pose2(1.0), Pose2(3.0), Pose2(3.5)]
+    assert repr(Trajectory.from_poses([2.0, 3.0, 5.0, 9.0], poses)) == "Trajectory(4 poses, 7 s, 3.5 m)"
+    assert repr(Trajectory.from_poses([], [])) == "Trajectory(0 poses, 0 s, 0 m)"
