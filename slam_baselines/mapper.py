@@ -181,8 +181,9 @@ class CloudMapper(Protocol):
     def update(self, cloud: PointCloud, imu: Imu | None) -> Pose3:
         """Take in a sweep and return `T_map_base` at its stamp.
 
-        A mapper with the attribute `reads_inertial = True` gets `ImuReadings` as a third argument: all
-        readings near 200 Hz since the last sweep.
+        Two optional attributes ask for further arguments, in this order. With `reads_inertial = True` there
+        is `ImuReadings`: all readings near 200 Hz since the last sweep. With `reads_odometry = True` there
+        is `Pose2 | None`: the absolute `T_odom_base` at the cloud's stamp.
 
         Args:
             cloud: as the sensor gave it, in the sensor's frame.
@@ -213,6 +214,11 @@ def reads_clouds(mapper: object) -> TypeGuard[CloudMapper]:
 def reads_inertial(mapper: object) -> bool:
     """Return whether a cloud mapper takes all inertial readings; False without the attribute."""
     return reads_clouds(mapper) and bool(getattr(mapper, "reads_inertial", False))
+
+
+def reads_odometry(mapper: object) -> bool:
+    """Return whether a cloud mapper takes the odometry; False without the attribute."""
+    return reads_clouds(mapper) and bool(getattr(mapper, "reads_odometry", False))
 
 
 def requires_odometry(mapper: object) -> bool:

@@ -13,6 +13,7 @@ from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry import Pose2, Pose3, Trajectory
+from slam_baselines.motion.spatial import spatial_odometry
 
 Place = Literal["drive", "process"]
 """Location of a mapper: the drive's own process or another one."""
@@ -121,6 +122,11 @@ class DriveLog:
     def online(self) -> Trajectory:
         """Return the mapper's online estimates in the map frame."""
         return Trajectory.from_poses(self.stamps, self.estimates)
+
+    def spatial_odometry(self) -> Trajectory:
+        """Return dead reckoning in space by wheels, gyro and gravity, world frame."""
+        poses = spatial_odometry([o.odometry for o in self.observations], [o.imu for o in self.observations])
+        return Trajectory.from_poses(self.stamps, poses).moved(self.truth[0] @ poses[0].inverse())
 
     def scans_dropped(self, received: int) -> int:
         """Return the number of scans that the mapper dropped.

@@ -189,6 +189,7 @@ def evaluate_trajectory(log: DriveLog, simulation: Simulation) -> dict[str, Any]
     errors = asdict(trajectory_errors(truth, estimate))
     if log.spatial:
         errors |= asdict(spatial_errors(truth, estimate))
+        errors["odometry_ate_rmse_3d"] = spatial_errors(truth, log.spatial_odometry()).ate_rmse_3d
     online = log.online().moved(log.T_world_map)
     return errors | {
         "ate_rmse_online": trajectory_errors(truth, online).ate_rmse,

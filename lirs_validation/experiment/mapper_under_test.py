@@ -34,6 +34,7 @@ from slam_baselines.mapper import (
     MapperStats,
     reads_clouds,
     reads_inertial,
+    reads_odometry,
     requires_odometry,
 )
 
@@ -96,6 +97,7 @@ class MapperUnderTest:
         reads_clouds: whether it reads point clouds.
         requires_odometry: whether it needs odometry.
         reads_inertial: whether it takes all inertial readings.
+        reads_odometry: whether it takes the odometry, if it reads point clouds.
         place: location of the mapper.
 
     Args:
@@ -114,6 +116,7 @@ class MapperUnderTest:
         self.reads_clouds = reads_clouds(self._mapper)
         self.requires_odometry = requires_odometry(self._mapper)
         self.reads_inertial = reads_inertial(self._mapper)
+        self.reads_odometry = reads_odometry(self._mapper)
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Give the mapper an observation; return its estimate.
@@ -131,8 +134,9 @@ class MapperUnderTest:
         imu = imu_copy(observation.imu) if self._attitude == "imu" else None
         try:
             if isinstance(sensed, PointCloud):
-                inertial = (deepcopy(observation.inertial),) if self.reads_inertial else ()
-                pose = self._mapper.update(cloud_copy(sensed), imu, *inertial)
+                further: list[Any] = [deepcopy(observation.inertial)] if self.reads_inertial else []
+                further += [pose_copy(observation.odometry)] if self.reads_odometry else []
+                pose = self._mapper.update(cloud_copy(sensed), imu, *further)
             else:
                 pose = self._mapper.update(scan_copy(sensed), pose_copy(observation.odometry), imu)
         except BaseException as error:

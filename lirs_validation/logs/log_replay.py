@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -185,7 +185,7 @@ RESOLUTION = 0.05
 def replay_clouds(
     path: str,
     mapper: MapperUnderTest,
-    clouds: Iterable[PointCloud],
+    log: LaserLog,
     readings: Sequence[Imu | None],
     progress: Progress,
 ) -> tuple[LostRule, list[LaserScan]]:
@@ -196,8 +196,8 @@ def replay_clouds(
         MapperError: the mapper failed.
     """
     tracking, scans, points = LostRule(), list[LaserScan](), 0
-    for cloud, imu in zip(clouds, readings, strict=True):
-        estimate = mapper.observe(SensorReadings(imu=imu, cloud=cloud))
+    for cloud, odometry, imu in zip(log.clouds or (), log.odometry, readings, strict=True):
+        estimate = mapper.observe(SensorReadings(odometry=odometry, imu=imu, cloud=cloud))
         tracking.observe(cloud.stamp, estimate.lost)
         points += len(cloud)
         scans.append(horizontal_scan(cloud))

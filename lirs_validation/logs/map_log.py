@@ -202,7 +202,7 @@ def _map(
     if not mapper.reads_clouds:
         tracking = replay(config, mapper, log, readings, progress)
         return tracking, mapper.map(), mapper.trajectory()
-    tracking, level = replay_clouds(config.log, mapper, log.clouds or (), readings, progress)
+    tracking, level = replay_clouds(config.log, mapper, log, readings, progress)
     trajectory = mapper.trajectory()
     return tracking, horizontal_map(level, trajectory, config.resolution), trajectory
 

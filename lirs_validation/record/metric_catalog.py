@@ -24,6 +24,7 @@ Selection = Literal["picture", "runs", "summary", "compared", "distribution", "h
 screen, the summary of groups, comparisons unless others are named, the report's distributions, its medians
 on top."""
 ATE, ODOMETRY_ATE = "trajectory.ate_rmse", "trajectory.odometry_ate_rmse"
+ODOMETRY_ATE_3D = "trajectory.odometry_ate_rmse_3d"
 """Places of the mapper's and of the odometry's error in a record."""
 WORSE = "worse than its odometry"
 WORSE_MARK = "‡"
@@ -115,7 +116,11 @@ METRICS: tuple[Metric, ...] = (
            short="odom. ATE [m]", tested=False),
     Metric("trajectory.ate_rmse_3d", "ATE in space", "trajectory", "m", better="less",
            title="ATE in space (RMSE, aligned)", short="ATE 3D [m]",
-           selections=("picture", "runs", "summary", "compared", "distribution"), optional=True),
+           selections=("picture", "runs", "summary", "compared", "distribution"), optional=True,
+           baseline=ODOMETRY_ATE_3D),
+    Metric(ODOMETRY_ATE_3D, "ATE in space of odometry", "trajectory", "m", better="less",
+           title="ATE in space of wheels, gyro and gravity", short="odom. ATE 3D [m]",
+           selections=("picture", "runs", "summary"), tested=False, optional=True),
     Metric("trajectory.ate_rmse_3d_unaligned", "ATE in space, unaligned", "trajectory", "m", better="less",
            title="... unaligned", selections=("picture",)),
     Metric("trajectory.scan_coverage", "scans covered", "trajectory", "%", 1, PERCENT, "more",

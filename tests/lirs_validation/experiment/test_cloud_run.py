@@ -68,6 +68,14 @@ class Gyro(Still):
         self.poses.append(Pose3.from_rpy(0.0, 0.0, 0.0, 0.0, 0.0, self.yaw))
         return self.poses[-1]
 
+class Wheels(Still):
+    '''Says what the odometry says.'''
+    reads_odometry = True
+    def update(self, cloud, imu, odometry):
+        self.stamps.append(cloud.stamp)
+        self.poses.append(Pose3.from_pose2(odometry))
+        return self.poses[-1]
+
 class Half:
     reads_clouds = True
     def update(self, cloud, imu): ...
@@ -119,6 +127,17 @@ def test_a_mapper_gets_all_inertial_readings_on_request(here: Path) -> None:
     cloud = PointCloud(np.zeros((1, 3), np.float32), np.zeros(1, np.uint16), np.zeros(1, np.float32), 0.0)
     with pytest.raises(ConfigError, match="needs inertial readings near 200 Hz"):
         mapper.observe(SensorReadings(cloud=cloud))
+
+
+def test_a_mapper_gets_the_odometry_on_request(here: Path) -> None:
+    run = validate("simple", mapper="still_slam:Wheels", lidar="vlp16", seconds=4)
+    found = np.array([pose.to_pose2().as_array() for pose in run.log.estimates])
+    given = [observation.odometry.as_array() for observation in run.log.observations]
+    np.testing.assert_allclose(found, given, atol=1e-9)
+    errors = run.record.trajectory
+    assert errors["length"] > 1.0
+    # Without attitude, the height of the odometry is that of the first pose.
+    assert 0.0 < errors["odometry_ate_rmse_3d"] <= errors["ate_rmse_3d"] + 0.01
 
 
 def test_elevation_stands_in_the_place_of_an_occupancy_map(still: Run) -> None:
