@@ -240,10 +240,11 @@ def scan_copy(scan: LaserScan) -> LaserScan:
 
 def cloud_copy(cloud: PointCloud) -> PointCloud:
     """Return a read-only copy of a cloud and its mount."""
-    xyz, ring, time = cloud.xyz.copy(), cloud.ring.copy(), cloud.time.copy()
-    for array in (xyz, ring, time):
-        array.flags.writeable = False
-    return PointCloud(xyz, ring, time, cloud.stamp, replace(cloud.T_base_laser))
+    copy = deepcopy(cloud)
+    for array in (copy.xyz, copy.ring, copy.time, copy.intensity, copy.column):
+        if array is not None:
+            array.flags.writeable = False
+    return copy
 
 
 def pose_copy(pose: Pose2 | None) -> Pose2 | None:

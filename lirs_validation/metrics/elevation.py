@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import zipfile
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -290,13 +290,7 @@ class CloudSample:
         """
         if self.clouds and cloud.stamp < self.clouds[-1].stamp + self.period - 1e-9:
             return
-        self.clouds.append(cloud if walkers is None else without(cloud, walkers))
+        self.clouds.append(cloud if walkers is None else cloud.kept(~walkers))
         self.scans.append(scan)
         if len(self.clouds) > MOST:
             self.clouds, self.scans, self.period = self.clouds[::2], self.scans[::2], 2 * self.period
-
-
-def without(cloud: PointCloud, points: BoolArray) -> PointCloud:
-    """Return a cloud without some of its points, (n,)."""
-    kept = ~points
-    return replace(cloud, xyz=cloud.xyz[kept], ring=cloud.ring[kept], time=cloud.time[kept])

@@ -15,7 +15,8 @@ from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.presets import LidarPreset
-from lirs_envs.lidar.ray_casting import Rays, mujoco_ranges
+from lirs_envs.lidar.ray_casting import Rays, mujoco_hits, mujoco_ranges
+from lirs_envs.lidar.reflection import GROUND
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
@@ -112,6 +113,11 @@ def test_equals_mujoco_s_mesh_rays() -> None:
             )
         )
         np.testing.assert_allclose(ours[sure], theirs[sure], atol=1e-4)
+        _, _, normals = mujoco_hits(model, data, origin, directions, 25.0)
+        _, reflectances = caster.hits(origin, directions, 25.0)
+        met = sure & np.isfinite(ours)
+        expected = GROUND * abs(np.einsum("ij,ij->i", normals, directions))
+        np.testing.assert_allclose(reflectances[met], expected[met], atol=1e-4)
         seen += (np.isfinite(ours) & sure).sum()
     assert seen > 600
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster
+from lirs_envs.lidar.reflection import intensities
 from lirs_wct import ConfigError, LaserScan, PointCloud, Pose3, SimulationError
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.kernels import njit
@@ -67,6 +68,7 @@ class Lidar:
         self._times = np.tile(self.time_increment * np.arange(preset.beams), preset.rings)
         self.returned: BoolArray = np.zeros(0, np.bool_)
         self._ring = np.repeat(np.arange(preset.rings, dtype=np.uint16), preset.beams)
+        self._column = np.tile(np.arange(preset.beams, dtype=np.uint16), preset.rings)
         self._mount = T_base_laser.position
         self._limits, self._noise = (preset.range_min, preset.range_max), self.noise.parameters
         self._horizon = preset.horizon_beams
@@ -89,22 +91,31 @@ class Lidar:
         self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None
     ) -> tuple[LaserScan, PointCloud]:
         """Return planar scan and cloud of one sweep (see `scan`). The scan is one ring of the cloud."""
-        ranges = self.ranges(T_world_base, velocity)
+        origin, directions = self._rays(T_world_base, velocity)
+        exact, reflectances = self.caster.hits(origin, directions, self._limits[1])
+        ranges = self._measured(exact)
         met = self.returned = np.isfinite(ranges)
-        xyz = (ranges[met, None] * self._directions[met]).astype(np.float32)
-        time = self._times[met].astype(np.float32)
-        return self._scan(ranges, stamp), PointCloud(xyz, self._ring[met], time, stamp, self.T_base_laser)
+        cloud = PointCloud(
+            (ranges[met, None] * self._directions[met]).astype(np.float32),
+            self._ring[met],
+            self._times[met].astype(np.float32),
+            stamp,
+            self.T_base_laser,
+            intensities(ranges[met], reflectances[met]),
+            self._column[met],
+            (self.preset.rings, self.preset.beams),
+        )
+        return self._scan(ranges, stamp), cloud
 
     def _scan(self, ranges: Float32Array, stamp: float) -> LaserScan:
         return LaserScan(ranges[self._horizon], *self._fan, stamp, self.T_base_laser, self.time_increment)
 
     def ranges(self, T_world_base: Pose3, velocity: BaseVelocity | None = None) -> Float32Array:
         """Return (rings * beams,) ranges of a sweep, ring by ring from below (see `scan`)."""
-        T = T_world_base
-        if not math.isfinite(T.x + T.y + T.z + T.qw + T.qx + T.qy + T.qz):
-            raise SimulationError(f"the lidar's pose must be finite, got {T_world_base}")
-        origin, directions = self._rays(T_world_base, velocity)
-        exact = self.caster.ranges(origin, directions, self._limits[1])
+        return self._measured(self.caster.ranges(*self._rays(T_world_base, velocity), self._limits[1]))
+
+    def _measured(self, exact: FloatArray) -> Float32Array:
+        """Return exact ranges (n,) with noise."""
         normal, uniform = draw_noise(self.noise, len(exact), self._rng)
         ranges = np.empty(len(exact), np.float32)
         measure(exact, normal, uniform, self._limits, self._noise, ranges)
@@ -113,6 +124,8 @@ class Lidar:
     def _rays(self, T_world_base: Pose3, velocity: BaseVelocity | None) -> tuple[FloatArray, FloatArray]:
         """Return world origins, (3,) or (n, 3), and directions (n, 3) of the beams."""
         T = T_world_base
+        if not math.isfinite(T.x + T.y + T.z + T.qw + T.qx + T.qy + T.qz):
+            raise SimulationError(f"the lidar's pose must be finite, got {T_world_base}")
         quaternion, position = (T.qw, T.qx, T.qy, T.qz), (T.x, T.y, T.z)
         if self.time_increment == 0.0 or velocity is None:
             origin, directions = np.empty((1, 3)), np.empty_like(self._beams)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from lirs_envs.lidar.reflection import GROUND, reflect
 from lirs_wct import ConfigError, TriangleMesh
 from lirs_wct.arrays import FloatArray, Int32Array
 from lirs_wct.kernels import njit
@@ -60,6 +61,20 @@ class MeshCaster:
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
+        return self._met(origins, directions, max_range)[0]
+
+    def hits(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ranges and reflectances (see `lirs_envs.lidar.ray_casting.Caster`)."""
+        ranges, faces = self._met(origins, directions, max_range)
+        a, b, c = self._vertices[self._faces[faces]].transpose(1, 0, 2)
+        return ranges, reflect(GROUND, np.cross(b - a, c - a), directions)
+
+    def _met(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, Int32Array]:
+        """Return (n,) ranges and triangles, -1 = none."""
         origins = origins - self._middle
         starts = np.empty(directions.shape, np.float32)
         starts[:] = origins
@@ -68,7 +83,7 @@ class MeshCaster:
         ranges = np.empty(len(directions))
         starts_exact = np.broadcast_to(origins, directions.shape)
         _refine(self._vertices, self._faces, met["primID"], starts_exact, directions, max_range, ranges)
-        return ranges
+        return ranges, met["primID"]
 
 
 @njit(cache=True, nogil=True)

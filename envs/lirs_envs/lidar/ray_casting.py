@@ -24,13 +24,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.mesh_rays import MeshCaster
+from lirs_envs.lidar.reflection import GROUND, PROP, WALKER, WALL, reflect, world_reflectances
 from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, terrain_ranges
-from lirs_envs.lidar.walker_rays import meet_walkers
+from lirs_envs.lidar.walker_rays import capsule_normals, meet_walkers
 from lirs_envs.lidar.wall_rays import WallCells, build_wall_cells, remove_hits_in_holes, wall_ranges
 from lirs_envs.props import PROP_GROUP
 from lirs_envs.walkers import WALKER_GROUP, Walkers
 from lirs_wct import ConfigError, HeightField, WallGrid, World, unknown_name
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array
 from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP
 from lirs_wct.kernels import njit
 
@@ -46,6 +47,11 @@ class Caster(Protocol):
             directions: (n, 3) unit vectors, world frame, contiguous.
             max_range: meters.
         """
+
+    def hits(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ranges (n,) as `ranges` does, and (n,) reflectivities times cosines of the incidence."""
 
 
 class RayCaster:
@@ -79,6 +85,15 @@ class RayCaster:
         ranges = np.empty(len(directions))
         cast_rays(self.terrain, self.walls, origins.reshape(-1, 3), directions, max_range, ranges)
         return ranges
+
+    def hits(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ranges and reflectances (see `Caster`)."""
+        ranges = self.ranges(origins, directions, max_range)
+        reflectances = np.empty_like(ranges)
+        world_reflectances(self.terrain, self.walls, origins.reshape(-1, 3), directions, ranges, reflectances)
+        return ranges, reflectances
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -129,22 +144,39 @@ def mujoco_ranges(
     Raises:
         ConfigError: a group is not 0 to 5, or an array has the wrong shape.
     """
+    return mujoco_hits(model, data, origin, directions, max_range, exclude_body=exclude_body, groups=groups)[
+        0
+    ]
+
+
+def mujoco_hits(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    origin: ArrayLike,
+    directions: ArrayLike,
+    max_range: float,
+    *,
+    exclude_body: int = -1,
+    groups: Collection[int] = (0, 1, 2),
+) -> tuple[FloatArray, Int32Array, FloatArray]:
+    """Return ranges (n,), geoms (n,), -1 = none, and normals (n, 3) of hits (see `mujoco_ranges`)."""
     if not set(groups) <= set(range(mujoco.mjNGROUP)):
         raise ConfigError(f"geom groups must be 0 to {mujoco.mjNGROUP - 1}, got {sorted(groups)}")
     o, d = _rays(origin, directions)
     n = len(d)
     mask = np.array([g in groups for g in range(mujoco.mjNGROUP)], dtype=np.uint8)
-    geoms, distance = np.full(n, -1, np.int32), np.empty(n)
+    geoms, distance, normals = np.full(n, -1, np.int32), np.empty(n), np.zeros((n, 3))
+    seen = model, data
     if o.ndim == 2:
         for k in range(n):
             distance[k] = mujoco.mj_ray(
-                model, data, o[k], d[k], mask, True, exclude_body, geoms[k : k + 1], None
+                *seen, o[k], d[k], mask, True, exclude_body, geoms[k : k + 1], normals[k]
             )
     elif n:
-        mujoco.mj_multiRay(
-            model, data, o, d.ravel(), mask, True, exclude_body, geoms, distance, None, n, max_range
-        )
-    return np.where((geoms >= 0) & (distance <= max_range), distance, np.inf)
+        flat = normals.reshape(-1)
+        mujoco.mj_multiRay(*seen, o, d.ravel(), mask, True, exclude_body, geoms, distance, flat, n, max_range)
+    ranges = np.where((geoms >= 0) & (distance <= max_range), distance, np.inf)
+    return ranges, geoms, normals
 
 
 def _rays(origin: ArrayLike, directions: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -180,13 +212,29 @@ class GeomCaster:
 
     def __init__(self, data: mujoco.MjData, groups: tuple[int, ...]) -> None:
         self._data, self._groups = data, groups
+        model = data.model
+        self._reflectivity = np.where(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX, WALL, GROUND)
+        self._reflectivity[model.geom_group == PROP_GROUP] = PROP
+        self._reflectivity[model.geom_group == WALKER_GROUP] = WALKER
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
-        # Poses of geoms are those before the last step; bringing them up to date does not change stepping.
+        return self._hits(origins, directions, max_range)[0]
+
+    def hits(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ranges and reflectances (see `Caster`)."""
+        ranges, geoms, normals = self._hits(origins, directions, max_range)
+        return ranges, self._reflectivity[geoms] * reflect(1.0, normals, directions)
+
+    def _hits(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, Int32Array, FloatArray]:
         model = self._data.model
+        # Poses of geoms are those before the last step; bringing them up to date does not change stepping.
         mujoco.mj_kinematics(model, self._data)
-        return mujoco_ranges(model, self._data, origins, directions, max_range, groups=self._groups)
+        return mujoco_hits(model, self._data, origins, directions, max_range, groups=self._groups)
 
 
 class NearestCaster:
@@ -200,6 +248,18 @@ class NearestCaster:
         rays = (origins, directions, max_range)
         nearest: FloatArray = np.minimum(self._first.ranges(*rays), self._second.ranges(*rays))
         return nearest
+
+    def hits(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ranges and reflectances (see `Caster`)."""
+        rays = (origins, directions, max_range)
+        (first, reflected_first), (second, reflected_second) = (
+            self._first.hits(*rays),
+            self._second.hits(*rays),
+        )
+        nearer = first <= second
+        return np.where(nearer, first, second), np.where(nearer, reflected_first, reflected_second)
 
 
 class WalkerCaster:
@@ -220,7 +280,24 @@ class WalkerCaster:
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
         """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
-        ranges = self._caster.ranges(origins, directions, max_range)
+        return self._meet(self._caster.ranges(origins, directions, max_range), origins, directions, max_range)
+
+    def hits(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ranges and reflectances (see `Caster`)."""
+        ranges, reflectances = self._caster.hits(origins, directions, max_range)
+        nearest = self._meet(ranges, origins, directions, max_range)
+        if self._builtin and self.met.any():
+            starts, beams = np.broadcast_to(origins, directions.shape)[self.met], directions[self.met]
+            normals = capsule_normals(self._walkers.centers, starts + nearest[self.met, None] * beams)
+            reflectances[self.met] = reflect(WALKER, normals, beams)
+        return nearest, reflectances
+
+    def _meet(
+        self, ranges: FloatArray, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> FloatArray:
+        """Return the ranges with walkers; sets `met`."""
         self.met = np.empty(len(ranges), np.bool_)
         nearest = np.empty_like(ranges)
         meet_walkers(

@@ -48,6 +48,15 @@ def meet_walkers(
         nearest[k] = min(nearest[k], ranges[k])
 
 
+def capsule_normals(centers: FloatArray, points: FloatArray) -> FloatArray:
+    """Return (n, 3) normals of the walkers nearest to points (n, 3) on them, not normalized."""
+    offsets = points[:, None] - centers
+    offsets[..., 2] -= np.clip(offsets[..., 2], -HALF_LENGTH, HALF_LENGTH)
+    nearest = np.square(offsets).sum(axis=2).argmin(axis=1)
+    normals: FloatArray = offsets[np.arange(len(points)), nearest]
+    return normals
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cast_fan(
     centers: FloatArray, origin: FloatArray, directions: FloatArray, max_range: float, nearest: FloatArray

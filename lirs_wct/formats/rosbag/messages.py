@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from lirs_wct.formats.rosbag.cdr import Layout, Zeros
-from lirs_wct.geometry.cloud import PointCloud
+from lirs_wct.geometry.cloud import POINT, PointCloud
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
@@ -38,8 +38,6 @@ _IMU_RAW = Layout(
 _SCAN = Layout(TIME, LASER.encode(), "fffffff", "I")
 _MAP = Layout(TIME, MAP.encode(), TIME, "fII", POSE, "I")
 _NO_INTENSITIES = bytes(4)
-POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2"), ("time", "<f4")], align=True)
-"""A point with the names and types of Velodyne's driver, which KISS-ICP expects."""
 _POINT_TYPES = {np.dtype("<u2"): 4, np.dtype("<f4"): 7}
 _POINTS = Layout(
     TIME,
@@ -54,8 +52,8 @@ _POINT_FIELDS = [
 
 
 def nanoseconds(stamp: float) -> int:
-    """Convert a stamp in seconds to nanoseconds."""
-    return round(stamp * 1e9)
+    """Convert a stamp in seconds to nanoseconds; at least 1, since tf2 reads 0 as the latest time."""
+    return max(1, round(stamp * 1e9))
 
 
 def clock(stamp: float) -> bytearray:
@@ -87,17 +85,18 @@ def laser_scan(scan: LaserScan, period: float) -> bytearray:
 
 
 def point_cloud(cloud: PointCloud) -> bytearray:
-    """Return `sensor_msgs/PointCloud2` of one row in the laser's frame.
+    """Return `sensor_msgs/PointCloud2` in the laser's frame: a row per ring, or one row if not organized.
 
     Times count from the stamp.
     """
-    n, step = len(cloud), POINT.itemsize
-    points = np.zeros(n, POINT)
-    points["x"], points["y"], points["z"] = cloud.xyz.T
-    points["ring"], points["time"] = cloud.ring, cloud.time
+    organized = cloud.column is not None
+    points = cloud.organized() if organized else cloud.records()[None]
+    (rows, columns), step = points.shape, POINT.itemsize
     fields = (len(_POINT_FIELDS) // 3, *_POINT_FIELDS)
-    message = _POINTS.pack(*_time(cloud.stamp), 1, n, *fields, 0, step, n * step, n * step)
-    return message + points.tobytes() + b"\x01"
+    sizes = step, columns * step, points.size * step
+    message = _POINTS.pack(*_time(cloud.stamp), rows, columns, *fields, 0, *sizes)
+    is_dense = rows * columns == len(cloud)
+    return message + points.tobytes() + bytes([is_dense])
 
 
 def imu(reading: Imu, stamp: float) -> bytearray:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.formats.rosbag.frames import seconds
 from lirs_wct.formats.rosbag.opened import open_bag
 from lirs_wct.geometry.cloud import PointCloud
@@ -90,7 +90,7 @@ TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy types by the `datatype` of a PointField."""
 TIMES = ("t", "time", "timestamp", "offset_time")
 """Names of the time field with different drivers."""
-READ = ("x", "y", "z", "ring", *TIMES)
+READ = ("x", "y", "z", "intensity", "ring", *TIMES)
 """Fields that are read."""
 NANOSECONDS = 1e-9
 ABSOLUTE = 1e3
@@ -102,9 +102,9 @@ LONGEST_SWEEP = 10.0
 
 
 def records_of(message: Any) -> NDArray[Any] | None:
-    """Return the points (n,) as records by field name; None without legal x, y, z.
+    """Return the points (height, width) as records by field name; None without legal x, y, z.
 
-    Rows, whose ends may be padded, are joined.
+    The ends of rows may be padded.
     """
     m = message
     kinds = {f.name: (f.datatype, f.offset) for f in m.fields if f.name in READ and f.datatype in TYPES}
@@ -121,18 +121,18 @@ def records_of(message: Any) -> NDArray[Any] | None:
         {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": m.point_step}
     )
     shape, strides = (m.height, m.width), (row, m.point_step)
-    return np.ndarray(shape, dtype, np.ascontiguousarray(m.data).data, 0, strides).ravel()
+    return np.ndarray(shape, dtype, np.ascontiguousarray(m.data).data, 0, strides)
 
 
 def times_of(records: NDArray[Any], header: float) -> FloatArray:
-    """Return (n,) seconds of the points from the header's stamp; 0 without times.
+    """Return the seconds of the points from the header's stamp, in their shape; 0 without times.
 
     Integers are nanoseconds. Times of a clock count from the header's stamp if it is of the same clock,
     else from the earliest point.
     """
     name = next((name for name in TIMES if name in (records.dtype.names or ())), None)
-    if name is None or not len(records):
-        return np.zeros(len(records))
+    if name is None or not records.size:
+        return np.zeros(records.shape)
     unit = NANOSECONDS if records.dtype[name].kind in "iu" else 1.0
     times = records[name].astype(np.float64)
     known = np.isfinite(times)
@@ -185,14 +185,26 @@ def _cloud(records: NDArray[Any], header: float, stamp: float, T_base_laser: Pos
 
     Drivers place missing returns at the origin.
     """
-    xyz = np.stack([records[axis] for axis in "xyz"], axis=1).astype(np.float32)
     time = times_of(records, header) - start_of(records, header)
-    ring = records["ring"] if "ring" in (records.dtype.names or ()) else np.zeros(len(records))
-    valid = np.isfinite(xyz).all(axis=1) & (xyz != 0.0).any(axis=1)
+    known = records.dtype.names or ()
+    ring = records["ring"] if "ring" in known else np.zeros(records.shape)
+    xyz = np.stack([records[axis] for axis in "xyz"], axis=-1).astype(np.float32)
+    valid = np.isfinite(xyz).all(axis=-1) & (xyz != 0.0).any(axis=-1)
+    column, shape = _columns(valid, ring)
     return PointCloud(
-        np.ascontiguousarray(xyz[valid]),
+        xyz[valid],
         ring[valid].astype(np.uint16),
         time[valid].astype(np.float32),
         stamp,
         T_base_laser,
+        records["intensity"][valid].astype(np.float32) if "intensity" in known else None,
+        column,
+        shape,
     )
+
+
+def _columns(valid: BoolArray, ring: NDArray[Any]) -> tuple[NDArray[np.uint16] | None, tuple[int, int]]:
+    """Return columns (n,) of the valid points and rings x columns; none unless each row is one ring."""
+    if len(valid) < 2 or (ring != np.arange(len(valid))[:, None]).any():
+        return None, (0, 0)
+    return np.nonzero(valid)[1].astype(np.uint16), (valid.shape[0], valid.shape[1])

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
+from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_envs.lidar.reflection import GROUND, intensities
 from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
@@ -14,6 +17,7 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
@@ -81,6 +85,42 @@ def test_walls_props_and_static_robots(walled: World, husky: Robot) -> None:
         )
         np.testing.assert_allclose(theirs, builtin, atol=1e-3)
         assert 0.1 < np.isfinite(builtin).mean() < 1
+
+
+@pytest.mark.parametrize("rolling", [False, True])
+def test_intensities_agree_with_the_normals_of_mujoco(walled: World, husky: Robot, rolling: bool) -> None:
+    """Ground, walls, a prop and walkers: other code for each in the builtin rays."""
+    props = (Prop(shape="sphere", size=(0.5,), place=Pose2(1.8, 1.0)),)
+    noise = SensorNoise(lidar="none", rolling_scan=rolling)
+    seen = []
+    for rays in ("builtin", "mujoco"):
+        config = SimulationConfig(robot=husky, lidar="vlp16", props=props, actors=4, noise=noise, rays=rays)
+        sim = Simulation(walled, config)
+        sim.reset()
+        cloud = sim.advance(Twist(0.4, 0.5)).cloud
+        assert cloud is not None
+        assert cloud.intensity is not None
+        seen.append((cloud.ring.astype(int) * 1800 + cloud.column, cloud.intensity, sim.walker_points))
+    (beams, ours, walkers), (their_beams, theirs, _) = seen
+    assert walkers is not None
+    assert walkers.sum() > 20
+    both, k, m = np.intersect1d(beams, their_beams, return_indices=True)
+    assert len(both) > 0.99 * len(beams)
+    # A beam at an edge may meet either face.
+    assert (np.abs(ours[k] - theirs[m]) < 0.5).mean() > 0.995
+    assert ours.std() > 1
+
+
+def test_intensity_follows_the_lidar_equation() -> None:
+    ground = HeightField.centered(np.zeros((401, 401), np.float32), (0.1, 0.1))
+    down = math.radians(30)
+    d = np.array([(math.cos(down), 0, -math.sin(down))])
+    for height in (1.0, 8.0):
+        ranges, reflectances = RayCaster(ground).hits(np.array((-15.0, 0.0, height)), d, 100.0)
+        assert ranges[0] == pytest.approx(2 * height)
+        loss = min(1.0, (10 / (2 * height)) ** 2)
+        (intensity,) = intensities(ranges.astype(np.float32), reflectances)
+        assert intensity == pytest.approx(255 * GROUND * 0.5 * loss, rel=1e-5)
 
 
 def test_the_same_noise(hills: World, husky: Robot) -> None:

@@ -157,7 +157,7 @@ def test_motion_skews_a_rolling_sweep_and_its_times_undo_it() -> None:
 def test_the_same_seed_gives_the_same_bytes() -> None:
     noise = lidar_noise(LIDARS["os1_32"], "datasheet")
     first, second = (sweep("os1_32", noise=noise)[1] for _ in range(2))
-    for name in ("xyz", "ring", "time"):
+    for name in ("xyz", "ring", "time", "intensity", "column"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 

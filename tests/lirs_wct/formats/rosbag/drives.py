@@ -27,6 +27,8 @@ def drive(scans: int = 5) -> BagDrive:
     xyz = rng.uniform(-20, 20, (scans, 8, 3)).astype(np.float32)
     ring = np.repeat(np.arange(4, dtype=np.uint16), 2)
     time = np.tile(np.array((0, 0.05), np.float32), 4)
+    intensity = np.linspace(0, 255, 8, dtype=np.float32)
+    column = np.tile(np.array((0, 2), np.uint16), 4)
     p = rng.uniform(0, 1, (1100, 1000))
     p[0, :10] = np.nan
     ticks = [
@@ -35,7 +37,7 @@ def drive(scans: int = 5) -> BagDrive:
             odometry=Pose2(0.01 * k, -0.002 * k, 0.005 * k),
             imu=Imu(0.001 * k, -0.002 * k, (0.1, 0.2, 0.25), (0.3, 0.4, 9.7), t),
             truth=Pose3.from_rpy(0.011 * k, 0.0, 0.5, 0.01, 0.02, 0.005 * k),
-            cloud=PointCloud(xyz[k], ring, time, t, MOUNT),
+            cloud=PointCloud(xyz[k], ring, time, t, MOUNT, intensity, column, (4, 3)),
             estimate=Pose2(0.0105 * k, -0.001 * k, 0.0052 * k),
             inertial=readings(t, k) if k else None,
         )

@@ -144,3 +144,15 @@ def test_bags_of_the_other_kind_name_the_mappers_that_fit(tmp_path: Path) -> Non
         SourceError, match=r"run: holds no topic of laser scans; --mapper kiss-icp read.*/points \(sensor"
     ):
         read_bag(tmp_path / "run", Topics(others="kiss-icp"))
+
+
+def test_organized_clouds_keep_their_columns_and_intensities(tmp_path: Path) -> None:
+    given = drives.drive()
+    write_bag(tmp_path / "bag", given)
+    log = read_bag(tmp_path / "bag", CLOUDS)
+    assert log.clouds is not None
+    for read, tick in zip(log.clouds, given.ticks, strict=True):
+        assert tick.cloud is not None
+        assert read.shape == (4, 3)
+        np.testing.assert_array_equal(read.records(), tick.cloud.records())
+        np.testing.assert_array_equal(read.column, tick.cloud.column)

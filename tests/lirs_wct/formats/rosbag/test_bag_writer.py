@@ -80,8 +80,8 @@ def test_clouds_are_those_given(read: dict[str, list[Any]], given: BagDrive) -> 
         assert cloud is not None
         assert message.header.frame_id == "laser"
         assert seconds(message.header.stamp) == pytest.approx(cloud.stamp, abs=1e-9)
-        assert (message.height, message.width, message.is_bigendian, message.is_dense) == (1, 8, False, True)
-        assert [field.name for field in message.fields] == ["x", "y", "z", "ring", "time"]
+        assert (message.height, message.width, message.is_bigendian, message.is_dense) == (4, 3, False, False)
+        assert [field.name for field in message.fields] == ["x", "y", "z", "intensity", "ring", "time"]
         assert {field.count for field in message.fields} == {1}
         kind = np.dtype(
             {
@@ -92,7 +92,11 @@ def test_clouds_are_those_given(read: dict[str, list[Any]], given: BagDrive) -> 
             }
         )
         assert message.row_step == message.width * message.point_step
-        points = np.frombuffer(bytes(message.data), kind)
+        beams = np.frombuffer(bytes(message.data), kind).reshape(4, 3)
+        assert np.isnan(beams["x"][:, 1]).all()
+        np.testing.assert_allclose(beams["time"], np.tile((0, 0.025, 0.05), (4, 1)))
+        points = beams[:, [0, 2]].ravel()
+        np.testing.assert_array_equal(points["intensity"], cloud.intensity)
         np.testing.assert_array_equal(np.column_stack([points[axis] for axis in "xyz"]), cloud.xyz)
         np.testing.assert_array_equal(points["ring"], cloud.ring)
         np.testing.assert_array_equal(points["time"], cloud.time)
