@@ -97,7 +97,9 @@ class PointCloud:
         return points
 
     def organized(self) -> NDArray[Any]:
-        """Return all beams (rings, columns) as POINT; x, y and z of beams without return are NaN.
+        """Return all beams (rings, columns) as POINT.
+
+        x, y and z of beams without return are NaN.
 
         Raises:
             ConfigError: the cloud is not organized.

@@ -57,7 +57,7 @@ def world_reflectances(
     ranges: FloatArray,
     reflectances: FloatArray,
 ) -> None:
-    """Fill `reflectances` (n,) of the hits at `ranges` (n,) on walls and ground; 0 without a hit."""
+    """Fill `reflectances` (n,) of hits at `ranges` (n,) on walls and ground. 0 = no hit."""
     for k in range(len(ranges)):
         reflectances[k] = 0.0
         if ranges[k] < np.inf:
@@ -69,7 +69,7 @@ def world_reflectances(
 
 @njit(cache=True, error_model="numpy")
 def _wall_cosine(walls: WallCells, x: float, y: float, z: float, d: FloatArray) -> float:
-    """Return the cosine of the incidence on a wall's face at a point; -1 if it is on no face."""
+    """Return the cosine of the incidence on a wall's face. -1 = the point is on no face."""
     distance, frame = walls.distance, walls.frame
     if distance.size == 0:
         return -1.0

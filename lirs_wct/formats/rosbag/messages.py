@@ -52,7 +52,10 @@ _POINT_FIELDS = [
 
 
 def nanoseconds(stamp: float) -> int:
-    """Convert a stamp in seconds to nanoseconds; at least 1, since tf2 reads 0 as the latest time."""
+    """Convert a stamp in seconds to nanoseconds.
+
+    At least 1, since tf2 reads 0 as the latest time.
+    """
     return max(1, round(stamp * 1e9))
 
 
@@ -85,7 +88,9 @@ def laser_scan(scan: LaserScan, period: float) -> bytearray:
 
 
 def point_cloud(cloud: PointCloud) -> bytearray:
-    """Return `sensor_msgs/PointCloud2` in the laser's frame: a row per ring, or one row if not organized.
+    """Return `sensor_msgs/PointCloud2` in the laser's frame.
+
+    An organized cloud has a row per ring, any other one row.
 
     Times count from the stamp.
     """
