@@ -290,7 +290,7 @@ class CloudSample:
         """
         if self.clouds and cloud.stamp < self.clouds[-1].stamp + self.period - 1e-9:
             return
-        self.clouds.append(cloud if walkers is None else cloud.kept(~walkers))
+        self.clouds.append(cloud if walkers is None else cloud.select(~walkers))
         self.scans.append(scan)
         if len(self.clouds) > MOST:
             self.clouds, self.scans, self.period = self.clouds[::2], self.scans[::2], 2 * self.period

@@ -76,7 +76,7 @@ class PointCloud:
         """Whether the points were measured one column after the other, and not all at once."""
         return len(self) > 0 and bool(self.time.max() > self.time.min())
 
-    def kept(self, points: BoolArray) -> PointCloud:
+    def select(self, points: BoolArray) -> PointCloud:
         """Return the cloud of some points, (n,)."""
         return replace(
             self,

@@ -93,7 +93,7 @@ class Lidar:
         """Return planar scan and cloud of one sweep (see `scan`). The scan is one ring of the cloud."""
         origin, directions = self._rays(T_world_base, velocity)
         exact, reflectances = self.caster.hits(origin, directions, self._limits[1])
-        ranges = self._measured(exact)
+        ranges = self._add_noise(exact)
         met = self.returned = np.isfinite(ranges)
         cloud = PointCloud(
             (ranges[met, None] * self._directions[met]).astype(np.float32),
@@ -112,9 +112,9 @@ class Lidar:
 
     def ranges(self, T_world_base: Pose3, velocity: BaseVelocity | None = None) -> Float32Array:
         """Return (rings * beams,) ranges of a sweep, ring by ring from below (see `scan`)."""
-        return self._measured(self.caster.ranges(*self._rays(T_world_base, velocity), self._limits[1]))
+        return self._add_noise(self.caster.ranges(*self._rays(T_world_base, velocity), self._limits[1]))
 
-    def _measured(self, exact: FloatArray) -> Float32Array:
+    def _add_noise(self, exact: FloatArray) -> Float32Array:
         """Return exact ranges (n,) with noise."""
         normal, uniform = draw_noise(self.noise, len(exact), self._rng)
         ranges = np.empty(len(exact), np.float32)

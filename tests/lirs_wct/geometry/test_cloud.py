@@ -70,7 +70,7 @@ def test_an_organized_cloud_keeps_beams_without_return() -> None:
     np.testing.assert_array_equal(beams["ring"], np.repeat([[0], [1]], 5, axis=1))
     np.testing.assert_allclose(beams["time"], np.tile(0.01 * np.arange(5), (2, 1)), rtol=1e-6)
     np.testing.assert_array_equal(beams[some.ring, some.column], some.records())
-    half = some.kept(np.array((True, False, True)))
+    half = some.select(np.array((True, False, True)))
     np.testing.assert_array_equal(half.records(), some.records()[[0, 2]])
     with pytest.raises(ConfigError, match="not organized"):
         cloud().organized()
