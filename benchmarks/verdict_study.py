@@ -445,7 +445,7 @@ def end_of(stream: BoolArray) -> SequentialTest:
     for success in stream.tolist():
         if test.outcome is not None:
             break
-        test = test.observed(success)
+        test = test.add(success)
     return test
 
 

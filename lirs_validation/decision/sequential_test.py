@@ -49,7 +49,7 @@ class SequentialTest:
         up = math.ceil((_BOUND - self.log_ratio) / _SUCCESS)
         return min(up, math.ceil((self.log_ratio + _BOUND) / -_FAILURE))
 
-    def observed(self, success: bool) -> SequentialTest:
+    def add(self, success: bool) -> SequentialTest:
         """Return the state after one more observation."""
         return SequentialTest(self.successes + success, self.failures + (not success))
 

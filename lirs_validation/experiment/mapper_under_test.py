@@ -169,7 +169,7 @@ class MapperUnderTest:
         """
         if self.reads_clouds:
             raise ConfigError("a mapper of point clouds has no occupancy map")
-        return _checked(self._ask("map"), OccupancyGrid, "map() must return an OccupancyGrid")
+        return _require_kind(self._ask("map"), OccupancyGrid, "map() must return an OccupancyGrid")
 
     def trajectory(self) -> Trajectory:
         """Return the mapper's trajectory.
@@ -177,7 +177,7 @@ class MapperUnderTest:
         Raises:
             MapperError: it fails, or returns no finite trajectory.
         """
-        found = _checked(self._ask("trajectory"), Trajectory, "trajectory() must return a Trajectory")
+        found = _require_kind(self._ask("trajectory"), Trajectory, "trajectory() must return a Trajectory")
         wrong = ~(np.isfinite(found.positions).all(axis=1) & np.isfinite(found.quaternions).all(axis=1))
         if wrong.any():
             raise MapperError(f"trajectory() is not finite at {found.stamps[wrong.argmax()]:.3f} s")
@@ -186,7 +186,7 @@ class MapperUnderTest:
     @property
     def stats(self) -> MapperStats:
         """Statistics of the mapper."""
-        return _checked(self._ask("stats"), MapperStats, "stats must be a MapperStats")
+        return _require_kind(self._ask("stats"), MapperStats, "stats must be a MapperStats")
 
     @property
     def lost(self) -> bool:
@@ -271,7 +271,7 @@ def check_pose(pose: object, kind: type[Pose2 | Pose3], stamp: float) -> None:
         raise MapperError(f"update() must return a finite pose, got {pose} for the scan at {stamp:.3f} s")
 
 
-def _checked(value: object, kind: type[T], required: str) -> T:
+def _require_kind(value: object, kind: type[T], required: str) -> T:
     """Return a value of a required type.
 
     Raises:

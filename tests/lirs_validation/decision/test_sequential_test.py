@@ -14,7 +14,7 @@ from lirs_validation.decision.sequential_test import P0, P1, SequentialTest
 def outcome_of_stream(share: float, rng: np.random.Generator) -> tuple[str, int]:
     test, count = SequentialTest(), 0
     while test.outcome is None:
-        test, count = test.observed(bool(rng.random() < share)), count + 1
+        test, count = test.add(bool(rng.random() < share)), count + 1
     return test.outcome, count
 
 
