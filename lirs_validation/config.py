@@ -146,6 +146,13 @@ class RunConfig(Options):
         panel=AXES,
         names=tuple(MAPPERS),
     )
+    mapper_python: str | None = option(
+        None,
+        "Python interpreter of mappers that are not ours; it needs NumPy and the mapper's packages.",
+        metavar="PATH",
+        in_digest=False,
+        on_page=False,
+    )
     lidar: str | None = option(
         None,
         "Lidars; default: the robot's own.",
@@ -384,6 +391,9 @@ class MapConfig(Options):
         "SLAM method: hector, gmapping, cartographer, ...",
         metavar="NAME|module:Class",
         names=tuple(MAPPERS),
+    )
+    mapper_python: str | None = option(
+        None, "Python interpreter of a mapper that is not ours.", metavar="PATH", in_digest=False
     )
     seed: int = option(1, "Seed of the mapper's random numbers.", check=within("[0, inf)"))
     particles: int | None = option(None, "Number of gmapping's particles; default: 30.")

@@ -8,6 +8,7 @@ from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.util import find_spec
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypedDict, TypeGuard
 
 import numpy as np
@@ -24,8 +25,12 @@ class Method(NamedTuple):
         config: name of the class of its configuration.
         factory: name of the callable that makes a mapper of a configuration.
         resolution: field of the configuration that is the edge of the map's cell, meters; empty = none.
-        package: import name of a needed package that only an extra installs.
-        extra: of this package that installs it.
+        package: import name of a needed package that is none of our dependencies.
+        extra: of this package that installs it; empty = none does.
+        requirements: pip's arguments that install it into an environment of its own.
+        license: of the package.
+        needs: of the sensors' data, besides point clouds.
+        options: fixed fields of its configuration.
     """
 
     module: str
@@ -34,10 +39,16 @@ class Method(NamedTuple):
     resolution: str = ""
     package: str = ""
     extra: str = ""
+    requirements: tuple[str, ...] = ()
+    license: str = ""
+    needs: str = ""
+    options: Mapping[str, Any] = MappingProxyType({})
 
     @property
     def install(self) -> str:
         """Command that installs the needed package."""
+        if not self.extra:
+            return f"lirs-wct mappers --install {self.distribution}"
         return f"pip install 'lirs-wct[{self.extra}]'"
 
     @property
@@ -72,19 +83,54 @@ MAPPERS: Mapping[str, Method] = {
 }
 """The planar methods by name."""
 
+_EXTERNAL = "slam_baselines.external"
+_INERTIAL = "inertial readings, a start at rest"
+
 CLOUD_MAPPERS: Mapping[str, Method] = {
     "kiss-icp": Method(
-        "slam_baselines.external.kiss_icp", "KissIcpConfig", "make_kiss_icp", package="kiss_icp", extra="slam"
+        f"{_EXTERNAL}.kiss_icp",
+        "KissIcpConfig",
+        "make_kiss_icp",
+        package="kiss_icp",
+        extra="slam",
+        requirements=("kiss-icp>=1.2",),
+        license="MIT",
     ),
     "genz-icp": Method(
-        "slam_baselines.external.genz_icp", "GenzIcpConfig", "make_genz_icp", package="genz_icp", extra="slam"
+        f"{_EXTERNAL}.kiss_icp",
+        "GenzIcpConfig",
+        "make_genz_icp",
+        package="genz_icp",
+        extra="slam",
+        requirements=("genz-icp>=0.3",),
+        license="MIT",
+    ),
+    "small-gicp": Method(
+        f"{_EXTERNAL}.small_gicp",
+        "SmallGicpConfig",
+        "make_small_gicp",
+        package="small_gicp",
+        extra="slam",
+        requirements=("small_gicp>=1.0", "numpy"),
+        license="MIT",
     ),
     "kiss-slam": Method(
-        "slam_baselines.external.kiss_slam",
+        f"{_EXTERNAL}.kiss_slam",
         "KissSlamConfig",
         "KissSlamMapper",
         package="kiss_slam",
         extra="slam-loop",
+        requirements=("kiss-slam",),
+        license="MIT",
+    ),
+    "rko-lio": Method(
+        f"{_EXTERNAL}.rko_lio",
+        "RkoLioConfig",
+        "make_rko_lio",
+        package="rko_lio",
+        requirements=("rko_lio>=0.4,<0.5",),
+        license="MIT",
+        needs=_INERTIAL,
     ),
 }
 """Third-party systems that read point clouds, by name; none of them is among our dependencies."""
@@ -300,7 +346,8 @@ def _make(name: str, seed: int | None, config: dict[str, Any]) -> Any:
         if key not in config_class.__dataclass_fields__:
             raise unknown_name(f"parameter of {name}", key, config_class.__dataclass_fields__)
     try:
-        return getattr(importlib.import_module(method.module), method.factory)(config_class(**config))
+        made = config_class(**method.options, **config)
+        return getattr(importlib.import_module(method.module), method.factory)(made)
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
 

@@ -9,10 +9,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO
-
-from numba.core.event import TimingListener, install_listener
 
 if sys.platform != "win32":
     import fcntl
@@ -82,6 +81,11 @@ def compile_timer() -> Iterator[Callable[[], float]]:
 
     Kernels are compiled, or loaded from Numba's cache.
     """
+    if find_spec("numba") is None:  # another interpreter, whose mapper has no kernels of ours
+        yield lambda: 0.0
+        return
+    from numba.core.event import TimingListener, install_listener
+
     timer = TimingListener()
     with install_listener("numba:compiler_lock", timer):
         yield lambda: float(timer.duration) if timer.done else 0.0

@@ -95,7 +95,7 @@ def evaluate(
         scans=evaluate_scans(scenario.world, log),
         mapper=asdict(stats),
         cost=cost | {"scans_dropped": log.scans_dropped(stats.received)},
-        versions=versions() | package_versions(scenario.config.mapper),
+        versions=versions() | package_versions(scenario.config.mapper, scenario.config.mapper_python),
     )
 
 

@@ -1,13 +1,19 @@
-"""Mapper of a run: a built-in name, or `module:name` of your own."""
+"""Mapper of a run: a built-in name, or `module:name` of your own, and the interpreter that runs it."""
 
 from __future__ import annotations
 
-import importlib.metadata
+import json
+import os
+import shutil
+import subprocess
+import sys
 from dataclasses import dataclass
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.metadata import distributions
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lirs_validation.config import Attitude
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import (
@@ -15,14 +21,21 @@ from slam_baselines.mapper import (
     MAPPERS,
     CloudMapper,
     Mapper,
+    Method,
     make_cloud_mapper,
     make_mapper,
     reads_clouds,
 )
-from slam_baselines.warm_up import warm_up
+
+if TYPE_CHECKING:  # another interpreter loads no options
+    from lirs_validation.config import Attitude
 
 RESOLUTION = 0.05
 """Edge of a map's cell for a mapper of your own that takes it, meters; ours use the same."""
+OLDEST = (3, 11)
+PROBE = "import json, sys; print(json.dumps([sys.version_info[:2], [entry for entry in sys.path if entry]]))"
+PATIENCE = 60.0
+"""Seconds within which an interpreter answers."""
 METHODS, PROPERTIES = ("update", "map", "trajectory"), ("stats", "lost")
 CLOUD_METHODS = ("update", "trajectory")
 
@@ -65,23 +78,17 @@ def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
     return _check_methods(mapper, name)
 
 
-def package_versions(name: str) -> dict[str, str]:
-    """Return the versions of a mapper's own packages; empty for our methods."""
-    method = CLOUD_MAPPERS.get(name)
-    if method is None or not method.installed:
-        return {}
-    return {method.distribution: importlib.metadata.version(method.distribution)}
-
-
 def warm_up_mapper(name: str) -> None:
     """Compile a mapper's kernels; one of your own is only warmed up by driving."""
     if name in MAPPERS:
+        from slam_baselines.warm_up import warm_up
+
         warm_up(name)
 
 
 def source_file(name: str) -> Path | None:
     """Return the file that holds a mapper of your own; None for ours."""
-    return own_source_file(name)
+    return None if name in CLOUD_MAPPERS else own_source_file(name)
 
 
 def _check_methods(mapper: Any, name: str) -> Mapper | CloudMapper:
@@ -93,3 +100,111 @@ def _check_methods(mapper: Any, name: str) -> Mapper | CloudMapper:
         raise ConfigError(f"mapper {name!r}: lacks {', '.join(lacking)}; a mapper has {needed}")
     checked: Mapper | CloudMapper = mapper
     return checked
+
+
+def interpreter_of(mapper: str, given: str | None = None) -> str | None:
+    """Return the interpreter that runs a third-party mapper; None = this one.
+
+    A system that is not installed here is looked for in its private environment.
+
+    Args:
+        mapper: its name, or `module:name` of your own.
+        given: path or name of an interpreter; None = choose.
+
+    Raises:
+        ConfigError: the given one cannot be used, or lacks the mapper's package.
+    """
+    method = CLOUD_MAPPERS.get(mapper)
+    if given is not None:
+        python = _usable(given)
+        if method is not None and not _holds(python, method):
+            raise ConfigError(f"{given}: has no package {method.distribution}, which {mapper} needs")
+        return python
+    if method is None or method.installed:
+        return None
+    private = environment_python(method)
+    return str(private) if private.exists() and _holds(str(private), method) else None
+
+
+def package_versions(mapper: str, given: str | None = None) -> dict[str, str]:
+    """Return the versions of a mapper's own packages where it runs; empty for our methods."""
+    method = CLOUD_MAPPERS.get(mapper)
+    if method is None:
+        return {}
+    python = interpreter_of(mapper, given)
+    path = sys.path if python is None else search_path(python)
+    found = next(iter(distributions(name=method.distribution, path=list(path))), None)
+    return {} if found is None else {method.distribution: found.version}
+
+
+def is_installed(method: Method) -> bool:
+    """Return whether a system is installed here, or in its private environment."""
+    private = environment_python(method)
+    return method.installed or (private.exists() and _holds(str(private), method))
+
+
+def environment_python(method: Method) -> Path:
+    """Return the path of the interpreter in a system's private environment, which may not exist."""
+    data = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
+    folder = data / "lirs-wct" / "mappers" / method.package
+    return folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+
+
+def install(name: str) -> Path:
+    """Create the private environment of a system; return its folder.
+
+    Args:
+        name: of a mapper of CLOUD_MAPPERS, or of its package.
+
+    Raises:
+        ConfigError: there is no such system, or its installation failed.
+    """
+    named = dict(CLOUD_MAPPERS) | {method.distribution: method for method in CLOUD_MAPPERS.values()}
+    if name not in named:
+        raise unknown_name("system", name, named)
+    method = named[name]
+    python = environment_python(method)
+    folder = python.parents[1]
+    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    for command in ([sys.executable, "-m", "venv", "--clear", str(folder)], [*pip, *method.requirements]):
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            shutil.rmtree(folder, ignore_errors=True)
+            errors = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
+            raise ConfigError(f"{name}: cannot be installed: {errors[-1] if errors else command}")
+    search_path.cache_clear()
+    if not _holds(str(python), method):
+        raise ConfigError(f"{folder}: {' '.join(method.requirements)} did not install {method.package}")
+    return folder
+
+
+@cache
+def search_path(python: str) -> tuple[str, ...]:
+    """Return the folders in which an interpreter looks for modules.
+
+    Raises:
+        ConfigError: it does not run, or is too old.
+    """
+    try:
+        told = subprocess.run([python, "-c", PROBE], capture_output=True, timeout=PATIENCE, check=True)
+        version, path = json.loads(told.stdout)
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        raise ConfigError(f"{python}: is no Python interpreter that runs") from error
+    if tuple(version) < OLDEST:
+        oldest, given = (".".join(map(str, numbers)) for numbers in (OLDEST, version))
+        raise ConfigError(f"{python}: a mapper's interpreter must be Python {oldest} or newer, got {given}")
+    return tuple(path)
+
+
+def _usable(given: str) -> str:
+    """Return the path of an interpreter that can run our part of a mapper's process."""
+    python = shutil.which(str(Path(given).expanduser()))
+    if python is None:
+        raise ConfigError(f"{given}: no such program; --mapper-python takes a Python interpreter")
+    if PathFinder.find_spec("numpy", list(search_path(python))) is None:
+        raise ConfigError(f"{given}: has no NumPy, which a mapper's process needs")
+    return python
+
+
+def _holds(python: str, method: Method) -> bool:
+    return PathFinder.find_spec(method.package, list(search_path(python))) is not None

@@ -1,4 +1,7 @@
-"""A mapper in its own process: foreign code cannot reach the evaluation."""
+"""A mapper in its own process: foreign code cannot reach the evaluation.
+
+This module imports NumPy and our light modules only, so that another interpreter can serve a mapper.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +18,18 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from multiprocessing import Pipe
-from typing import TYPE_CHECKING, Any, NoReturn
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 from weakref import finalize
 
-from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
-from lirs_validation.experiment.mapper_loading import MapperSpec, mapper_named, warm_up_mapper
+from lirs_validation.experiment.mapper_loading import (
+    MapperSpec,
+    interpreter_of,
+    mapper_named,
+    warm_up_mapper,
+)
 from lirs_validation.experiment.mapper_under_test import METHODS, Estimate, MapperUnderTest, SensorReadings
 from lirs_validation.interrupts import end_with
 from lirs_wct.errors import MapperError, WctError
@@ -33,6 +42,7 @@ else:
 
 if TYPE_CHECKING:
     from lirs_envs.sensing.sensors import Observation
+    from lirs_validation.config import MapConfig, RunConfig
     from lirs_validation.experiment.drive_log import Place, Tick
 
 BATCH = 8
@@ -41,11 +51,24 @@ IDLE_END = 0.3
 """Seconds within which an idle process ends when its pipe is closed."""
 PATIENCE = 1.0
 """Seconds that a mapper at work is given to tidy up before its process is killed."""
-PROGRAM = (
-    "import sys; sys.argv, sys.path[:] = {argv!r}, {path!r}; "
-    "from lirs_validation.experiment.mapper_process import serve; serve({handle}, {parent})"
-)
+OURS = ("lirs_wct", "slam_baselines", "lirs_validation")
+SERVE = "from lirs_validation.experiment.mapper_process import serve; serve({handle}, {parent})"
+PROGRAM = "import sys; sys.argv, sys.path[:] = {argv!r}, {path!r}; " + SERVE
 """Of the process. Those of multiprocessing run the caller's script again, which then needs a guard."""
+ELSEWHERE = """
+import sys
+from importlib.machinery import PathFinder
+
+class Ours:
+    find_spec = staticmethod(
+        lambda name, path=None, target=None: PathFinder.find_spec(name, {folders!r}.get(name, ()))
+    )
+
+sys.argv, sys.path[:] = {argv!r}, [entry for entry in sys.path if entry]
+sys.meta_path.insert(0, Ours)
+"""
+"""Of a process with another interpreter, which takes our packages from here and all others from there."""
+
 ATTENTION, NAP = 0.1, 2e-4
 """Seconds for which a message is looked out for, and between two looks."""
 
@@ -92,8 +115,11 @@ class MapperProcess(MapperUnderTest):
     def __init__(self, config: RunConfig | MapConfig, *, look_ahead: bool = False) -> None:
         self.name, self._look_ahead, self.compile_seconds = config.mapper, look_ahead, 0.0
         self._pipe, far = Pipe()
+        third_party = config.mapper in CLOUD_MAPPERS
+        self._errors = TemporaryFile() if third_party else None  # noqa: SIM115 (it outlives this method)
         try:
-            self._process = _start_process(far)
+            python = interpreter_of(config.mapper, config.mapper_python)
+            self._process = _start_process(far, python, self._errors)
         except OSError as error:
             raise MapperError(f"mapper {config.mapper!r}: its process cannot be started ({error})") from error
         finally:
@@ -229,19 +255,39 @@ class MapperProcess(MapperUnderTest):
         code = self._process.returncode
         how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"exit code {code}"
         memory = "; the system may have lacked memory" if how.endswith("SIGKILL") else ""
-        raise MapperError(f"mapper {self.name!r}: its process ended ({how}{memory})")
+        raise MapperError(f"mapper {self.name!r}: its process ended ({how}{memory}){self._last_words()}")
+
+    def _last_words(self) -> str:
+        """Return the last line that a third-party system wrote to its standard error."""
+        if self._errors is None:
+            return ""
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").split("\n")
+        written = [line.strip() for line in lines if line.strip()]
+        return f": {written[-1]}" if written else ""
 
 
-def _start_process(far: Connection) -> subprocess.Popen[bytes]:
-    """Start a process with one end of a pipe, protected from Ctrl-C."""
+def _start_process(far: Connection, python: str | None, errors: IO[bytes] | None) -> subprocess.Popen[bytes]:
+    """Start a process with one end of a pipe, protected from Ctrl-C.
+
+    Args:
+        far: end of the pipe.
+        python: path of another interpreter; None = this one.
+        errors: receives the standard error of a third-party system, whose output is dropped; None = ours.
+    """
     handle = far.fileno()
-    program = PROGRAM.format(argv=sys.argv, path=sys.path, handle=handle, parent=os.getpid())
+    program = PROGRAM if python is None else ELSEWHERE + SERVE
+    folders = {name: [str(Path(str(sys.modules[name].__file__)).parents[1])] for name in OURS}
+    program = program.format(argv=sys.argv, path=sys.path, handle=handle, parent=os.getpid(), folders=folders)
     options: dict[str, Any] = {"pass_fds": (handle,), "start_new_session": True}
     if sys.platform == "win32":
         os.set_handle_inheritable(handle, True)
         inherited = subprocess.STARTUPINFO(lpAttributeList={"handle_list": [handle]})
         options = {"startupinfo": inherited, "creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-    return subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.DEVNULL, **options)
+    if errors is not None:
+        options |= {"stdout": subprocess.DEVNULL, "stderr": errors}
+    command = [python or sys.executable, "-c", program]
+    return subprocess.Popen(command, stdin=subprocess.DEVNULL, **options)
 
 
 def _end(process: subprocess.Popen[bytes], pipe: Connection) -> None:

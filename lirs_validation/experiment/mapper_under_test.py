@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 
-from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
 from lirs_validation.experiment.cost import Cost
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct import (
@@ -38,8 +37,9 @@ from slam_baselines.mapper import (
     requires_odometry,
 )
 
-if TYPE_CHECKING:  # mapping a log does not load the simulator
+if TYPE_CHECKING:  # mapping a log does not load the simulator, another interpreter no options
     from lirs_envs.sensing.sensors import Observation
+    from lirs_validation.config import Attitude, RunConfig
     from lirs_validation.experiment.drive_log import Place, Tick
 
 READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
@@ -293,6 +293,7 @@ def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
     # Who maps a log does not load the simulator.
     from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
     from lirs_envs.robots.catalog import make_robot
+    from lirs_validation.config import DRIVERS, driver_parts
 
     if not mapper.reads_clouds:
         return

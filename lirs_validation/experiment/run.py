@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.config import RunConfig
+from lirs_validation.config import RunConfig, driver_parts
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.standing import StandingDriver
@@ -17,12 +18,12 @@ from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_conten
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
 from lirs_validation.experiment.loop import Recorder, drive
+from lirs_validation.experiment.mapper_loading import warm_up_mapper
 from lirs_validation.experiment.mapper_process import MapperProcess, start_mapper
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.results import write_results
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
-from lirs_validation.experiment.warm_up import warm_up
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
 from lirs_wct import BuildOptions, ConfigError, SimulationError, World
@@ -31,6 +32,13 @@ from lirs_wct.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.style import Drawing
+
+WARM_UP = 2.0
+"""Simulated seconds of the drive."""
+BRIEF = 0.2
+"""The same where MuJoCo's rays meet its height field: there a scan alone may take seconds."""
+_WARM: set[tuple[str | None, ...]] = set()
+"""Kinds of drives that this process has warmed up."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +184,33 @@ def prepare(
         simulation = scenario.simulation(robot, inertial=inertial)
         started.pop_all()
     return ReadyRun(scenario, simulation, driver, mapper, compile_seconds())
+
+
+def warm_up(scenario: Scenario, robot: Robot, mapper: MapperUnderTest) -> None:
+    """Compile every kernel by a short throw-away drive; restart the mapper.
+
+    A kind of drive is warmed up once per process, and again if the mapper has a new process.
+
+    Args:
+        scenario: of the drive.
+        robot: that is driven.
+        mapper: of the drive.
+    """
+    c = scenario.config
+    driven = driver_parts(c.driver)[0]
+    where = (scenario.world.kind, c.terrain, c.rays, "walkers" if c.actors else "")
+    kind = (*where, c.robot, c.lidar, c.mapper, c.attitude, driven)
+    if mapper.place == "drive":
+        if kind in _WARM:
+            return
+        warm_up_mapper(c.mapper)
+    slow = c.rays == "mujoco" and c.terrain == "hfield"
+    config = replace(c, seconds=BRIEF if slow else WARM_UP)
+    driver = make_driver(scenario.world, robot, config, mapper.map)
+    drive(scenario.simulation(robot, inertial=mapper.reads_inertial), driver, mapper, config.seconds)
+    mapper.restart()
+    if mapper.place == "drive":
+        _WARM.add(kind)
 
 
 def conclude(

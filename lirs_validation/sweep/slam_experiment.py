@@ -55,6 +55,10 @@ class SlamExperiment:
         return self.folder or run_name(self.config, self.world)
 
     @property
+    def _packages(self) -> dict[str, str]:
+        return package_versions(self.config.mapper, self.config.mapper_python)
+
+    @property
     def world_config(self) -> RunConfig:
         """The config itself."""
         return self.config
@@ -62,7 +66,8 @@ class SlamExperiment:
     def check(self) -> None:
         """Check source, robot, lidar, mapper, and the file of the driver."""
         c = self.config
-        _check_names(c.robot, c.lidar, c.mapper, driver_parts(c.driver)[0] == "frontier")
+        frontier = driver_parts(c.driver)[0] == "frontier"
+        _check_names(c.robot, c.lidar, c.mapper, c.mapper_python, frontier)
         check_driver(self.config)
         world_name(self.config)
 
@@ -87,7 +92,7 @@ class SlamExperiment:
             world={"name": self.world},
             status=outcome.status,
             reason=outcome.reason,
-            versions=versions() | package_versions(self.config.mapper),
+            versions=versions() | self._packages,
         )
         with atomic_folder(out / self.name) as folder:
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
@@ -108,7 +113,10 @@ class SlamExperiment:
             return None
         if record["name"] != run_name(self.config, self.world) or not _has_bag(record, self.config):
             return None
-        if not package_versions(self.config.mapper).items() <= record["versions"].items():
+        if (
+            not package_versions(self.config.mapper, self.config.mapper_python).items()
+            <= record["versions"].items()
+        ):
             return None
         if status == "wall limit" and limit != self.config.wall_limit:
             return None
@@ -129,10 +137,13 @@ def _has_bag(record: Mapping[str, Any], config: RunConfig) -> bool:
 
 
 @cache
-def _check_names(robot: str, lidar: str | None, mapper: str, frontier: bool) -> None:
+def _check_names(
+    robot: str, lidar: str | None, mapper: str, mapper_python: str | None, frontier: bool
+) -> None:
     make_lidar_preset(lidar or make_robot(robot).lidar)
+    driver = "frontier" if frontier else TOUR
     asked = RunConfig(
-        source="", robot=robot, lidar=lidar, mapper=mapper, driver="frontier" if frontier else TOUR
+        source="", robot=robot, lidar=lidar, mapper=mapper, mapper_python=mapper_python, driver=driver
     )
     with closing(start_mapper(asked)) as made:
         check_sensors(made, asked)

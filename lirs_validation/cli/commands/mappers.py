@@ -1,17 +1,31 @@
-"""The command `mappers`: names for `--mapper`, and the requirements of each."""
+"""The command `mappers`: names for `--mapper`, the requirements of each, and its installation."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from lirs_validation.cli.console import out
+import typer
+
+from lirs_validation.cli.console import err, out
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 
-def mappers() -> None:
-    """List the mappers: planar or 3D, required sensors, and how to install them."""
+def mappers(
+    install: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Install a third-party system into an environment of its own."),
+    ] = None,
+) -> None:
+    """List the mappers: planar or 3D, required data, license, and how to install them."""
+    if install is not None:
+        from lirs_validation.experiment.mapper_loading import install as install_system
+
+        with err.status(f"installing {install}"):
+            folder = install_system(install)
+        out.print(f"{folder}", soft_wrap=True, highlight=False)
+        return
     out.print(mapper_table())
     out.print("Your own: --mapper MODULE:CLASS (docs/bring_your_own_mapper.md).", highlight=False)
 
@@ -21,14 +35,17 @@ def mapper_table() -> Table:
     from rich.table import Table
 
     from lirs_envs.lidar.presets import RING_LIDARS
+    from lirs_validation.experiment.mapper_loading import is_installed
     from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS, make_mapper, requires_odometry
 
-    table = Table("mapper", "estimates", "reads", "needs", "installed", box=None, pad_edge=False)
+    headings = "mapper", "estimates", "reads", "needs", "license", "installed"
+    table = Table(*headings, box=None, pad_edge=False)
     for name in MAPPERS:
         needs = "any lidar, odometry" if requires_odometry(make_mapper(name)) else "any lidar"
-        table.add_row(name, "planar", "scans, odometry, IMU", needs, "yes")
+        table.add_row(name, "planar", "scans, odometry, IMU", needs, "ours", "yes")
+    lidars = f"--lidar {' or '.join(RING_LIDARS)}"
     for name, method in CLOUD_MAPPERS.items():
-        lidars = f"--lidar {' or '.join(RING_LIDARS)}, package {method.distribution}"
-        installed = "yes" if method.installed else f"no: {method.install}"
-        table.add_row(name, "3D", "point clouds", lidars, installed.replace("[", r"\["))
+        needs = ", ".join(filter(None, (lidars, method.needs)))
+        held = "yes" if is_installed(method) else f"no: {method.install}"
+        table.add_row(name, "3D", "point clouds", needs, method.license, held.replace("[", r"\["))
     return table

@@ -181,7 +181,7 @@ def test_a_run_by_another_version_of_the_mapper_is_run_again(
 ) -> None:
     experiment = SlamExperiment(still.record.config)
     assert experiment.find_outcome(here / "out") is not None
-    monkeypatch.setattr(slam_experiment, "package_versions", lambda name: {"kiss-icp": "0.0.1"})
+    monkeypatch.setattr(slam_experiment, "package_versions", lambda *_: {"kiss-icp": "0.0.1"})
     assert experiment.find_outcome(here / "out") is None
     assert package_versions("hector") == package_versions("still_slam:Still") == {}
     if CLOUD_MAPPERS["kiss-icp"].installed:

@@ -183,7 +183,7 @@ def test_scans_that_a_mapper_does_not_receive_are_counted(monkeypatch: pytest.Mo
 
 def test_compile_seconds_hold_neither_planning_nor_driving(monkeypatch: pytest.MonkeyPatch) -> None:
     validate("simple", seconds=1)
-    monkeypatch.setattr("lirs_validation.experiment.warm_up._WARM", set())
+    monkeypatch.setattr("lirs_validation.experiment.run._WARM", set())
     record = validate("simple", seconds=1).record
     assert record.cost["compile_seconds"] == record.rtf["compile_seconds"] == 0.0
 

@@ -1,0 +1,224 @@
+"""A mapper's process with another interpreter, and private environments of systems."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lirs_validation import RunConfig, read_record
+from lirs_validation.experiment import mapper_loading
+from lirs_validation.experiment.mapper_loading import (
+    environment_python,
+    install,
+    interpreter_of,
+    is_installed,
+    package_versions,
+    search_path,
+)
+from lirs_validation.experiment.mapper_process import MapperProcess
+from lirs_validation.experiment.mapper_under_test import SensorReadings
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry import ImuReadings, PointCloud, Pose3
+from slam_baselines.mapper import CLOUD_MAPPERS
+from tests.command_line import run_command
+
+RKO_LIO = CLOUD_MAPPERS["rko-lio"]
+FAKE = """
+import json, os, signal, sys
+import numpy as np
+class LIO:
+    def __init__(self, config): self.given, self.time = [], 0
+    def add_imu_measurement(self, acceleration, angular_velocity, time):
+        self.given.append((time, *acceleration, *angular_velocity))
+    def register_scan(self, scan, timestamps, extrinsic):
+        self.time = int(timestamps.max())
+        with open({told!r}, "a") as file:
+            row = len(self.given), scan.shape, int(timestamps.min()), self.time, extrinsic.tolist()
+            print(json.dumps(row), file=file)
+        if {dies!r} and self.time > 1.3e9:
+            print("what():  map is empty", file=sys.stderr, flush=True)
+            os.kill(os.getpid(), signal.SIGSEGV)
+    def pose(self):
+        pose = np.eye(4)
+        pose[0, 3] = self.time * 1e-9
+        print("noise", flush=True)
+        return pose
+"""
+BLOCKED = """
+import sys
+allowed = {"numpy", "lirs_wct", "slam_baselines", "lirs_validation", *sys.stdlib_module_names}
+class Blocker:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name.partition(".")[0] not in allowed and path is None:
+            raise ModuleNotFoundError(name, name=name)
+sys.meta_path.insert(0, Blocker)
+import lirs_validation.experiment.mapper_process
+import slam_baselines.external.rko_lio, slam_baselines.external.small_gicp
+"""
+
+
+def fake_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, dies: bool = False) -> Path:
+    """Write a private environment with a fake RKO-LIO; return the file with its scans."""
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.setattr("slam_baselines.mapper.find_spec", lambda package: None)
+    package, told = tmp_path / "packages" / "rko_lio", tmp_path / "told"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "lio.py").write_text(FAKE.format(told=str(told), dies=dies))
+    (package / "config.py").write_text("class LIOConfig:\n    def __init__(self, **fields): pass\n")
+    metadata = package.with_name("rko_lio-0.4.7.dist-info")
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: rko_lio\nVersion: 0.4.7\n")
+    python = environment_python(RKO_LIO)
+    python.parent.mkdir(parents=True)
+    python.write_text(f'#!/bin/sh\nPYTHONPATH={package.parent} exec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    return told
+
+
+def sweep(stamp: float) -> SensorReadings:
+    xyz, times = np.ones((2, 3), np.float32), np.array([0.0, 0.0999], np.float32)
+    mount = Pose3(0.1, 0.0, 0.3)
+    cloud = PointCloud(xyz, np.zeros(2, np.uint16), times, stamp, mount)
+    stamps = stamp + 0.005 * np.arange(-19, 1) if stamp else np.empty(0)
+    inertial = ImuReadings(stamps, np.zeros((len(stamps), 3)), np.ones((len(stamps), 3)))
+    return SensorReadings(cloud=cloud, inertial=inertial)
+
+
+def test_a_mappers_process_needs_numpy_only() -> None:
+    """An environment of a system holds the system and NumPy: no SciPy, Numba or OpenCV."""
+    told = subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True, check=False)
+    assert told.stderr == ""
+
+
+def test_a_system_runs_in_its_private_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = fake_environment(tmp_path, monkeypatch)
+    assert is_installed(RKO_LIO)
+    assert interpreter_of("rko-lio") == str(environment_python(RKO_LIO))
+    assert package_versions("rko-lio") == {"rko-lio": "0.4.7"}
+    with closing(MapperProcess(RunConfig(source="medium", mapper="rko-lio", lidar="vlp16"))) as mapper:
+        mapper.wait_until_ready()
+        assert (mapper.reads_clouds, mapper.reads_inertial) == (True, True)
+        poses = [mapper.observe(sweep(round(0.1 * k, 9))).pose for k in range(12)]
+        trajectory = mapper.trajectory()
+    assert [row[:4] for row in map(json.loads, told.read_text().splitlines())][:2] == [
+        [20, [2, 3], 1_000_000_000, 1_099_900_000],
+        [40, [2, 3], 1_100_000_000, 1_199_900_000],
+    ]
+    extrinsic = np.array(json.loads(told.read_text().splitlines()[0])[4])
+    np.testing.assert_array_equal(extrinsic[:3, 3], (0.1, 0.0, 0.3))
+    # The fake moves at 1 m/s, and the first pose after the initial one is the map frame, at .2 s.
+    np.testing.assert_allclose(trajectory.positions[3:, 0], 0.1 * np.arange(3, 12) - 0.1999, atol=1e-6)
+    assert poses[11].x == pytest.approx(0.9001, abs=1e-6)
+
+
+def test_a_system_that_crashes_costs_its_own_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The reason is one line with the signal and the last words; the other mapper's run is done."""
+    fake_environment(tmp_path, monkeypatch, dies=True)
+    monkeypatch.chdir(tmp_path)
+    words = ("--mapper", "rko-lio,hector", "--lidar", "vlp16", "--seconds", "2", "-o", "out")
+    assert run_command("validate", "medium", *words) == 3
+    records = [read_record(path.parent) for path in Path("out").glob("*/record.json")]
+    found = {r["config"]["mapper"]: (r["status"], r["reason"]) for r in records}
+    reason = "mapper 'rko-lio': its process ended (signal SIGSEGV): what(): map is empty"
+    assert found["rko-lio"] == ("error", reason)
+    assert found["hector"][0] == "ok"
+    assert "noise" not in capfd.readouterr().out
+
+
+def test_your_own_mapper_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nOTHER=yes exec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    (tmp_path / "own_elsewhere.py").write_text(
+        "import os\nfrom slam_baselines.hector.mapper import HectorMapper\n"
+        "class Own(HectorMapper):\n    lost = os.environ.get('OTHER') == 'yes'\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    config = RunConfig(source="medium", mapper="own_elsewhere:Own", mapper_python=str(python))
+    with closing(MapperProcess(config)) as mapper:
+        mapper.wait_until_ready()
+        assert mapper.lost
+
+
+@pytest.mark.parametrize(
+    ("program", "message"),
+    [
+        (None, "no such program; --mapper-python takes a Python interpreter"),
+        ("exit 3", "is no Python interpreter that runs"),
+        ("echo no JSON", "is no Python interpreter that runs"),
+        ("echo '[[3, 9], []]'", "a mapper's interpreter must be Python 3.11 or newer, got 3.9"),
+        ("echo '[[3, 12], []]'", "has no NumPy, which a mapper's process needs"),
+    ],
+)
+def test_an_interpreter_that_cannot_be_used_is_refused_in_a_line(
+    program: str | None, message: str, tmp_path: Path
+) -> None:
+    python = tmp_path / "python"
+    if program is not None:
+        python.write_text(f"#!/bin/sh\n{program}\n")
+        python.chmod(0o755)
+    with pytest.raises(ConfigError) as raised:
+        interpreter_of("own_slam:Own", str(python))
+    assert str(raised.value) == f"{python}: {message}"
+
+
+def test_a_given_interpreter_must_hold_the_systems_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mapper_loading, "_holds", lambda python, method: False)
+    with pytest.raises(ConfigError, match=f"^{sys.executable}: has no package rko-lio, which rko-lio needs$"):
+        interpreter_of("rko-lio", sys.executable)
+    assert interpreter_of("own_slam:Own", sys.executable) == sys.executable
+    assert interpreter_of("hector") is None
+
+
+def test_a_failed_installation_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    nowhere = RKO_LIO._replace(requirements=("--no-index", "no-such-package"))
+    monkeypatch.setattr(mapper_loading, "CLOUD_MAPPERS", {"rko-lio": nowhere})
+    with pytest.raises(ConfigError, match=r"^rko-lio: cannot be installed: .*no-such-package") as raised:
+        install("rko-lio")
+    assert "\n" not in str(raised.value)
+    assert not environment_python(RKO_LIO).parents[1].exists()
+    with pytest.raises(ConfigError, match="unknown system 'rko'; legal: rko-lio"):
+        install("rko")
+
+
+@pytest.mark.slow
+def test_an_installed_system_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The requirement is a folder with a package: no network is needed."""
+    source = tmp_path / "source"
+    (source / "rko_lio").mkdir(parents=True)
+    (source / "rko_lio" / "__init__.py").touch()
+    lines = ["[build-system]", 'requires = []\nbuild-backend = "made"\nbackend-path = ["."]']
+    (source / "pyproject.toml").write_text("\n".join(lines))
+    (source / "made.py").write_text(
+        "import zipfile\n"
+        "def build_wheel(folder, *_):\n"
+        "    name = 'rko_lio-0.4.0-py3-none-any.whl'\n"
+        "    info = 'rko_lio-0.4.0.dist-info/'\n"
+        "    with zipfile.ZipFile(folder + '/' + name, 'w') as wheel:\n"
+        "        wheel.writestr('rko_lio/__init__.py', '')\n"
+        "        wheel.writestr(info + 'METADATA', 'Name: rko_lio\\nVersion: 0.4.0\\n')\n"
+        "        wheel.writestr(info + 'WHEEL', 'Wheel-Version: 1.0\\nRoot-Is-Purelib: true\\n')\n"
+        "        wheel.writestr(info + 'RECORD', '')\n"
+        "    return name\n"
+    )
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
+    method = RKO_LIO._replace(requirements=("--no-index", "--no-build-isolation", str(source)))
+    monkeypatch.setattr(mapper_loading, "CLOUD_MAPPERS", {"rko-lio": method})
+    assert not is_installed(method)
+    folder = install("rko-lio")
+    assert folder == tmp_path / "data" / "lirs-wct" / "mappers" / "rko_lio"
+    assert is_installed(method)
+    assert package_versions("rko-lio") == {"rko-lio": "0.4.0"}
+    assert str(environment_python(method)) == interpreter_of("rko-lio")
+    assert any(str(folder) in entry for entry in search_path(str(environment_python(method))))
