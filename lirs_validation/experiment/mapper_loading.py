@@ -1,4 +1,4 @@
-"""Mapper of a run: a built-in name, or `module:name` of your own, and the interpreter that runs it."""
+"""Mapper of a run by its name, and the Python interpreter that runs it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Adapters of an odometry to a mapper of point clouds: one pose a sweep, or poses at their own times."""
+"""Adapters of an odometry to a mapper of point clouds."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ class TimedSystem(ABC):
 
     @abstractmethod
     def register(self, cloud: PointCloud) -> Sequence[tuple[float, FloatArray]]:
-        """Take in a sweep with points; return new poses (4, 4) `T_world_base` and their times, seconds."""
+        """Register a sweep with points; return new poses `T_world_base` (4, 4) and their times."""
 
 
 class TimedOdometry:
-    """A `CloudMapper` of a system whose poses do not lie at the stamps of the sweeps.
+    """A `CloudMapper` of a system whose poses lie at times of their own.
 
     A system with inertial readings gets a sweep when the readings reach the sweep's end. Poses at the stamps
     are interpolated; the present one is extrapolated at constant velocity.
