@@ -86,6 +86,21 @@ MAPPERS: Mapping[str, Method] = {
 _EXTERNAL = "slam_baselines.external"
 _INERTIAL = "inertial readings, a start at rest"
 
+
+def _evalio(pipeline: str, needs: str = "") -> Method:
+    """Return a pipeline that is compiled into the package evalio."""
+    return Method(
+        f"{_EXTERNAL}.evalio",
+        "EvalioConfig",
+        "make_evalio",
+        package="evalio",
+        requirements=("--no-deps", "evalio>=0.6,<0.7", "numpy"),  # its own are for data sets
+        license="MIT, pipeline's own",
+        needs=needs,
+        options={"pipeline": pipeline},
+    )
+
+
 CLOUD_MAPPERS: Mapping[str, Method] = {
     "kiss-icp": Method(
         f"{_EXTERNAL}.kiss_icp",
@@ -132,6 +147,14 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         license="MIT",
         needs=_INERTIAL,
     ),
+    "evalio:ct": _evalio("ct", "rolling sweeps"),
+    "evalio:dlio": _evalio("dlio", _INERTIAL),
+    "evalio:form": _evalio("form", "organized clouds"),
+    "evalio:genz": _evalio("genz"),
+    "evalio:kiss": _evalio("kiss", "rolling sweeps"),
+    "evalio:liosam": _evalio("liosam", f"organized clouds, {_INERTIAL}"),
+    "evalio:loam": _evalio("loam", "organized clouds"),
+    "evalio:mad": _evalio("mad"),
 }
 """Third-party systems that read point clouds, by name; none of them is among our dependencies."""
 

@@ -43,9 +43,10 @@ def mapper_table() -> Table:
     for name in MAPPERS:
         needs = "any lidar, odometry" if requires_odometry(make_mapper(name)) else "any lidar"
         table.add_row(name, "planar", "scans, odometry, IMU", needs, "ours", "yes")
-    lidars = f"--lidar {' or '.join(RING_LIDARS)}"
+    clouds = f"clouds of {' or '.join(RING_LIDARS)}"
     for name, method in CLOUD_MAPPERS.items():
-        needs = ", ".join(filter(None, (lidars, method.needs)))
         held = "yes" if is_installed(method) else f"no: {method.install}"
-        table.add_row(name, "3D", "point clouds", needs, method.license, held.replace("[", r"\["))
+        table.add_row(
+            name, "3D", clouds, method.needs or "any start", method.license, held.replace("[", r"\[")
+        )
     return table
