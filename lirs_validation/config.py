@@ -39,6 +39,8 @@ Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 ScanTime = Literal["instant", "rolling"]
 SCAN_TIMES: tuple[ScanTime, ...] = get_args(ScanTime)
+STAND = 3.0
+"""Simulated seconds for which inertial systems find gravity and biases before a drive."""
 TOUR, FRONTIER = "tour", "frontier"
 DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN", "goal": "X,Y"}
 """Drivers, and the argument that each needs."""
@@ -222,9 +224,10 @@ class RunConfig(Options):
         slider=Slider(low=1, high=2, step=1, neutral=1),
         shown="threads: {}",
     )
-    scan_time: ScanTime = option(
-        "instant",
-        "Beams of a scan: all at its stamp, or one after the other while the robot goes on.",
+    scan_time: ScanTime | None = option(
+        None,
+        "Beams of a scan: all at its stamp, or one after the other while the robot goes on; default: rolling "
+        "for lidars with rings, instant for planar ones.",
         axis=read_names,
         metavar="instant|rolling",
         panel=AXES,
@@ -260,9 +263,10 @@ class RunConfig(Options):
         slider=Slider(low=1, high=3600, step=1, neutral=120),
         shown="{:g} s",
     )
-    stand: float = option(
-        0.0,
-        "Simulated seconds at the beginning of a drive for which the robot stands still.",
+    stand: float | None = option(
+        None,
+        "Simulated seconds for which the robot stands still before it drives; default: 3 for `record` and "
+        "for mappers that read the inertial unit, else 0.",
         metavar="S",
         check=within("[0, inf)"),
         shown="stands for {:g} s",
@@ -304,6 +308,8 @@ class RunConfig(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "build", SourceOptions.of(self.build))
+        if self.stand is not None:
+            object.__setattr__(self, "stand", float(self.stand))
         if self.threads > 1 and driver_parts(self.driver)[0] == FRONTIER:
             raise ConfigError(
                 f"driver {FRONTIER} waits for the mapper's map and pose: it needs --threads 1, "

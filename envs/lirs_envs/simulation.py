@@ -119,7 +119,7 @@ class Simulation:
         config, preset = self.config, self.preset
         lidar, odometry, imu = sensor_streams(self._seed)
         noise = config.noise.of_lidar(preset)
-        rolling_scan = config.noise.rolling_scan
+        rolling_scan = config.noise.rolls(preset)
         mount = self.robot.T_base_laser
         self._lidar = Lidar(preset, self.caster, mount, lidar, noise, rolling_scan=rolling_scan)
         self._row.begin(0, odometry, imu, self.period)
@@ -230,6 +230,11 @@ class Simulation:
     def time(self) -> float:
         """Seconds since the reset."""
         return len(self._bodies.contacts.penetrations) // len(self.body.substeps) * self.period
+
+    @property
+    def imu_rate(self) -> float | None:
+        """Inertial readings a second, Hz; None without `SimulationConfig.inertial`."""
+        return None if self._inertial is None else self._inertial.rate
 
     @property
     def tipped(self) -> bool:

@@ -15,6 +15,7 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.config import RunConfig, SourceOptions
+from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.record.provenance import with_recorded_source
 from lirs_validation.record.run_record import maps_clouds
 from lirs_wct import (
@@ -192,9 +193,8 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
         for k, scan in enumerate(log.scans)
     ]
     mapped = slam and not maps_clouds(run.entry)
-    return BagDrive(
-        ticks=ticks, grid=read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None
-    )
+    grid = read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None
+    return BagDrive(ticks=ticks, grid=grid, errors=sensor_errors(config))
 
 
 def _export_bag(run: RunFolder, out: Path, *, storage: Storage, slam: bool) -> Path:

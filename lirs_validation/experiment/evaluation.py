@@ -92,7 +92,7 @@ def evaluate(
         trajectory=trajectory,
         map=maps.scores,
         collisions=evaluate_collisions(simulation),
-        scans=evaluate_scans(scenario.world, log),
+        scans=evaluate_scans(scenario.world, log) | {"imu_rate": simulation.imu_rate},
         mapper=asdict(stats),
         cost=cost | {"scans_dropped": log.scans_dropped(stats.received)},
         versions=versions() | package_versions(scenario.config.mapper, scenario.config.mapper_python),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -9,13 +10,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from lirs_envs.sensing.sensors import Observation
+from lirs_envs.robot_model import CONTROL_PERIOD
+from lirs_envs.sensing.sensors import Observation, SensorNoise
 from lirs_validation.config import RunConfig
 from lirs_validation.record.run_record import BAG
 from lirs_wct import OccupancyGrid, OutputError, Pose2, Pose3
 from lirs_wct.files import remove_orphans
 
 if TYPE_CHECKING:
+    from lirs_wct.formats.rosbag.messages import SensorErrors
     from lirs_wct.formats.rosbag.writer import BagWriter
 
 PREFIX = ".recording-"
@@ -70,6 +73,23 @@ class Recording:
         return sorted(self._folder.iterdir())
 
 
+def sensor_errors(config: RunConfig) -> SensorErrors:
+    """Return the standard deviations of a run's sensors, for the covariances of its bag."""
+    from lirs_wct.formats.rosbag.messages import SensorErrors
+
+    noise = SensorNoise().with_odometry_noise(config.odometry_noise)
+    imu, wheels = noise.imu, noise.odometry
+    return SensorErrors(
+        scale=wheels.scale_sigma,
+        scale_length=wheels.scale_length,
+        rate=imu.rate_sigma,
+        rate_bias=imu.rate_bias,
+        update=CONTROL_PERIOD,
+        attitude=math.hypot(imu.attitude_sigma, imu.attitude_bias),
+        acceleration=math.hypot(imu.acceleration_sigma, imu.acceleration_bias),
+    )
+
+
 @contextmanager
 def recording(config: RunConfig, out: Path | None, period: float) -> Iterator[Recording]:
     """Record a drive's bag as configured.
@@ -97,7 +117,7 @@ def recording(config: RunConfig, out: Path | None, period: float) -> Iterator[Re
         raise OutputError(f"{out}: cannot be written: {error.strerror or error}") from error
     with temporary as made:
         folder = Path(made) / BAG
-        writer = BagWriter(folder, config.bag, period)
+        writer = BagWriter(folder, config.bag, period, sensor_errors(config))
         try:
             yield Recording(writer, folder, slam=not config.sensors_only)
         finally:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.config import RunConfig, driver_parts
+from lirs_validation.config import STAND, RunConfig, driver_parts
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.standing import StandingDriver
@@ -143,6 +143,7 @@ class ReadyRun:
         simulation: of the robot there.
         driver: that will drive.
         mapper: that will map.
+        seconds: simulated time of the drive, standing included.
         compile_seconds: wall seconds that the compiler took, in all processes.
     """
 
@@ -150,6 +151,7 @@ class ReadyRun:
     simulation: Simulation
     driver: Driver
     mapper: MapperUnderTest
+    seconds: float
     compile_seconds: float
 
     def cost(self, meter: CostMeter) -> dict[str, Any]:
@@ -175,7 +177,8 @@ def prepare(
         with compile_timer() as compile_seconds:
             progress("plan", 0.0)
             driver = make_driver(scenario.world, robot, config, mapper.map)
-            driver = StandingDriver(driver, config.stand) if config.stand else driver
+            stand = _standing(config, mapper)
+            driver = StandingDriver(driver, stand) if stand else driver
             progress("compile", 0.0)
             if isinstance(mapper, MapperProcess):
                 mapper.wait_until_ready()
@@ -183,7 +186,14 @@ def prepare(
         inertial = config.bag is not None or mapper.reads_inertial
         simulation = scenario.simulation(robot, inertial=inertial)
         started.pop_all()
-    return ReadyRun(scenario, simulation, driver, mapper, compile_seconds())
+    return ReadyRun(scenario, simulation, driver, mapper, config.seconds + stand, compile_seconds())
+
+
+def _standing(config: RunConfig, mapper: MapperUnderTest) -> float:
+    """Return the simulated seconds for which the robot stands still before it drives."""
+    if config.stand is not None:
+        return config.stand
+    return STAND if mapper.reads_inertial else 0.0
 
 
 def warm_up(scenario: Scenario, robot: Robot, mapper: MapperUnderTest) -> None:
@@ -268,7 +278,7 @@ def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tup
             ready.simulation,
             ready.driver,
             ready.mapper,
-            config.seconds,
+            ready.seconds,
             progress,
             wall_limit=config.wall_limit,
             recorder=recorder,

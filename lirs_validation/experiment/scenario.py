@@ -49,7 +49,7 @@ class Scenario:
             contact_geometry=c.terrain,
             rays=resolve_rays(c.rays),
             actors=c.actors,
-            noise=replace(noise, rolling_scan=c.scan_time == "rolling"),
+            noise=replace(noise, rolling_scan=None if c.scan_time is None else c.scan_time == "rolling"),
             inertial=InertialNoise() if inertial else None,
         )
         return Simulation(self.world, config, seed=c.seed)

@@ -56,7 +56,8 @@ class RunRecord(ShownAsTable):
         trajectory: ate_rmse, ate_unaligned, length, final drift, scan_coverage, ...
         map: f1, f1_aligned, iou, f1_input, false_occupied, ...
         collisions: max_penetration, ...
-        scans: beams, range_max, and medians of returns and of hits on walls per scan (of planar mappers).
+        scans: beams, range_max, and medians of returns and of hits on walls per scan (of planar mappers);
+            imu_rate, inertial readings a second of a bag or of a mapper that reads them.
         mapper: scans received, used, skipped, milliseconds a scan.
         cost: cpu_seconds of the drive, peak_memory of the process (bytes), compile_seconds, scans_dropped.
         file_sizes: bytes of the other files in the run's folder, by name; empty until they are written.

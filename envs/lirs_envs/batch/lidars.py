@@ -53,7 +53,7 @@ class Lidars:
             config.robot.T_base_laser,
             rng,
             noise,
-            rolling_scan=config.noise.rolling_scan,
+            rolling_scan=config.noise.rolls(config.preset.planar),
         )
         self._lidars[i], self._casters[i], self._rngs[i] = lidar, caster, rng
         self._parameters[i], self.time_increment = noise.parameters, lidar.time_increment

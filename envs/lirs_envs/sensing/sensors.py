@@ -52,7 +52,8 @@ class SensorNoise:
         imu: noise of the inertial unit.
         odometry: noise of the wheels, and method.
         lidar: a noise level (`none`, `simulated`, `datasheet`), or noise of your own.
-        rolling_scan: whether the beams of a scan are cast one after the other over its time.
+        rolling_scan: whether the beams of a scan are cast one after the other over its time; None = those of
+            lidars with rings.
 
     Raises:
         ConfigError: one is of the wrong type.
@@ -61,13 +62,13 @@ class SensorNoise:
     imu: ImuConfig = field(default_factory=ImuConfig)
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     lidar: LidarNoise | NoiseLevel = "simulated"
-    rolling_scan: bool = False
+    rolling_scan: bool | None = None
 
     def __post_init__(self) -> None:
         require_type(self, ImuConfig, "imu", of="the sensor noise")
         require_type(self, OdometryConfig, "odometry", of="the sensor noise")
         require_type(self, LidarNoise | str, "lidar", of="the sensor noise")
-        require_type(self, bool, "rolling_scan", of="the sensor noise")
+        require_type(self, bool | None, "rolling_scan", of="the sensor noise")
 
     def with_odometry_noise(self, factor: float) -> SensorNoise:
         """Return the noise with that of wheels and gyro multiplied by a factor."""
@@ -75,6 +76,10 @@ class SensorNoise:
         rates = {"rate_sigma": factor * imu.rate_sigma, "rate_bias": factor * imu.rate_bias}
         odometry = replace(wheels, scale_sigma=factor * wheels.scale_sigma)
         return replace(self, imu=replace(imu, **rates), odometry=odometry)
+
+    def rolls(self, preset: LidarPreset) -> bool:
+        """Return whether the scans of a lidar are rolling."""
+        return preset.rings > 1 if self.rolling_scan is None else self.rolling_scan
 
     def of_lidar(self, preset: LidarPreset) -> LidarNoise:
         """Return the noise of a lidar."""

@@ -13,7 +13,7 @@ from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
 from lirs_validation.cli.console import GATE_FAILED, out
 from lirs_validation.cli.progress import manifest_of_command, run_sweep
 from lirs_validation.cli.typer_options import with_options
-from lirs_validation.config import RUN_AXES, EngineOptions, RunConfig, SourceOptions
+from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, SourceOptions
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError
 
@@ -88,7 +88,7 @@ def record(
     """
     from lirs_validation.sweep.slam_experiment import SlamExperiment
 
-    experiments = read_experiments(sources, suite, {"bag": "mcap", **run}, options)
+    experiments = read_experiments(sources, suite, {"bag": "mcap", "stand": STAND, **run}, options)
     if len(experiments) > 1 or not isinstance(experiments[0], SlamExperiment):
         _run(experiments, engine, output, suite)
         return
@@ -181,6 +181,9 @@ def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
         out.print(f"{folder}", soft_wrap=True, highlight=False)
     entries = [read_record(folder) for folder in folders if (folder / "record.json").exists()]
     runs = [entry for entry in entries if "mapper" in entry["config"]]
+    rates = {f"{run['scans']['imu_rate']:g} Hz" for run in runs if run.get("scans", {}).get("imu_rate")}
+    if rates:
+        out.print(f"inertial readings: {', '.join(sorted(rates))}", highlight=False)
     for line in verdict_lines(runs, limits):
         out.print(line, soft_wrap=True, highlight=False, markup=False)
     return [judge(entry, limits) for entry in runs]

@@ -88,6 +88,7 @@ class LiveDrive(Playback):
 
     Attributes:
         config: of the run.
+        seconds: simulated time of the drive, standing included.
         world: world of the drive.
         robot: its name.
         driver: the config's, from which a person can take over.
@@ -107,7 +108,7 @@ class LiveDrive(Playback):
         self, config: RunConfig, scenarios: ScenarioCache | None = None, progress: Progress = no_progress
     ) -> None:
         ready = prepare(config, progress, scenarios)
-        self.config, self.robot = config, config.robot
+        self.config, self.robot, self.seconds = config, config.robot, ready.seconds
         self.driver = HandOverDriver(ready.driver, ready.simulation.robot)
         self._ready = replace(ready, driver=self.driver)
         self.world = ready.scenario.world
@@ -116,7 +117,7 @@ class LiveDrive(Playback):
             ready.simulation,
             self.driver,
             ready.mapper,
-            config.seconds,
+            ready.seconds,
             wall_limit=config.wall_limit,
         )
         self._steps = iter(self._drive)
@@ -225,7 +226,7 @@ class LiveDrive(Playback):
         """Return the figures until a scan."""
         log = self._drive.log
         walls = sum(log.walls[:scan])
-        stamp, seconds = log.observations[scan].scan.stamp, self.config.seconds
+        stamp, seconds = log.observations[scan].scan.stamp, self.seconds
         speed = f"{scan * self._ready.simulation.period / walls:.1f}" if walls > 0 else "-"
         ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "driving"
         return (

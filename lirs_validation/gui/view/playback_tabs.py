@@ -266,7 +266,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
             drive = LiveDrive(config, self._page.scenarios, progress)
             self._page.scene.show_world(drive.world, coarse=False)
         self._follow()
-        self._begin(drive, config.seconds)
+        self._begin(drive, drive.seconds)
         self._show_command()
         self._apply()
         self._page.guard.done()

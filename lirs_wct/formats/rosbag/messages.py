@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -16,22 +17,22 @@ from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 
 MAP, ODOM, BASE, LASER = "map", "odom", "base_link", "laser"
 """Frames by REP 105."""
-YAW_UNKNOWN = 1e6
-"""Variance of a yaw that no sensor measures, rad^2."""
+UNKNOWN = 1e6
+"""Variance of what no sensor measures, m^2 or rad^2."""
 Edges = tuple[tuple[str, str], ...]
 """Parent and child frame of each transform of a message."""
 
-TIME, POSE, COVARIANCE = "iI", "ddddddd", Zeros("d", 36)
+TIME, POSE = "iI", "ddddddd"
 DIAGONAL = ("d", Zeros("d", 3), "d", Zeros("d", 3), "d")
 """Covariance of three independent values."""
+DIAGONAL_6 = ("d", *(part for _ in range(5) for part in (Zeros("d", 6), "d")))
+"""Covariance of six independent values: x, y, z, roll, pitch, yaw."""
 NO_ATTITUDE = (0.0, 0.0, 0.0, 1.0, -1.0)
 """Quaternion and first covariance of a message without attitude, as `sensor_msgs/Imu` defines it."""
 _CLOCK = Layout(TIME)
 _POSE = Layout(TIME, MAP.encode(), POSE)
-_ODOMETRY = Layout(TIME, ODOM.encode(), BASE.encode(), POSE, COVARIANCE, "dddddd", COVARIANCE)
-_IMU = Layout(
-    TIME, BASE.encode(), "dddd", Zeros("d", 8), "d", "ddd", Zeros("d", 9), "ddd", Zeros("d", 9)
-)  # fmt: skip
+_ODOMETRY = Layout(TIME, ODOM.encode(), BASE.encode(), POSE, *DIAGONAL_6, "dddddd", *DIAGONAL_6)
+_IMU = Layout(TIME, BASE.encode(), "dddd", *DIAGONAL, "ddd", *DIAGONAL, "ddd", *DIAGONAL)
 _IMU_RAW = Layout(
     TIME, BASE.encode(), "dddd", "d", Zeros("d", 8), "ddd", *DIAGONAL, "ddd", *DIAGONAL
 )  # fmt: skip
@@ -49,6 +50,50 @@ _POINTS = Layout(
 _POINT_FIELDS = [
     value for field in (POINT.fields or {}).values() for value in (field[1], _POINT_TYPES[field[0]], 1)
 ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorErrors:
+    """Standard deviations of a robot's sensors, for the covariances of a bag; 0 = unknown.
+
+    Attributes:
+        scale: of the scale of distances by wheels, correlated over `scale_length`, meters.
+        scale_length: meters.
+        rate: white noise of each rate in each update of `update` seconds, rad/s.
+        rate_bias: constant error of each rate, rad/s.
+        update: seconds.
+        attitude: of roll and pitch, radians.
+        acceleration: of each acceleration, m/s^2.
+    """
+
+    scale: float = 0.0
+    scale_length: float = 1.0
+    rate: float = 0.0
+    rate_bias: float = 0.0
+    update: float = 0.0
+    attitude: float = 0.0
+    acceleration: float = 0.0
+
+    def pose_variances(self, distance: float, seconds: float) -> tuple[float, ...]:
+        """Return variances of x, y, z, roll, pitch, yaw of odometry after a straight drive, m^2 and rad^2.
+
+        Distances have a first-order Gauss-Markov scale error, yaws white noise and a bias.
+        """
+        length = self.scale_length
+        correlated = distance - length * (1 - math.exp(-distance / length))
+        along = 2 * self.scale**2 * length * correlated
+        yaw = self.rate**2 * self.update * seconds + (self.rate_bias * seconds) ** 2
+        across = yaw * distance**2 / 3
+        return max(along, across), max(along, across), UNKNOWN, UNKNOWN, UNKNOWN, yaw
+
+    def velocity_variances(self, velocity: tuple[float, float, float]) -> tuple[float, ...]:
+        """Return variances of a velocity (forward, leftward, m/s, and yaw rate, rad/s), as of a pose."""
+        vx, vy, _ = velocity
+        rate = self.rate**2 + self.rate_bias**2
+        return (self.scale * vx) ** 2, (self.scale * vy) ** 2, UNKNOWN, UNKNOWN, UNKNOWN, rate
+
+
+NO_ERRORS = SensorErrors()
 
 
 def nanoseconds(stamp: float) -> int:
@@ -104,15 +149,18 @@ def point_cloud(cloud: PointCloud) -> bytearray:
     return message + points.tobytes() + bytes([is_dense])
 
 
-def imu(reading: Imu, stamp: float) -> bytearray:
+def imu(reading: Imu, stamp: float, errors: SensorErrors = NO_ERRORS) -> bytearray:
     """Return `sensor_msgs/Imu` in base_link; the yaw is 0 with the variance of an unknown yaw."""
+    rate = errors.rate**2 + errors.rate_bias**2
     q = Pose3.from_rpy(0.0, 0.0, 0.0, reading.roll, reading.pitch, 0.0)
     return _IMU.pack(
         *_time(stamp),
         *(q.qx, q.qy, q.qz, q.qw),
-        YAW_UNKNOWN,
+        *(errors.attitude**2, errors.attitude**2, UNKNOWN),
         *reading.angular_velocity,
+        *(rate, rate, rate),
         *reading.linear_acceleration,
+        *3 * (errors.acceleration**2,),
     )
 
 
@@ -132,17 +180,23 @@ def imu_raw(readings: ImuReadings) -> Iterator[tuple[float, bytearray]]:
         )
 
 
-def odometry(stamp: float, T_odom_base: Pose2, velocity: tuple[float, float, float]) -> bytearray:
+def odometry(
+    stamp: float,
+    T_odom_base: Pose2,
+    velocity: tuple[float, float, float],
+    variances: tuple[Sequence[float], Sequence[float]],
+) -> bytearray:
     """Return `nav_msgs/Odometry`.
 
     Args:
         stamp: seconds.
         T_odom_base: pose.
         velocity: forward, leftward, m/s, and yaw rate, rad/s, of the base.
+        variances: six each, of pose and velocity (see `SensorErrors`).
     """
     vx, vy, omega = velocity
     pose = _pose(Pose3.from_pose2(T_odom_base))
-    return _ODOMETRY.pack(*_time(stamp), *pose, vx, vy, 0.0, 0.0, 0.0, omega)
+    return _ODOMETRY.pack(*_time(stamp), *pose, *variances[0], vx, vy, 0.0, 0.0, 0.0, omega, *variances[1])
 
 
 def pose(stamp: float, T_map_base: Pose3) -> bytearray:

@@ -6,6 +6,7 @@ at 1 MiB *after* the message that fills them, so that a chunk holds every messag
 
 from __future__ import annotations
 
+import math
 import shutil
 import sqlite3
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ from rosbags.typesys import Stores, get_typestore
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.rosbag import messages
-from lirs_wct.formats.rosbag.messages import BASE, LASER, MAP, ODOM, nanoseconds
+from lirs_wct.formats.rosbag.messages import BASE, LASER, MAP, NO_ERRORS, ODOM, SensorErrors, nanoseconds
 from lirs_wct.formats.rosbag.storage import Storage
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -94,10 +95,12 @@ class BagDrive:
     Attributes:
         ticks: messages of each scan in order; at least one.
         grid: the mapper's map, in the map frame; None = none.
+        errors: of the sensors, for covariances.
     """
 
     ticks: Sequence[BagTick]
     grid: OccupancyGrid | None = None
+    errors: SensorErrors = NO_ERRORS
 
     @property
     def period(self) -> float:
@@ -115,17 +118,21 @@ class BagWriter:
         folder: of the bag; it is created.
         storage: storage format of its messages.
         period: from scan to scan, seconds.
+        errors: of the sensors, for covariances.
 
     Raises:
         OutputError: it cannot be written.
     """
 
-    def __init__(self, folder: Path, storage: Storage, period: float) -> None:
+    def __init__(
+        self, folder: Path, storage: Storage, period: float, errors: SensorErrors = NO_ERRORS
+    ) -> None:
         plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
         self._folder = folder
         self._writer = Writer(folder, version=VERSION, storage_plugin=plugin)
         self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._period = period
+        self._period, self._errors = period, errors
+        self._driven, self._seconds = 0.0, 0.0
         self._connections: dict[str, Connection] = {}
         self._last: BagTick | None = None
         self._odometry: tuple[float, Pose2] | None = None
@@ -195,7 +202,7 @@ class BagWriter:
         for stamp, pose in tick.odometry_track:
             self._write_odometry(stamp, pose, messages.transforms(stamp, DRIVEN, (Pose3.from_pose2(pose),)))
         self._write_odometry(t, tick.odometry, _frames(tick))
-        self._write("/imu", t, messages.imu(tick.imu, t))
+        self._write("/imu", t, messages.imu(tick.imu, t, self._errors))
         self._write("/scan", t, messages.laser_scan(scan, self._period))
         if tick.cloud is not None:
             self._write("/points", tick.cloud.stamp, messages.point_cloud(tick.cloud))
@@ -203,14 +210,17 @@ class BagWriter:
 
     def _write_odometry(self, stamp: float, T_odom_base: Pose2, frames: bytearray) -> None:
         """Write clock, transforms and odometry, with the velocity since the previous odometry; 0 at first."""
-        velocity = 0.0, 0.0, 0.0
+        velocity, errors = (0.0, 0.0, 0.0), self._errors
         if self._odometry is not None:
             seconds = stamp - self._odometry[0]
             velocity = messages.body_velocity(self._odometry[1], T_odom_base, seconds)
+            self._driven += seconds * math.hypot(velocity[0], velocity[1])
+            self._seconds += seconds
+        variances = errors.pose_variances(self._driven, self._seconds), errors.velocity_variances(velocity)
         self._odometry = stamp, T_odom_base
         self._write("/clock", stamp, messages.clock(stamp))
         self._write("/tf", stamp, frames)
-        self._write("/odom", stamp, messages.odometry(stamp, T_odom_base, velocity))
+        self._write("/odom", stamp, messages.odometry(stamp, T_odom_base, velocity, variances))
 
     def _write(self, topic: str, stamp: float, message: bytearray) -> None:
         self._writer.write(self._connection(topic), nanoseconds(stamp), memoryview(message))
@@ -228,7 +238,7 @@ def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
     with atomic_folder(folder) as temporary:
         # The library names the file after the folder, and creates the folder itself.
         made = temporary / folder.name
-        bag = BagWriter(made, storage, drive.period)
+        bag = BagWriter(made, storage, drive.period, drive.errors)
         try:
             for tick in drive.ticks:
                 bag.add(tick)

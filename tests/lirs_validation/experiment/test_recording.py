@@ -183,5 +183,5 @@ def test_a_ring_lidars_clouds_are_in_the_bag(tmp_path: Path) -> None:
     made = recorded(tmp_path, lidar="vlp16", seconds=1.0)
     points = messages(folder_of(made))["/points"]
     assert len(points) == len(made.log.observations) == 11
-    assert {field.name for field in points[0].fields} == {"x", "y", "z", "ring", "time"}
+    assert {field.name for field in points[0].fields} == {"x", "y", "z", "intensity", "ring", "time"}
     assert points[0].width * points[0].height > 10_000

@@ -189,7 +189,7 @@ def test_compile_seconds_hold_neither_planning_nor_driving(monkeypatch: pytest.M
 
 
 def test_a_robot_stands_still_before_it_drives() -> None:
-    log = validate("simple", robot="jackal", seconds=3.0, stand=1.5).log
+    log = validate("simple", robot="jackal", seconds=1.5, stand=1.5).log
     period = log.stamps[1] - log.stamps[0]
     still = round(1.5 / period)
     assert set(log.commands[:still]) == {Twist()}

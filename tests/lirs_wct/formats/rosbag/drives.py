@@ -10,12 +10,16 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 
+from lirs_wct.formats.rosbag.messages import SensorErrors
 from lirs_wct.formats.rosbag.writer import BagDrive, BagTick
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 
+ERRORS = SensorErrors(
+    scale=0.02, scale_length=5.0, rate=0.1, rate_bias=0.2, update=0.01, attitude=0.3, acceleration=0.4
+)
 MOUNT = Pose3.from_rpy(0.22, -0.01, 0.32, 0.0, 0.02, 0.1)
 
 
@@ -43,7 +47,8 @@ def drive(scans: int = 5) -> BagDrive:
         )
         for k, t in enumerate(stamps)
     ]
-    return BagDrive(ticks=ticks, grid=OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1)))
+    grid = OccupancyGrid.from_probability(p, 0.05, Pose2(-20, -21, 0.1))
+    return BagDrive(ticks=ticks, grid=grid, errors=ERRORS)
 
 
 def readings(stamp: float, k: int) -> ImuReadings:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from lirs_wct.formats.rosbag.messages import body_velocity
+from lirs_wct.formats.rosbag.messages import SensorErrors, body_velocity
 from lirs_wct.formats.rosbag.writer import LATCHED, TOPICS, BagDrive, write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives
@@ -134,6 +135,36 @@ def test_odometry_imu_and_truth(read: dict[str, list[Any]], given: BagDrive) -> 
         assert (force.x, force.y, force.z) == reading.linear_acceleration
         assert truth.header.frame_id == "map"
         assert pose_of(truth.pose.position, truth.pose.orientation) == given.ticks[k].truth
+
+
+def test_covariances_are_those_of_the_sensors(read: dict[str, list[Any]]) -> None:
+    rate = 0.1**2 + 0.2**2
+    for message in read["/imu"]:
+        np.testing.assert_allclose(message.orientation_covariance, np.diag((0.09, 0.09, 1e6)).ravel())
+        np.testing.assert_allclose(message.angular_velocity_covariance, np.diag([rate] * 3).ravel())
+        np.testing.assert_allclose(message.linear_acceleration_covariance, np.diag([0.16] * 3).ravel())
+    first, last = read["/odom"][0], read["/odom"][-1]
+    np.testing.assert_array_equal(first.pose.covariance, np.diag((0, 0, 1e6, 1e6, 1e6, 0)).ravel())
+    pose = np.diag(np.reshape(last.pose.covariance, (6, 6)))
+    assert pose[5] == pytest.approx(0.1**2 * 0.01 * 0.08 + (0.2 * 0.08) ** 2)
+    twist = np.diag(np.reshape(last.twist.covariance, (6, 6)))
+    assert twist[0] == pytest.approx((0.02 * last.twist.twist.linear.x) ** 2)
+    assert twist[5] == pytest.approx(rate)
+
+
+def test_variances_of_odometry_are_those_of_many_straight_drives() -> None:
+    rng, count, steps, step, dt = np.random.default_rng(0), 4000, 500, 0.02, 0.01
+    errors = SensorErrors(scale=0.02, scale_length=5.0, rate=0.05, rate_bias=0.01, update=dt)
+    keep = math.exp(-step / 5.0)
+    scale, yaw = 0.02 * rng.standard_normal(count), np.zeros(count)
+    bias, pose = 0.01 * rng.standard_normal(count), np.zeros((2, count))
+    for _ in range(steps):
+        pose += step * (1 + scale) * np.array((np.cos(yaw), np.sin(yaw)))
+        scale = keep * scale + 0.02 * math.sqrt(1 - keep**2) * rng.standard_normal(count)
+        yaw += dt * (bias + 0.05 * rng.standard_normal(count))
+    x, y, *_, heading = errors.pose_variances(steps * step, steps * dt)
+    assert heading == pytest.approx(yaw.var(), rel=0.1)
+    assert x == y == pytest.approx(max(pose[0].var(), pose[1].var()), rel=0.35), "a bound of first order"
 
 
 def test_inertial_readings_have_their_own_stamps_and_covariances(
