@@ -447,7 +447,10 @@ class MapConfig(Options):
         None, "Odometry of a bag; default: the only one, else /tf.", metavar="TOPIC", panel=BAG_TOPICS
     )
     imu_topic: str | None = option(
-        None, "Inertial readings of a bag; default: none.", metavar="TOPIC", panel=BAG_TOPICS
+        None,
+        "Inertial readings of a bag, with attitude for planar mappers; default: none.",
+        metavar="TOPIC",
+        panel=BAG_TOPICS,
     )
     reference_topic: str | None = option(
         None,

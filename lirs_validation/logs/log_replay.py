@@ -95,9 +95,13 @@ def check_log(config: MapConfig, mapper: MapperUnderTest, log: LaserLog) -> None
     """Check that a log holds the data that the mapper needs.
 
     Raises:
-        SourceError: nothing was seen in it, or it holds no odometry and the mapper needs it.
+        SourceError: nothing was seen in it, or it lacks odometry or inertial readings that the mapper needs.
     """
     if mapper.reads_clouds:
+        if mapper.reads_inertial and log.inertial is None:
+            raise SourceError(
+                f"{config.log}: {config.mapper} needs inertial readings: name their topic by --imu-topic"
+            )
         return
     if not any(scan.hits.any() for scan in log.scans):
         raise SourceError(f"{config.log}: none of its {len(log.scans)} scans met anything within range")
@@ -195,9 +199,11 @@ def replay_clouds(
         SourceError: no cloud holds a valid point.
         MapperError: the mapper failed.
     """
-    tracking, scans, points = LostRule(), list[LaserScan](), 0
+    tracking, scans, points, before = LostRule(), list[LaserScan](), 0, -np.inf
     for cloud, odometry, imu in zip(log.clouds or (), log.odometry, readings, strict=True):
-        estimate = mapper.observe(SensorReadings(odometry=odometry, imu=imu, cloud=cloud))
+        inertial = None if log.inertial is None else log.inertial.between(before, cloud.stamp)
+        before = cloud.stamp
+        estimate = mapper.observe(SensorReadings(None, odometry, imu, cloud, inertial))
         tracking.observe(cloud.stamp, estimate.lost)
         points += len(cloud)
         scans.append(horizontal_scan(cloud))

@@ -10,7 +10,7 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 from lirs_wct.geometry.trajectory import Trajectory
 
 
@@ -82,7 +82,8 @@ class LaserLog:
         laser: message name of the scans.
         left_out: scans of the file that could not be used and are not in `scans`.
         clouds: point clouds in place of scans, read one by one; None of a log of planar scans.
-        imu: inertial readings that the log itself holds; a CARMEN log holds none.
+        imu: inertial readings with attitude that the log itself holds; a CARMEN log holds none.
+        inertial: all of its inertial readings, with or without attitude, by stamp; None = none.
     """
 
     scans: tuple[LaserScan, ...]
@@ -96,6 +97,7 @@ class LaserLog:
     left_out: int = 0
     clouds: Iterable[PointCloud] | None = None
     imu: tuple[Imu, ...] = ()
+    inertial: ImuReadings | None = None
 
     @property
     def stamps(self) -> FloatArray:

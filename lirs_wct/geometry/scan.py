@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -119,3 +119,9 @@ class ImuReadings:
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+    def between(self, after: float, until: float) -> ImuReadings:
+        """Return the readings with `after` < stamp <= `until`, seconds."""
+        some = slice(*np.searchsorted(self.stamps, (after, until), side="right"))
+        rates, force = self.angular_velocity[some], self.linear_acceleration[some]
+        return replace(self, stamps=self.stamps[some], angular_velocity=rates, linear_acceleration=force)

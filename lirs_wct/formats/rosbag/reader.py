@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -32,7 +33,7 @@ from lirs_wct.formats.rosbag.sensor_messages import (
 )
 from lirs_wct.formats.rosbag.topics import TRANSFORMS, Topics, of_kinds
 from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 
 Vector = tuple[float, float, float]
 
@@ -42,11 +43,11 @@ CLOUD_MARK = np.zeros(1, np.float32)
 
 
 class _Reading(NamedTuple):
-    """An inertial reading in its sensor's axes; the attitude is a wxyz quaternion."""
+    """An inertial reading in its sensor's axes; the attitude is a wxyz quaternion, if there is one."""
 
     frame: str
     stamp: float
-    attitude: tuple[float, float, float, float]
+    attitude: tuple[float, float, float, float] | None
     rates: Vector
     force: Vector
 
@@ -67,7 +68,7 @@ class _Contents:
     odometry: list[Message] = field(default_factory=list)
     base: str = ""
     imu: list[_Reading] = field(default_factory=list)
-    without_attitude: int = 0
+    imu_sigmas: tuple[float, float] = (0.0, 0.0)
     frames: Frames = field(default_factory=Frames)
     skipped: Counter[str] = field(default_factory=Counter)
     left_out: int = 0
@@ -175,8 +176,9 @@ def _log(path: Path, c: _Contents) -> LaserLog:
     else:
         found = [_scan(beams, m, mount or Pose3()) for beams, m in zip(c.beams, scans, strict=True)]
     mounts = {frame: c.frames.mount(base, frame) or Pose3() for frame in {reading.frame for reading in c.imu}}
-    if c.without_attitude:
-        skipped["inertial reading without an attitude"] = c.without_attitude
+    tilted = [reading for reading in c.imu if reading.attitude is not None]
+    if len(tilted) < len(c.imu):
+        skipped["inertial reading without an attitude"] = len(c.imu) - len(tilted)
     return LaserLog(
         tuple(found),
         tuple(poses),
@@ -187,7 +189,8 @@ def _log(path: Path, c: _Contents) -> LaserLog:
         laser="PointCloud2" if c.clouds else "LaserScan",
         clouds=clouds,
         left_out=c.left_out,
-        imu=tuple(_imu(reading, mounts[reading.frame]) for reading in c.imu),
+        imu=tuple(_imu(reading, mounts[reading.frame]) for reading in tilted),
+        inertial=_inertial(c, mounts) if c.imu else None,
     )
 
 
@@ -222,12 +225,13 @@ def _add_cloud(contents: _Contents, line: int, m: Any, stamp: float | None) -> N
 
 
 def _add_reading(contents: _Contents, m: Any, stamp: float | None) -> None:
-    """Keep an inertial reading; count a reading without attitude."""
-    if m.orientation_covariance[0] == -1:
-        contents.without_attitude += 1
-        return
+    """Keep an inertial reading, and the deviations that the first one states."""
     q, w, a = m.orientation, m.angular_velocity, m.linear_acceleration
-    attitude, time = (q.w, q.x, q.y, q.z), seconds(m.header.stamp) if stamp is None else stamp
+    attitude = None if m.orientation_covariance[0] == -1 else (q.w, q.x, q.y, q.z)
+    time = seconds(m.header.stamp) if stamp is None else stamp
+    if not contents.imu:
+        variances = m.angular_velocity_covariance[0], m.linear_acceleration_covariance[0]
+        contents.imu_sigmas = math.sqrt(max(0.0, variances[0])), math.sqrt(max(0.0, variances[1]))
     contents.imu.append(_Reading(m.header.frame_id, time, attitude, (w.x, w.y, w.z), (a.x, a.y, a.z)))
 
 
@@ -267,8 +271,18 @@ def _scan(beams: BeamGeometry, message: Message, mount: Pose3) -> LaserScan:
     )
 
 
+def _inertial(c: _Contents, mounts: Mapping[str, Pose3]) -> ImuReadings:
+    """Return all readings in the base's axes, by stamp; of equal stamps the first."""
+    stamps, first = np.unique([reading.stamp for reading in c.imu], return_index=True)
+    chosen = [c.imu[k] for k in first]
+    rates = np.array([_rotate(mounts[reading.frame], reading.rates) for reading in chosen])
+    force = np.array([_rotate(mounts[reading.frame], reading.force) for reading in chosen])
+    return ImuReadings(stamps, rates, force, *c.imu_sigmas)
+
+
 def _imu(reading: _Reading, mounted: Pose3) -> Imu:
-    """Convert a reading to the base's axes by the sensor's mount."""
+    """Convert a reading with attitude to the base's axes by the sensor's mount."""
+    assert reading.attitude is not None, "left out before"
     attitude, rates, force = _unit(reading.attitude), reading.rates, reading.force
     if mounted.qw != 1.0:
         unmounted = Pose3(0, 0, 0, mounted.qw, mounted.qx, mounted.qy, mounted.qz).inverse()

@@ -12,11 +12,16 @@ import pytest
 from lirs_validation import map_log, validate
 from lirs_validation.analysis.recorded_run import export_run
 from lirs_validation.analysis.result_folders import read_run
-from lirs_validation.config import MapConfig
+from lirs_validation.config import MapConfig, RunConfig
+from lirs_validation.experiment.run import run as run_config
 from lirs_validation.logs.map_log import folder_name, read_log, run_mapping
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.tum import read_tum
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.scan import Imu, ImuReadings
+from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import MapperStats
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +97,43 @@ def test_a_recorded_cloud_mapper_gives_the_same_poses_again(tmp_path: Path) -> N
     assert mapped.grid.occupied.sum() > 100
     with pytest.raises(ConfigError, match="mapper kiss-icp reads point clouds, a CARMEN log holds planar"):
         map_log(made.folder / "scans.clf.gz", mapper="kiss-icp")
+
+
+class Gyro:
+    """Turn by all readings of the inertial unit."""
+
+    reads_clouds, reads_inertial, lost, stats = True, True, False, MapperStats()
+
+    def __init__(self) -> None:
+        self._stamps: list[float] = []
+        self._poses = [Pose3()]
+
+    def update(self, cloud: PointCloud, imu: Imu | None, readings: ImuReadings) -> Pose3:
+        if self._stamps:
+            turn = np.diff(readings.stamps, prepend=self._stamps[-1]) @ readings.angular_velocity[:, 2]
+            step = Pose3.from_rpy(0.01 * len(readings), readings.acceleration_sigma, 0, 0, 0, turn)
+            self._poses.append(self._poses[-1] @ step)
+        self._stamps.append(cloud.stamp)
+        return self._poses[-1]
+
+    def trajectory(self) -> Trajectory:
+        return Trajectory.from_poses(self._stamps, self._poses)
+
+
+def test_recorded_inertial_readings_give_the_same_poses_again(tmp_path: Path) -> None:
+    name = f"{__name__}:Gyro"
+    run = RunConfig(source="simple", mapper=name, lidar="vlp16", seconds=1.0, stand=0.5, bag="mcap")
+    made = run_config(run, out=tmp_path / "out")
+    assert made.folder is not None
+    assert made.record.scans["imu_rate"] == 200
+    online = read_tum(made.folder / "estimate.tum")
+    start = Pose3.from_arrays(online.positions[0], online.quaternions[0]).inverse()
+    mapped = map_log(made.folder, mapper=name, imu_topic="/imu/data_raw")
+    np.testing.assert_allclose(mapped.trajectory.xy, online.moved(start).xy, atol=1e-6)
+    np.testing.assert_allclose(mapped.trajectory.yaw, online.moved(start).yaw, atol=1e-6)
+    assert abs(mapped.trajectory.xy[-1, 0]) > 1
+    with pytest.raises(SourceError, match=r"Gyro needs inertial readings: name their topic by --imu-topic"):
+        map_log(made.folder, mapper=name)
 
 
 def test_a_bag_without_clouds_names_the_mappers_that_fit(run: Path) -> None:

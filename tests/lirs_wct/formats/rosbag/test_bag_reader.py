@@ -60,6 +60,22 @@ def test_what_was_written_comes_back(given: BagDrive, tmp_path: Path, storage: S
             assert reading.linear_acceleration == pytest.approx(wanted.linear_acceleration)
 
 
+def test_inertial_readings_without_attitude_come_back(given: BagDrive, tmp_path: Path) -> None:
+    write_bag(tmp_path / "run", given)
+    found = read_bag(tmp_path / "run", Topics(imu="/imu/data_raw"))
+    (skipped,) = (n for why, n in found.skipped.items() if "without an attitude" in why)
+    wanted = [tick.inertial for tick in given.ticks if tick.inertial is not None]
+    assert found.inertial is not None
+    assert (len(found.imu), len(found.inertial)) == (0, skipped)
+    np.testing.assert_allclose(found.inertial.stamps, np.concatenate([w.stamps for w in wanted]), atol=1e-9)
+    rates = np.concatenate([w.angular_velocity for w in wanted])
+    np.testing.assert_array_equal(found.inertial.angular_velocity, rates)
+    assert (found.inertial.rate_sigma, found.inertial.acceleration_sigma) == pytest.approx((0.1, 0.2))
+    some = found.inertial.between(1.01, 1.04)
+    assert ((some.stamps > 1.01) & (some.stamps <= 1.04)).all()
+    assert len(some) == ((found.inertial.stamps > 1.01) & (found.inertial.stamps <= 1.04)).sum() > 0
+
+
 def test_ros_1_bags_are_read(bag: Path, given: BagDrive, tmp_path: Path) -> None:
     target = tmp_path / "run.bag"
     convert([bag], target, "", 0, None, "none", None, get_typestore(Stores.ROS1_NOETIC), (), (), (), ())
