@@ -13,6 +13,7 @@ import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
+from lirs_validation.analysis.evalio_dataset import export_evalio
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_validation.experiment.recording import sensor_errors
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
 
 SAME_STAMP = 1e-4
 """Largest difference between stamps of the same scan in two files, seconds."""
-FORMATS = ("bag", "csv", "npz", "carmen")
+FORMATS = ("bag", "csv", "npz", "carmen", "evalio")
 """Export formats."""
 POSE_HEADER = "stamp,x,y,z,qw,qx,qy,qz"
 
@@ -156,6 +157,7 @@ def export_run(
         "csv": _export_csv,
         "npz": _export_npz,
         "carmen": _export_carmen,
+        "evalio": lambda run, out: export_evalio(run, recorded_config(run.entry), out),
     }
     return [exporters[name](run, out) for name in formats]
 

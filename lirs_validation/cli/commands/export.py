@@ -12,7 +12,9 @@ from lirs_validation.cli.console import err, out
 
 def export(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
-    to: Annotated[str, typer.Option(metavar="F,F,...", help="Formats: bag, csv, npz, carmen.")] = "bag",
+    to: Annotated[
+        str, typer.Option(metavar="F,F,...", help="Formats: bag, csv, npz, carmen, evalio.")
+    ] = "bag",
     storage: Annotated[
         str, typer.Option(metavar="mcap|sqlite3", help="How the bag stores its messages.")
     ] = "mcap",
@@ -26,7 +28,7 @@ def export(
         Path | None, typer.Option("-o", "--output", help="Folder to write to; default: export/ in RUN.")
     ] = None,
 ) -> None:
-    """Export a finished run as ROS 2 bag, CSV, NumPy archive or CARMEN log."""
+    """Export a finished run as ROS 2 bag, CSV, NumPy archive, CARMEN log, or data set of evalio."""
     from lirs_validation.analysis.recorded_run import export_run
     from lirs_validation.analysis.result_folders import read_run
     from lirs_wct.option import chosen, read_names

@@ -1,0 +1,130 @@
+"""Export of a run's bag as a data set of evalio, with a fake of its classes."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Iterator
+from enum import StrEnum
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation import Run, validate
+from lirs_wct.formats.tum import read_tum
+from lirs_wct.geometry import Pose3
+from tests.command_line import run_command
+
+OPTIONS = {"robot": "jackal", "lidar": "vlp16", "scan_time": "rolling", "seconds": 1.0, "bag": "mcap"}
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return validate("medium", mapper="hector", out=tmp_path_factory.mktemp("runs"), **OPTIONS)
+
+
+class Made(SimpleNamespace):
+    """Keep what a class of evalio is made with."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(given=given, **named)
+
+    identity = classmethod(lambda cls: cls("identity"))
+
+
+class FakeDataset(StrEnum):
+    """A data set's members are its sequences."""
+
+
+@pytest.fixture
+def _evalio(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    names = {
+        "evalio": {},
+        "evalio.datasets": {},
+        "evalio.datasets.base": {"Dataset": FakeDataset},
+        "evalio.datasets.loaders": {
+            "LidarDensity": SimpleNamespace(AllPoints="all"),
+            "LidarFormatParams": Made,
+            "LidarMajor": SimpleNamespace(Row="row"),
+            "LidarPointStamp": SimpleNamespace(Start="start"),
+            "LidarStamp": SimpleNamespace(Start="start"),
+            "RosbagIter": Made,
+        },
+        "evalio.types": dict.fromkeys(
+            ("SE3", "SO3", "ImuParams", "LidarParams", "Stamp", "Trajectory"), Made
+        ),
+    }
+    for name, content in names.items():
+        module = ModuleType(name)
+        module.__dict__.update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    return
+
+
+def loaded(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.usefixtures("_evalio")
+def test_the_module_describes_the_run(recorded: Run, tmp_path: Path) -> None:
+    assert recorded.folder is not None
+    assert run_command("export", str(recorded.folder), "--to", "evalio", "-o", str(tmp_path)) == 0
+    module = loaded(tmp_path / "evalio" / "lirs_wct_run.py")
+    (sequence,) = module.LirsWctRun
+    assert sequence.value == recorded.folder.name.lower().replace("-", "_")
+    assert sequence.folder == recorded.folder.resolve()
+    assert all(path.exists() for path in sequence.files())
+    bag, points, inertial, lidar = sequence.data_iter().given
+    assert (bag, points, inertial) == (recorded.folder.resolve(), "/points", "/imu/data_raw")
+    assert (lidar.num_rows, lidar.num_columns, lidar.rate) == (16, 1800, pytest.approx(10.0))
+    rotation, position = sequence.imu_T_lidar().given
+    mount = make_robot("jackal").T_base_laser
+    np.testing.assert_array_equal(position, mount.position)
+    assert (rotation.qw, rotation.qx, rotation.qy, rotation.qz) == tuple(mount.quaternion)
+    imu = sequence.imu_params()
+    assert imu.rate == 250
+    assert imu.gyro == pytest.approx(2.44e-4, rel=0.01)
+    assert sequence.imu_T_gt().given == ("identity",)
+    assert sequence.quick_len() == 11
+
+
+@pytest.mark.usefixtures("_evalio")
+def test_the_truth_is_that_of_the_bag(recorded: Run, tmp_path: Path) -> None:
+    assert recorded.folder is not None
+    assert run_command("export", str(recorded.folder), "--to", "evalio", "-o", str(tmp_path)) == 0
+    (sequence,) = loaded(tmp_path / "evalio" / "lirs_wct_run.py").LirsWctRun
+    told = sequence.ground_truth_raw()
+    poses = [
+        Pose3(*p.given[1], *(getattr(p.given[0], k) for k in ("qw", "qx", "qy", "qz"))) for p in told.poses
+    ]
+    truth = read_tum(recorded.folder / "truth.tum")
+    true = [Pose3.from_arrays(*row) for row in zip(truth.positions, truth.quaternions, strict=True)]
+    assert len(poses) == len(true) == 11
+    for pose, other in zip(poses, true, strict=True):
+        moved, expected = poses[0].inverse() @ pose, true[0].inverse() @ other
+        np.testing.assert_allclose(moved.position, expected.position, atol=1e-6)
+        np.testing.assert_allclose(moved.rotation, expected.rotation, atol=1e-6)
+    stamps = np.array([stamp.sec + 1e-9 * stamp.nsec for stamp in told.stamps])
+    np.testing.assert_allclose(np.diff(stamps), np.diff(truth.stamps), atol=1e-6)
+
+
+def test_a_run_without_clouds_is_refused_in_a_line(
+    recorded: Run, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    without = validate("medium", seconds=1.0, out=tmp_path)
+    planar = validate("medium", seconds=1.0, bag="mcap", out=tmp_path / "planar")
+    for run, message in (
+        (without, "holds no bag that can be read; record one with --bag"),
+        (planar, "its bag has no /points: record --bag with a lidar with rings"),
+    ):
+        assert run_command("export", str(run.folder), "--to", "evalio") == 2
+        assert capfd.readouterr().err.split("lirs-wct: ")[-1] == f"{run.folder}: {message}\n"
