@@ -62,6 +62,6 @@ def test_sensors_only_leaves_the_mapper_out(run: RunFolder, tmp_path: Path) -> N
 
 
 def test_what_cannot_be_exported_is_said(run: RunFolder, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="unknown format 'ply'; legal: bag, carmen, csv, npz"):
+    with pytest.raises(ConfigError, match="unknown format 'ply'; legal: bag, carmen, csv, evalio, npz"):
         export_run(run, tmp_path, ("ply",))
     assert not list(tmp_path.iterdir())
