@@ -1,153 +1,133 @@
-"""Planar methods beside other people's 3D systems: worlds with walls, DEMs, laser maps. It reports no times.
+"""3D SLAM systems of other people and ours, next to planar methods: one table of path errors.
 
-    python benchmarks/real_slam.py [SOURCE ...] [--planar hector,gmapping,cartographer]
-        [--cloud kiss-icp,genz-icp] [--lidar vlp16] [--same-lidar hector] [--seeds 1-3] [--seconds 60]
-        [--robot husky] [--data FOLDER] [-o FOLDER] [--jobs 1] [--quick] [--json FILE]
+    python benchmarks/real_slam.py [SOURCE ...] [--systems kiss-icp,genz-icp,...] [--planar hector,...]
+        [--lidar vlp16] [--seeds 1-2] [--seconds 30] [--robot jackal] [--wall-limit 120] [--data FOLDER]
+        [-o FOLDER] [--jobs 1] [--quick]
 
-The planar methods have the robot's own lidar, those of --same-lidar once more the 3D systems' lidar, of which
-they get the ring nearest the horizon. Printed as Markdown, means over the seeds that succeeded; with a folder
-the runs stay there, and the same command goes on where it was. kiss-slam is run where it is installed:
-`--cloud kiss-icp,genz-icp,kiss-slam`. Without sources: the bundled worlds, and two DEMs and two laser maps of
-the data folder.
+A row per method, a column per world: the ATE of each seed, in space for 3D systems and in the plane for
+planar methods, and the median time of a scan. The first rows are the odometry of the same drives. A run that
+takes longer than the wall limit is "too slow". With a folder the runs stay there, and the same command goes
+on where it was. `lirs-wct mappers --install NAME` installs rko-lio and evalio. Without sources: the bundled
+worlds, and two DEMs (smooth, with relief) and two laser maps of the data folder.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from lirs_validation import read_record
-from lirs_validation.analysis.statistics import repeats
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.record.formatting import NOTHING
-from lirs_validation.record.metric_catalog import METRICS
-from lirs_validation.record.run_record import succeeded
+from lirs_validation.record.run_record import maps_clouds
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.suites import cross
 from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.option import read_names, read_numbers
+from slam_baselines.mapper import CLOUD_MAPPERS
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WORLDS = ("simple", "medium", "advanced")
 FILES = (
     "height/gz-common__dem_moon.tif",
-    "height/tin-terrain__valid_raster.tif",
+    "height/gazebo_terrain_generator__prayag_height_map.tif",
     "maps/navigation2/depot.yaml",
     "maps/turtlebot_apps/willow-2010-02-18-0.10.yaml",
 )
-"""In the data folder: two DEMs with their own scale, two laser maps."""
-SHOWN = (
-    "trajectory.ate_rmse",
-    "trajectory.odometry_ate_rmse",
-    "trajectory.ate_rmse_3d",
-    "map.f1",
-    "map.elevation_rmse",
-    "map.elevation_rmse_aligned",
-    "map.elevation_seen",
-)
+"""In the data folder: a smooth DEM, one with relief, two laser maps."""
+PLANAR = "hector,gmapping,cartographer"
+ODOMETRY = {"odometry, plane": "odometry_ate_rmse", "odometry, space": "odometry_ate_rmse_3d"}
+"""Rows of the odometry, and their figures in the records of the first 3D system."""
+TOO_SLOW = "too slow"
 
 
 def main() -> None:
-    """Run every source, mapper and seed, and print the table."""
+    """Run every source, method and seed, and print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("sources", nargs="*")
-    parser.add_argument("--planar", default="hector,gmapping,cartographer")
-    parser.add_argument("--cloud", default="kiss-icp,genz-icp")
+    parser.add_argument("--systems", default=",".join(n for n in CLOUD_MAPPERS if n != "kiss-slam"))
+    parser.add_argument("--planar", default=PLANAR, help="with the robot's own lidar")
     parser.add_argument("--lidar", default="vlp16", help="of the 3D systems")
-    parser.add_argument(
-        "--same-lidar", default="hector", help="planar methods that also have it; empty = none"
-    )
-    parser.add_argument("--seeds", default="1-3", help="such as 1-5 or 1,3")
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--robot", default="husky")
+    parser.add_argument("--seeds", default="1-2", help="such as 1-5 or 1,3")
+    parser.add_argument("--seconds", type=float, default=30.0)
+    parser.add_argument("--wall-limit", type=float, default=120.0)
+    parser.add_argument("--robot", default="jackal")
     parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--jobs", type=int, help="runs at a time")
+    parser.add_argument("--jobs", type=int, default=1, help="runs at a time; times need 1")
     parser.add_argument("-o", "--output", type=Path, help="keep the runs there")
     parser.add_argument("--quick", action="store_true", help="`medium`, one seed, 10 s")
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         entries = driven(configs_of(given), given.output or Path(temporary), given.jobs)
     print(table(entries).as_markdown())
-    if given.json:
-        given.json.write_text(json.dumps(rows(entries), indent=1) + "\n", encoding="utf-8")
 
 
 def configs_of(given: argparse.Namespace) -> list[RunConfig]:
-    """Return the runs: planar methods with the robot's lidar, and with the other; 3D systems."""
+    """Return the runs, seed by seed; every robot stands still first, so that all drives are the same."""
     sources = given.sources or [*WORLDS, *(str(given.data / name) for name in FILES)]
-    asked = ((given.planar, None), (given.same_lidar, given.lidar), (given.cloud, given.lidar))
     return [
         config
-        for names, lidar in asked
+        for seed in read_numbers("1" if given.quick else given.seeds, "--seeds")
+        for names, lidar in ((given.planar, None), (given.systems, given.lidar))
         if names.strip()
         for config in cross(
             ("medium",) if given.quick else tuple(sources),
             robot=given.robot,
             mapper=read_names(names, "--mapper"),
             lidar=lidar,
-            seed=read_numbers("1" if given.quick else given.seeds, "--seeds"),
+            seed=seed,
             seconds=10.0 if given.quick else given.seconds,
+            stand=3.0,
+            wall_limit=given.wall_limit,
         )
     ]
 
 
-def driven(configs: Sequence[RunConfig], out: Path, jobs: int | None) -> list[dict[str, Any]]:
-    """Run the configs that have no result yet; return all records, source by source."""
-    experiments = [SlamExperiment(config) for config in configs]
-    order = list(dict.fromkeys(experiment.config.source for experiment in experiments))
-    experiments.sort(key=lambda experiment: order.index(experiment.config.source))
-    sweep = Sweep(experiments, out)
+def driven(configs: Sequence[RunConfig], out: Path, jobs: int) -> list[dict[str, Any]]:
+    """Run the configs that have no result yet; return all records."""
+    sweep = Sweep([SlamExperiment(config) for config in configs], out)
     for _ in run_with_progress(sweep, make_executor(EngineOptions(jobs=jobs)), Console(stderr=True)):
         pass
     return [read_record(out / experiment.name) for experiment in sweep.experiments]
 
 
 def table(entries: Sequence[dict[str, Any]]) -> ReportTable:
-    """Return the table: a row a world, mapper and lidar."""
-    metrics = [metric for key in SHOWN for metric in METRICS if metric.key == key]
-    groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
-    for entry in entries:
-        config = entry["config"]
-        key = (entry["world"]["name"], config["mapper"], config["lidar"] or "own")
-        groups.setdefault(key, []).append(entry)
-    shown = []
-    for key, runs in groups.items():
-        good = [run for run in runs if succeeded(run)]
-        cells = []
-        for metric in metrics:
-            values = [value for run in good if (value := metric.of(run)) is not None]
-            found = repeats(values)
-            spread = f" ({metric.formatted(min(values))} – {metric.formatted(max(values))})" if values else ""
-            cells.append(NOTHING if found is None else metric.formatted(found.mean) + spread)
-        shown.append((*key, f"{len(good)} of {len(runs)}", *cells))
-    headings = ("world", "mapper", "lidar", "succeeded", *(metric.heading for metric in metrics))
-    return ReportTable("real-slam", "", "Mean (least – most) over the seeds.", headings, tuple(shown), 4)
-
-
-def rows(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return every run's figures."""
-    return [
-        {
-            "world": entry["world"]["name"],
-            "mapper": entry["config"]["mapper"],
-            "lidar": entry["config"]["lidar"],
-            "seed": entry["seed"],
-            "status": entry["status"],
-        }
-        | {metric.key: metric.of(entry) for metric in METRICS if metric.key in SHOWN}
-        for entry in entries
+    """Return the table: a row per method, a column per world."""
+    worlds = list(dict.fromkeys(entry["world"]["name"] for entry in entries))
+    methods = list(dict.fromkeys(entry["config"]["mapper"] for entry in entries))
+    systems = [entry for entry in entries if maps_clouds(entry) and entry["trajectory"]]
+    rows = [
+        (name, *(cell([e for e in systems if e["world"]["name"] == world], key) for world in worlds), "-")
+        for name, key in ODOMETRY.items()
     ]
+    for method in methods:
+        own = [entry for entry in entries if entry["config"]["mapper"] == method]
+        times = [ms for entry in own if (ms := entry["mapper"].get("ms_p50"))]
+        key = "ate_rmse_3d" if any(maps_clouds(entry) for entry in own) else "ate_rmse"
+        cells = [cell([e for e in own if e["world"]["name"] == world], key) for world in worlds]
+        rows.append((method, *cells, f"{np.median(times):.1f}" if times else "-"))
+    caption = "ATE of each seed, meters; the last column is the median time of a scan, milliseconds."
+    return ReportTable("slam", "", caption, ("method", *worlds, "ms"), tuple(rows), 1)
+
+
+def cell(entries: Sequence[dict[str, Any]], key: str) -> str:
+    """Return a figure of each seed, or the status of a run without it."""
+    found: dict[int, str] = {}
+    for entry in entries:
+        value = entry["trajectory"].get(key)
+        slow = entry["status"] == "wall limit"
+        text = entry["status"] if value is None else f"{value:.3f}"
+        found.setdefault(entry["seed"], TOO_SLOW if slow else text)
+    return ", ".join(found.values())
 
 
 if __name__ == "__main__":

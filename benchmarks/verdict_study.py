@@ -158,7 +158,13 @@ def configs(site: Site, method: str, seeds: Iterable[int]) -> Iterator[RunConfig
     lidar = RING_LIDAR if method == "genz-icp" else None
     for seed in seeds:
         yield RunConfig(
-            source=site.name, robot=site.robot, mapper=method, lidar=lidar, seed=seed, seconds=SECONDS
+            source=site.name,
+            robot=site.robot,
+            mapper=method,
+            lidar=lidar,
+            seed=seed,
+            seconds=SECONDS,
+            scan_time="instant",
         )
 
 
