@@ -158,6 +158,19 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
 }
 """Third-party systems that read point clouds, by name; none of them is among our dependencies."""
 
+OWN_CLOUD_MAPPERS: Mapping[str, Method] = {
+    "wheel_lio": Method(
+        "slam_baselines.wheel_lio.mapper",
+        "WheelLioConfig",
+        "WheelLioMapper",
+        license="ours",
+        needs="odometry, inertial readings",
+    ),
+}
+"""Our methods that read point clouds, by name."""
+ALL_CLOUD_MAPPERS = {**OWN_CLOUD_MAPPERS, **CLOUD_MAPPERS}
+"""All methods that read point clouds, by name."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MapperStats:
@@ -173,6 +186,8 @@ class MapperStats:
         ms_max: the longest.
         memory: bytes of its maps.
         counts: other counts of the method (searches, map updates, particles, constraints).
+        weak_directions: a digit per scan, 0 to 6: directions of motion that it did not constrain, and that
+            other sensors decided. Empty = the method does not tell.
     """
 
     received: int = 0
@@ -184,6 +199,7 @@ class MapperStats:
     ms_max: float = 0.0
     memory: int = 0
     counts: Mapping[str, int] = field(default_factory=dict)
+    weak_directions: str = ""
 
 
 class PoseEstimator(Protocol):
@@ -331,7 +347,7 @@ def make_mapper(
     Raises:
         ConfigError: no mapper has that name, or its configuration no such field or not that value.
     """
-    if name in CLOUD_MAPPERS:
+    if name in ALL_CLOUD_MAPPERS:
         raise ConfigError(f"{name} reads point clouds, planar mappers are {', '.join(MAPPERS)}")
     if resolution is not None and name in MAPPERS:
         config[MAPPERS[name].resolution] = resolution
@@ -343,7 +359,7 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
     """Make a mapper that reads point clouds by its name.
 
     Args:
-        name: one of CLOUD_MAPPERS.
+        name: one of ALL_CLOUD_MAPPERS.
         seed: of the random numbers, for a method that draws any.
         **config: fields of the method's configuration.
 
@@ -351,9 +367,9 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
         ConfigError: no such mapper has that name, its package is not installed, or its configuration has no
             such field or not that value.
     """
-    if name not in CLOUD_MAPPERS:
-        raise unknown_name("mapper of point clouds", name, CLOUD_MAPPERS)
-    method = CLOUD_MAPPERS[name]
+    if name not in ALL_CLOUD_MAPPERS:
+        raise unknown_name("mapper of point clouds", name, ALL_CLOUD_MAPPERS)
+    method = ALL_CLOUD_MAPPERS[name]
     if not method.installed:
         raise ConfigError(f"mapper {name} needs the package {method.distribution}: {method.install}")
     mapper: CloudMapper = _make(name, seed, config)
@@ -375,7 +391,7 @@ def _make(name: str, seed: int | None, config: dict[str, Any]) -> Any:
         raise ConfigError(f"configuration of {name}: {error}") from error
 
 
-_METHODS = {**MAPPERS, **CLOUD_MAPPERS}
+_METHODS = {**MAPPERS, **ALL_CLOUD_MAPPERS}
 
 
 def _config_class(name: str) -> Any:

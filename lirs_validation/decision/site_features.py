@@ -21,7 +21,7 @@ from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_validation.metrics.scan_support import NEAR, standing_on
 from lirs_wct import Pose2, Pose3, World
 from lirs_wct.arrays import BoolArray, FloatArray
-from slam_baselines.mapper import CLOUD_MAPPERS
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS
 
 TOURS = 3
 """Tours along which scans are cast, each from another start."""
@@ -84,7 +84,7 @@ def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures
         ConfigError: the robot fits nowhere in this world.
     """
     preset = make_lidar_preset(config.lidar or robot.lidar)
-    preset = preset if config.mapper in CLOUD_MAPPERS else preset.planar
+    preset = preset if config.mapper in ALL_CLOUD_MAPPERS else preset.planar
     caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
     tours = [plan_tour(world, robot, replace(config, seed=config.seed + k)).path for k in range(TOURS)]
     scans = [_look_around(world, robot, preset, caster, pose) for tour in tours for pose in _poses(tour)]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import (
+    ALL_CLOUD_MAPPERS,
     CLOUD_MAPPERS,
     MAPPERS,
     CloudMapper,
@@ -67,11 +68,11 @@ def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
         ConfigError: nothing has that name, it cannot be imported or made, a package is missing, or
             it is no mapper.
     """
-    if name in CLOUD_MAPPERS:
+    if name in ALL_CLOUD_MAPPERS:
         return make_cloud_mapper(name, seed=seed)
     if ":" not in name:
         if name not in MAPPERS:
-            raise unknown_name("mapper", name, [*MAPPERS, *CLOUD_MAPPERS, "module:name of your own"])
+            raise unknown_name("mapper", name, [*MAPPERS, *ALL_CLOUD_MAPPERS, "module:name of your own"])
         return make_mapper(name, seed=seed)
     maker = own_class(name, "mapper", "update")
     mapper = make_own(maker, {"seed": seed, "resolution": RESOLUTION}, name, "mapper")
@@ -88,7 +89,7 @@ def warm_up_mapper(name: str) -> None:
 
 def source_file(name: str) -> Path | None:
     """Return the file that holds a mapper of your own; None for ours."""
-    return None if name in CLOUD_MAPPERS else own_source_file(name)
+    return None if name in ALL_CLOUD_MAPPERS else own_source_file(name)
 
 
 def _check_methods(mapper: Any, name: str) -> Mapper | CloudMapper:

@@ -33,9 +33,12 @@ from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.progress import Progress
 from lirs_wct.sources.source import is_bag
 from slam_baselines.mapper import (
-    CLOUD_MAPPERS,
+    ALL_CLOUD_MAPPERS,
     MAPPERS,
+    OWN_CLOUD_MAPPERS,
+    CloudMapper,
     Mapper,
+    make_cloud_mapper,
     make_mapper,
     parameters,
 )
@@ -76,15 +79,17 @@ def _start(config: MapConfig) -> MapperUnderTest:
 
 def _check_parameters(config: MapConfig) -> None:
     given = [name for name in ("particles", "resolution") if getattr(config, name) is not None]
-    if given and config.mapper not in CLOUD_MAPPERS:
+    if given and config.mapper not in ALL_CLOUD_MAPPERS:
         raise ConfigError(f"{', '.join(given)} can be given for {', '.join(MAPPERS)} only")
 
 
-def _make(config: MapConfig) -> Mapper:
+def _make(config: MapConfig) -> Mapper | CloudMapper:
+    if config.mapper in OWN_CLOUD_MAPPERS:
+        return make_cloud_mapper(config.mapper, seed=config.seed)
     options = {"particles": config.particles, "resolution": config.resolution}
     given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
     if config.mapper not in MAPPERS:
-        raise unknown_name("mapper", config.mapper, [*MAPPERS, *CLOUD_MAPPERS, "module:name of your own"])
+        raise unknown_name("mapper", config.mapper, [*MAPPERS, *ALL_CLOUD_MAPPERS, "module:name of your own"])
     if config.particles is not None and "particles" not in parameters(config.mapper):
         takers = ", ".join(name for name in MAPPERS if "particles" in parameters(name))
         raise ConfigError(f"{config.mapper} has no particles: --particles can be given for {takers}")

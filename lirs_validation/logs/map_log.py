@@ -43,7 +43,7 @@ from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import find_source, is_bag
-from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.style import Drawing
@@ -251,7 +251,7 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
         from lirs_wct.formats.rosbag.reader import read_bag
         from lirs_wct.formats.rosbag.topics import Topics
 
-        return read_bag(path, Topics(*topics, clouds, ", ".join(MAPPERS if clouds else CLOUD_MAPPERS)))
+        return read_bag(path, Topics(*topics, clouds, ", ".join(MAPPERS if clouds else ALL_CLOUD_MAPPERS)))
     if any(topics):
         raise ConfigError(f"{path}: topics can be given for a ROS bag only, this is none")
     fov = None if config.fov is None else math.radians(config.fov)

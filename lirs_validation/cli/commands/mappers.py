@@ -36,7 +36,13 @@ def mapper_table() -> Table:
 
     from lirs_envs.lidar.presets import RING_LIDARS
     from lirs_validation.experiment.mapper_loading import is_installed
-    from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS, make_mapper, requires_odometry
+    from slam_baselines.mapper import (
+        ALL_CLOUD_MAPPERS,
+        MAPPERS,
+        OWN_CLOUD_MAPPERS,
+        make_mapper,
+        requires_odometry,
+    )
 
     headings = "mapper", "estimates", "reads", "needs", "license", "installed"
     table = Table(*headings, box=None, pad_edge=False)
@@ -44,8 +50,8 @@ def mapper_table() -> Table:
         needs = "any lidar, odometry" if requires_odometry(make_mapper(name)) else "any lidar"
         table.add_row(name, "planar", "scans, odometry, IMU", needs, "ours", "yes")
     clouds = f"clouds of {' or '.join(RING_LIDARS)}"
-    for name, method in CLOUD_MAPPERS.items():
-        held = "yes" if is_installed(method) else f"no: {method.install}"
+    for name, method in ALL_CLOUD_MAPPERS.items():
+        held = "yes" if name in OWN_CLOUD_MAPPERS or is_installed(method) else f"no: {method.install}"
         table.add_row(
             name, "3D", clouds, method.needs or "any start", method.license, held.replace("[", r"\[")
         )

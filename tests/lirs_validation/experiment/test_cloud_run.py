@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -33,6 +34,7 @@ from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu
 from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.sources.options import BuildOptions
 from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats, make_mapper
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -138,6 +140,22 @@ def test_a_mapper_gets_the_odometry_on_request(here: Path) -> None:
     assert errors["length"] > 1.0
     # Without attitude, the height of the odometry is that of the first pose.
     assert 0.0 < errors["odometry_ate_rmse_3d"] <= errors["ate_rmse_3d"] + 0.01
+
+
+@pytest.mark.parametrize(("world", "bound"), [("medium", 0.03), ("plain.png", 0.05)])
+def test_our_mapper_in_space_follows_walls_and_smooth_ground(here: Path, world: str, bound: float) -> None:
+    x, y = np.meshgrid(np.linspace(0, 6, 129), np.linspace(0, 6, 129))
+    cv2.imwrite(str(here / "plain.png"), np.round(2e4 * (1 + np.sin(x) * np.cos(y))).astype(np.uint16))
+    options = BuildOptions() if world == "medium" else BuildOptions(size=40.0, height=2.0)
+    source = world if world == "medium" else here / world
+    given = {"mapper": "wheel_lio", "lidar": "vlp16", "scan_time": "rolling", "seconds": 8}
+    run = validate(source, robot="jackal", options=options, **given)  # type: ignore[arg-type]
+    errors, mapper = run.record.trajectory, run.record.mapper
+    assert errors["length"] > 3.0
+    assert errors["ate_rmse_3d"] < bound
+    assert errors["ate_rmse_3d"] < 1.05 * errors["odometry_ate_rmse_3d"] + 0.05
+    assert re.fullmatch("6[0-6]*", mapper["weak_directions"])
+    assert len(mapper["weak_directions"]) == mapper["received"] == errors["poses"]
 
 
 def test_elevation_stands_in_the_place_of_an_occupancy_map(still: Run) -> None:

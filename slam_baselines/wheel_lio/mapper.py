@@ -1,0 +1,161 @@
+"""Mapper in space that fuses lidar, wheels and inertial unit.
+
+Wheels, gyro and gravity predict the pose. Each sweep is deskewed by the predicted velocity and registered
+with a local map of planes, with the prediction as prior. The prediction alone decides in the directions that
+the sweep does not constrain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.field_validators import require_above
+from lirs_wct.geometry import Imu, ImuReadings, PointCloud, Pose2, Pose3, Trajectory
+from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
+from slam_baselines.wheel_lio.motion import Motion, Prediction
+from slam_baselines.wheel_lio.registration import MatchRule, PlaneMatch, SpatialPrior, register
+from slam_baselines.wheel_lio.sweep import deskew, thin
+from slam_baselines.wheel_lio.voxel_map import VoxelMap
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelLioConfig:
+    """Parameters of map, registration and motion.
+
+    Attributes:
+        cell: edge of the map's smallest voxels, meters.
+        thin: edge of the cells whose points are registered as their mean, meters.
+        near: points nearer to the base are left out, meters.
+        far: points farther are left out.
+        radius: the map is kept up to this distance, meters.
+        key_shift: a sweep goes into the map after this motion, meters.
+        key_turn: or after this turn, radians.
+        noise: standard deviation of a registered point, meters.
+        gate: distance from its plane beyond which a point is left out, meters.
+        error: standard deviation of the error that the points of a sweep share, meters.
+        weak: root mean square of the share of a motion that the planes see, below which its direction is
+            left to the prediction. Planes of bare, level ground pretend to see about .01.
+        shift_per_meter: standard deviation of the predicted shift after one meter, meters.
+        shift_per_radian: after turning one radian.
+        shift_per_second: after one second.
+        turn_per_second: standard deviation of the predicted rotation after one second, radians.
+        tilt_time: seconds within which roll and pitch follow gravity.
+
+    Raises:
+        ConfigError: a value is not above 0.
+    """
+
+    cell: float = 0.5
+    thin: float = 0.3
+    near: float = 0.5
+    far: float = 60.0
+    radius: float = 80.0
+    key_shift: float = 0.1
+    key_turn: float = 0.05
+    noise: float = 0.02
+    gate: float = 0.5
+    error: float = 0.001
+    weak: float = 0.03
+    shift_per_meter: float = 0.04
+    shift_per_radian: float = 0.1
+    shift_per_second: float = 0.005
+    turn_per_second: float = 0.0016
+    tilt_time: float = 2.0
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, *self.__dataclass_fields__, of="wheel_lio", finite=True)
+
+
+class WheelLioMapper:
+    """Mapper of point clouds with odometry and inertial readings.
+
+    Attributes:
+        weak_directions: (n, 6) unit vectors for each sweep: directions that the sweep did not constrain, as
+            a shift in the level map frame and the arc of a turn about the robot.
+
+    Args:
+        config: parameters.
+    """
+
+    reads_clouds = reads_inertial = reads_odometry = requires_odometry = True
+    lost = False
+
+    def __init__(self, config: WheelLioConfig) -> None:
+        c = self.config = config
+        self._motion, self._map = Motion(c.tilt_time), VoxelMap(c.cell, c.radius)
+        self._rule = MatchRule(c.noise, c.gate, c.error, c.weak)
+        self._key: PlaneMatch | None = None
+        self._stamps: list[float] = []
+        self._poses: list[Pose3] = []
+        self.weak_directions: list[FloatArray] = []
+        self._watch = Stopwatch()
+
+    def update(
+        self, cloud: PointCloud, imu: Imu | None, readings: ImuReadings, odometry: Pose2 | None
+    ) -> Pose3:
+        """Register a sweep; return `T_map_base` at its stamp.
+
+        Raises:
+            ConfigError: there is no odometry.
+        """
+        started = self._watch.start()
+        odometry = required_odometry("wheel_lio", odometry, cloud.stamp)
+        predicted = self._motion.predict(cloud.stamp, odometry, imu, readings)
+        points = self._in_range(deskew(cloud, predicted.twist))
+        match = register(thin(points, self.config.thin), self._map, self._prior(predicted), self._rule)
+        self._motion.correct(match.R, match.t)
+        if self._is_key(match):
+            self._key = match
+            self._map.insert(points @ match.R.T + match.t, match.t)
+        self._stamps.append(cloud.stamp)
+        quaternion = Rotation.from_matrix(match.R).as_quat(scalar_first=True)
+        self._poses.append(Pose3.from_arrays(match.t, quaternion))
+        self.weak_directions.append(match.constraint.weak_directions)
+        self._watch.stop(started)
+        return self._poses[0].inverse() @ self._poses[-1]
+
+    def _in_range(self, points: FloatArray) -> FloatArray:
+        square = np.einsum("ij,ij->i", points, points)
+        kept: FloatArray = points[(square >= self.config.near**2) & (square <= self.config.far**2)]
+        return kept
+
+    def _prior(self, predicted: Prediction) -> SpatialPrior:
+        """Return the prediction with its standard deviations, which grow with motion and time."""
+        c, step, seconds = self.config, predicted.step, max(predicted.seconds, 1e-3)
+        shift = (
+            c.shift_per_meter**2 * math.hypot(step.x, step.y)
+            + c.shift_per_radian**2 * abs(step.yaw)
+            + c.shift_per_second**2 * seconds
+        )
+        sigmas = np.repeat((math.sqrt(shift), c.turn_per_second * math.sqrt(seconds)), 3)
+        return SpatialPrior(predicted.R, predicted.t, sigmas)
+
+    def _is_key(self, match: PlaneMatch) -> bool:
+        """Return whether the robot has moved far enough for another sweep in the map."""
+        if self._key is None:
+            return True
+        moved = float(np.linalg.norm(match.t - self._key.t))
+        turned = Rotation.from_matrix(match.R @ self._key.R.T).magnitude()
+        return moved >= self.config.key_shift or bool(turned >= self.config.key_turn)
+
+    def trajectory(self) -> Trajectory:
+        """Return the poses of all sweeps; none is corrected later."""
+        T_map_level = self._poses[0].inverse() if self._poses else Pose3()
+        return Trajectory.from_poses(self._stamps, [T_map_level @ pose for pose in self._poses])
+
+    @property
+    def stats(self) -> MapperStats:
+        """Sweeps, times, memory, and the number of weak directions of each sweep."""
+        n, weak = len(self._stamps), [len(directions) for directions in self.weak_directions]
+        return MapperStats(
+            received=n,
+            used=sum(count < 6 for count in weak),
+            memory=self._map.memory,
+            weak_directions="".join(map(str, weak)),
+            **self._watch.summary(),
+        )

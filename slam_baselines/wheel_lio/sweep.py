@@ -1,0 +1,94 @@
+"""Points of a sweep: deskewed by the robot's motion, and thinned out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry import PointCloud
+from lirs_wct.kernels import njit
+from slam_baselines.wheel_lio.voxel_map import EMPTY, find_slot, voxel_key
+
+
+@dataclass(frozen=True, slots=True)
+class BodyTwist:
+    """Velocity of the base at a sweep's stamp, along and about its own axes.
+
+    Attributes:
+        linear: (3,) m/s.
+        angular: (3,) rad/s.
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+
+
+def deskew(cloud: PointCloud, twist: BodyTwist) -> FloatArray:
+    """Return the points (n, 3) in the base frame at the stamp, meters.
+
+    A point that was measured a time t after the stamp is moved by exp(t [v, w]): the base is taken to go on
+    at the velocity that it had at the stamp.
+    """
+    points = np.empty((len(cloud), 3))
+    mount = cloud.T_base_laser
+    _deskew(cloud.xyz, cloud.time, mount.rotation, mount.position, twist.linear, twist.angular, points)
+    return points
+
+
+@njit(cache=True, nogil=True)
+def _deskew(xyz: Any, time: Any, R: Any, offset: Any, v: Any, w: Any, points: Any) -> None:
+    """Fill `points` by Rodrigues' formula and its integral (Lynch and Park, "Modern Robotics", eq. 3.88)."""
+    rate = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    t0, a, b, c = -1.0, 0.0, 0.0, 0.0
+    for n in range(len(xyz)):
+        p = np.dot(R, xyz[n].astype(np.float64)) + offset
+        t = time[n]
+        if t == 0.0:
+            points[n] = p
+            continue
+        if t != t0:
+            angle = rate * t
+            if angle > 1e-6:
+                a, b = math.sin(angle) / rate, (1 - math.cos(angle)) / rate**2
+                c = (angle - math.sin(angle)) / rate**3
+            else:
+                a, b, c = t, t * t / 2, t**3 / 6
+            t0 = t
+        wp, wv = _cross(w, p), _cross(w, v)
+        wwp, wwv = _cross(w, wp), _cross(w, wv)
+        for i in range(3):
+            points[n, i] = p[i] + a * wp[i] + b * wwp[i] + t * v[i] + b * wv[i] + c * wwv[i]
+
+
+@njit(cache=True, nogil=True)
+def _cross(a: Any, b: Any) -> Any:
+    return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
+
+
+@njit(cache=True, nogil=True)
+def thin(points: Any, cell: float) -> Any:
+    """Return the mean (m, 3) of the points (n, 3) in each cubic cell.
+
+    The cells are in the order of their first points.
+    """
+    slots = 1024
+    while slots < 2 * len(points):
+        slots *= 2
+    keys, row = np.full(slots, EMPTY, np.int64), np.empty(slots, np.int64)
+    sums, counts, m = np.zeros((len(points), 3)), np.zeros(len(points)), 0
+    for n in range(len(points)):
+        key = voxel_key(points[n, 0], points[n, 1], points[n, 2], cell, 0)
+        slot = find_slot(keys, key)
+        if keys[slot] == EMPTY:
+            keys[slot], row[slot] = key, m
+            m += 1
+        k = row[slot]
+        sums[k] += points[n]
+        counts[k] += 1
+    for k in range(m):
+        sums[k] /= counts[k]
+    return sums[:m]
