@@ -31,7 +31,7 @@ from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.suites import cross
 from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.option import read_names, read_numbers
-from slam_baselines.mapper import CLOUD_MAPPERS
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 WORLDS = ("simple", "medium", "advanced")
@@ -54,7 +54,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("sources", nargs="*")
-    parser.add_argument("--systems", default=",".join(n for n in CLOUD_MAPPERS if n != "kiss-slam"))
+    parser.add_argument("--systems", default=",".join(n for n in ALL_CLOUD_MAPPERS if n != "kiss-slam"))
     parser.add_argument("--planar", default=PLANAR, help="with the robot's own lidar")
     parser.add_argument("--lidar", default="vlp16", help="of the 3D systems")
     parser.add_argument("--seeds", default="1-2", help="such as 1-5 or 1,3")

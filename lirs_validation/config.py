@@ -33,7 +33,7 @@ from lirs_wct.option import (
     within,
 )
 from lirs_wct.sources.options import MAP_PANEL, BuildOptions, SourceKind
-from slam_baselines.mapper import MAPPERS
+from slam_baselines.mapper import MAPPERS, file_name
 
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
@@ -331,9 +331,8 @@ RUN_AXES = tuple(name for name, found in declared(RunConfig) if found.axis is no
 
 def run_name(config: RunConfig, world: str) -> str:
     """Return the name of the run's folder, with the mapper's class and the driver's kind."""
-    mapper = config.mapper.rpartition(":")[2]
     driver = "" if config.driver == TOUR else f"-{driver_parts(config.driver)[0]}"
-    return f"{world}-{config.robot}-{mapper}{driver}-s{config.seed}-{config.digest}"
+    return f"{world}-{config.robot}-{file_name(config.mapper)}{driver}-s{config.seed}-{config.digest}"
 
 
 @documented

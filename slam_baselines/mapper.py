@@ -172,6 +172,16 @@ ALL_CLOUD_MAPPERS = {**OWN_CLOUD_MAPPERS, **CLOUD_MAPPERS}
 """All methods that read point clouds, by name."""
 
 
+def short_name(mapper: str) -> str:
+    """Return a mapper's name in sentences: of a mapper of your own, the class without its module."""
+    return mapper if mapper in ALL_CLOUD_MAPPERS else mapper.rpartition(":")[2]
+
+
+def file_name(mapper: str) -> str:
+    """Return a mapper's name in names of folders."""
+    return short_name(mapper).replace(":", "-")
+
+
 @dataclass(frozen=True, kw_only=True)
 class MapperStats:
     """Counts, times and memory of a mapper so far.

@@ -19,6 +19,7 @@ from lirs_validation.decision.trials import Perform, Trial, run_trials
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_wct import OccupancyGrid
+from slam_baselines.mapper import short_name
 
 LEAST_SHARE = 0.8
 """Share of drives that a sentence promises if the whole interval lies above it."""
@@ -132,7 +133,7 @@ def _no_map() -> OccupancyGrid:
 def method_name(config: RunConfig) -> str:
     """Return mapper and robot as a sentence names them."""
     attitude = " without attitude" if config.attitude == "none" else ""
-    return f"{config.mapper.rpartition(':')[2]}{attitude} on {config.robot}"
+    return f"{short_name(config.mapper)}{attitude} on {config.robot}"
 
 
 def forecast_text(trial: Trial) -> str:

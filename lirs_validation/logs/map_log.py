@@ -43,7 +43,7 @@ from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import find_source, is_bag
-from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.style import Drawing
@@ -271,7 +271,7 @@ def folder_name(config: MapConfig) -> str:
     except OSError as error:
         raise SourceError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
     stem = find_source(path, BuildOptions()).name
-    return f"{stem}-{config.mapper.rpartition(':')[2]}-s{config.seed}-{digest}"
+    return f"{stem}-{file_name(config.mapper)}-s{config.seed}-{digest}"
 
 
 def _digests(folder: Path) -> bytes:

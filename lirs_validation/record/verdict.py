@@ -24,6 +24,7 @@ from lirs_validation.metrics.verdict import (
 )
 from lirs_validation.record.formatting import Entry, text_at, value_at
 from lirs_wct.errors import ConfigError, reason_of
+from slam_baselines.mapper import short_name
 
 LEADS: dict[VerdictClass, str] = {
     "failed": "{who} gives no result on {world}",
@@ -73,7 +74,7 @@ def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Ver
     figures = run_figures(entry)
     kind, reasons = classify(figures, limits)
     mapper, robot = text_at(entry, "config.mapper"), text_at(entry, "config.robot")
-    who = method or f"{mapper.rpartition(':')[2]} on {robot}"
+    who = method or f"{short_name(mapper)} on {robot}"
     lead = LEADS[kind].format(who=who, world=entry["world"]["name"])
     unjudged = kind in ("failed", "not evaluated")
     results = () if unjudged else (_path_sentence(figures), _map_sentence(figures))
@@ -86,7 +87,7 @@ def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
     figures = log_figures(entry)
     kind, reasons = classify(figures, limits)
     log = Path(entry["config"].get("log", entry["name"])).name
-    lead = LEADS[kind].format(who=entry["config"]["mapper"].rpartition(":")[2], world=log)
+    lead = LEADS[kind].format(who=short_name(entry["config"]["mapper"]), world=log)
     reason = entry["reason"]
     first = f"{lead}: {reason}." if reason and kind != "no reference" else f"{lead}."
     told = f"The mapper is lost: {reason}." if reason and kind == "no reference" else ""

@@ -177,7 +177,7 @@ def _log(path: Path, c: _Contents) -> LaserLog:
         found = [_scan(beams, m, mount or Pose3()) for beams, m in zip(c.beams, scans, strict=True)]
     mounts = {frame: c.frames.mount(base, frame) or Pose3() for frame in {reading.frame for reading in c.imu}}
     tilted = [reading for reading in c.imu if reading.attitude is not None]
-    if len(tilted) < len(c.imu):
+    if len(tilted) < len(c.imu) and not c.clouds:
         skipped["inertial reading without an attitude"] = len(c.imu) - len(tilted)
     return LaserLog(
         tuple(found),
