@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.machinery import PathFinder
@@ -141,7 +142,9 @@ def package_versions(mapper: str, given: str | None = None) -> dict[str, str]:
 def is_installed(method: Method) -> bool:
     """Return whether a system is installed here, or in its private environment."""
     private = environment_python(method)
-    return method.installed or (private.exists() and _holds(str(private), method))
+    with suppress(ConfigError):  # an environment that is broken
+        return method.installed or (private.exists() and _holds(str(private), method))
+    return False
 
 
 def environment_python(method: Method) -> Path:

@@ -52,7 +52,5 @@ def mapper_table() -> Table:
     clouds = f"clouds of {' or '.join(RING_LIDARS)}"
     for name, method in ALL_CLOUD_MAPPERS.items():
         held = "yes" if name in OWN_CLOUD_MAPPERS or is_installed(method) else f"no: {method.install}"
-        table.add_row(
-            name, "3D", clouds, method.needs or "any start", method.license, held.replace("[", r"\[")
-        )
+        table.add_row(name, "3D", clouds, method.needs or "-", method.license, held.replace("[", r"\["))
     return table

@@ -25,7 +25,7 @@ from lirs_validation.experiment.mapper_process import MapperProcess
 from lirs_validation.experiment.mapper_under_test import SensorReadings
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import ImuReadings, PointCloud, Pose3
-from slam_baselines.mapper import CLOUD_MAPPERS
+from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
 from tests.command_line import run_command
 
 RKO_LIO = CLOUD_MAPPERS["rko-lio"]
@@ -190,6 +190,28 @@ def test_a_failed_installation_leaves_nothing(tmp_path: Path, monkeypatch: pytes
     assert not environment_python(RKO_LIO).parents[1].exists()
     with pytest.raises(ConfigError, match="unknown system 'rko'; legal: rko-lio"):
         install("rko")
+
+
+def test_the_list_shows_requirements_and_how_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("slam_baselines.mapper.find_spec", lambda package: None)
+    python = environment_python(RKO_LIO)
+    python.parent.mkdir(parents=True)
+    python.write_text("#!/bin/sh\nexit 1\n")
+    python.chmod(0o755)
+    assert run_command("mappers") == 0
+    rows = {line.split()[0]: line for line in capfd.readouterr().out.splitlines() if line.strip()}
+    assert set(CLOUD_MAPPERS) | set(MAPPERS) <= set(rows)
+    assert "MIT" in rows["rko-lio"]
+    assert "inertial readings, a start at rest" in rows["rko-lio"]
+    assert "no: lirs-wct mappers --install rko-lio" in rows["rko-lio"]
+    assert "organized clouds" in rows["evalio:loam"]
+    assert "pip install 'lirs-wct[slam]'" in rows["small-gicp"]
+    assert run_command("mappers", "--install", "loam") == 2
+    assert capfd.readouterr().err.startswith("lirs-wct: unknown system 'loam'; legal: evalio, evalio:ct")
 
 
 @pytest.mark.slow
