@@ -3,14 +3,15 @@
     python benchmarks/fidelity.py [--data FOLDER] [--seeds 1-3] [--quick] [--json FILE]
 
 Every run has scans, IMU and truth of a simulated Husky, and the trajectories that the C++ originals made of
-the scans: HectorSLAM's core (0.05 m, odometry as the start of the match) and OpenSLAM's GMapping (30
-particles, its defaults, three seeds). The table holds ATEs in meters: of the odometry, of each original, of
-the same method as published here (`hector_original`, `gmapping_original`) and terrain-aware (`hector`,
-`gmapping`, with attitude); where a method draws random numbers, the median of the seeds and their range.
-`cartographer_original` stands without an original: there is no reference for it.
+the scans: HectorSLAM's core (0.05 m, odometry as the start of the match), OpenSLAM's GMapping (30 particles,
+its defaults, three seeds) and Google's Cartographer (2D, its defaults, odometry, no IMU; once more with
+use_online_correlative_scan_matching, "search"). The table holds ATEs in meters: of the odometry, of each
+original, of the same method as published here (`hector_original`) and terrain-aware (`hector`, with
+attitude); where a method draws random numbers, the median of the seeds and their range.
 
 Below: Spearman's rank correlation of a method as published with its original, runs within a factor of two of
-it, runs on the same side of the odometry's ATE, all by medians.
+it, runs on the same side of the odometry's ATE, all by medians. Last, local SLAM of Cartographer pose by
+pose, which is deterministic.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -35,21 +37,38 @@ from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Trajectory
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.drive_csv import read_imu
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.tum import read_tum
+from lirs_wct.geometry import LaserScan
 from lirs_wct.option import read_numbers
-from slam_baselines.mapper import make_mapper
+from slam_baselines.cartographer.original.local_slam import TrajectoryBuilder
+from slam_baselines.cartographer.original.mapper import CartographerOriginalConfig
+from slam_baselines.mapper import Mapper, make_mapper
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "fidelity"
-ORIGINALS = {"C++ Hector": "original_hector.tum.gz", "C++ GMapping": "original_gmapping_s*.tum.gz"}
+ORIGINALS = {
+    "C++ Hector": "original_hector.tum.gz",
+    "C++ GMapping": "original_gmapping_s*.tum.gz",
+    "C++ Cartographer": "original_cartographer.tum.gz",
+    "C++ Cartographer, search": "original_cartographer_correlative.tum.gz",
+}
 """Columns of the originals, and their files in the folder of a run."""
-PUBLISHED = {"hector_original": "C++ Hector", "gmapping_original": "C++ GMapping"}
+SEARCH = "cartographer_original, search"
+"""Column of `cartographer_original` with its exhaustive search around each predicted pose."""
+PUBLISHED = {
+    "hector_original": "C++ Hector",
+    "gmapping_original": "C++ GMapping",
+    "cartographer_original": "C++ Cartographer",
+    SEARCH: "C++ Cartographer, search",
+}
 """Methods as published, and the column that they are compared with."""
 SEEDED = ("gmapping_original", "gmapping")
 COLUMNS = (
     "odometry",
     *("C++ Hector", "hector_original", "hector"),
     *("C++ GMapping", "gmapping_original", "gmapping"),
-    *("cartographer_original", "cartographer"),
+    *("C++ Cartographer", "cartographer_original", "cartographer"),
+    *("C++ Cartographer, search", SEARCH),
 )
 QUICK = 3
 """Runs of --quick."""
@@ -90,21 +109,22 @@ def main() -> None:
     seeds = read_numbers("1" if given.quick else given.seeds, "--seeds")
     rows = {run.name: ates(run, seeds) for run in track(runs, "mapping")}
     found = {method: agreement(rows.values(), method) for method in PUBLISHED}
-    Console(width=170).print(table(rows))
+    Console(width=220).print(table(rows))
     for method, figures in found.items():
-        Console().print(formatted(method, figures))
+        Console(width=220).print(formatted(method, figures))
+    distances = {run.name: local_distances(run) for run in runs}
+    for name, apart in distances.items():
+        print(f"local SLAM, {name}: {' / '.join(f'{d:.6f}' for d in apart)} m {DISTANCES}")
     if given.json:
-        report = {"ate": rows, "agreement": {name: figures._asdict() for name, figures in found.items()}}
+        agreements = {name: figures._asdict() for name, figures in found.items()}
+        report = {"ate": rows, "agreement": agreements, "local": distances}
         given.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 def ates(run: Path, seeds: Sequence[int]) -> Row:
     """Return the ATEs of one run."""
-    log, readings = read_carmen(run / "scans.clf.gz"), read_imu(run / "imu.csv.gz")
-    truth = unpacked(run / "truth.tum.gz")
-    mount = make_robot("husky").T_base_laser
-    # The log has the mount in the plane only.
-    scans = [replace(scan, T_base_laser=mount) for scan in log.scans]
+    log, scans = recorded(run)
+    readings, truth = read_imu(run / "imu.csv.gz"), unpacked(run / "truth.tum.gz")
     odometry = Trajectory.from_poses(log.stamps.tolist(), list(log.odometry))
     paths = {column: [unpacked(f) for f in sorted(run.glob(name))] for column, name in ORIGINALS.items()}
     paths["odometry"] = [odometry]
@@ -112,11 +132,38 @@ def ates(run: Path, seeds: Sequence[int]) -> Row:
         if method in paths:
             continue
         for seed in seeds if method in SEEDED else seeds[:1]:
-            mapper = make_mapper(method, seed=seed)
+            mapper = made(method, seed)
             for scan, T_odom_base, imu in zip(scans, log.odometry, readings, strict=True):
                 mapper.update(scan, T_odom_base, imu)
             paths.setdefault(method, []).append(mapper.trajectory())
     return {c: [trajectory_errors(truth, path).ate_rmse for path in paths[c]] for c in COLUMNS}
+
+
+def recorded(run: Path) -> tuple[LaserLog, list[LaserScan]]:
+    """Return the log of a run, and its scans with the laser's mount, of which the log has the plane only."""
+    log, mount = read_carmen(run / "scans.clf.gz"), make_robot("husky").T_base_laser
+    return log, [replace(scan, T_base_laser=mount) for scan in log.scans]
+
+
+def made(method: str, seed: int) -> Mapper:
+    """Return the mapper of a column."""
+    if method == SEARCH:
+        return make_mapper("cartographer_original", use_online_correlative_scan_matching=True)
+    return make_mapper(method, seed=seed)
+
+
+DISTANCES = "(after 1 s / median / largest)"
+
+
+def local_distances(run: Path) -> tuple[float, float, float]:
+    """Return the distances of local SLAM's poses from the original's, meters: see DISTANCES."""
+    log, scans = recorded(run)
+    builder = TrajectoryBuilder(CartographerOriginalConfig())
+    poses = [builder.add_scan(*pair).pose for pair in zip(scans, log.odometry, strict=True)]
+    original = unpacked(run / "original_cartographer_local.tum.gz").positions[:, :2]
+    apart = np.hypot(*(np.array([(p.x, p.y) for p in poses]) - original).T)
+    first = apart[log.stamps <= log.stamps[0] + 1]
+    return float(first.max()), float(np.median(apart)), float(apart.max())
 
 
 def unpacked(path: Path) -> Trajectory:
@@ -154,7 +201,7 @@ def formatted(method: str, figures: Agreement) -> str:
 
 def table(rows: dict[str, Row]) -> Table:
     """Return the rows for the screen: the median of the seeds, and their range."""
-    shown = Table("run", *COLUMNS, title="ATE in meters", caption="cartographer_original: no reference")
+    shown = Table("run", *COLUMNS, title="ATE in meters")
     for run, row in rows.items():
         shown.add_row(run, *(_cell(row[column]) for column in COLUMNS))
     return shown

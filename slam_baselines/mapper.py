@@ -75,10 +75,10 @@ MAPPERS: Mapping[str, Method] = {
         "slam_baselines.cartographer.mapper", "CartographerConfig", "make_cartographer", "map_resolution"
     ),
     "cartographer_original": Method(
-        "slam_baselines.cartographer.original",
+        "slam_baselines.cartographer.original.mapper",
         "CartographerOriginalConfig",
         "CartographerOriginalMapper",
-        "map_resolution",
+        "resolution",
     ),
 }
 """The planar methods by name."""

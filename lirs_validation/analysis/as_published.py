@@ -25,8 +25,6 @@ MOST = 0.8
 """Share of runs that must have a verdict for a method to have it in a world."""
 CLEARLY = 1.5
 """Smallest ratio of two ATE that a conclusion mentions."""
-UNCHECKED = ("cartographer",)
-"""Methods whose published version was never compared with runs of the original program."""
 
 Planar = Literal["as published", "without attitude"]
 

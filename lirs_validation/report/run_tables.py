@@ -9,8 +9,6 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from lirs_validation.analysis.as_published import (
-    SUFFIX,
-    UNCHECKED,
     MethodPair,
     attitude_pairs,
     conclusion,
@@ -235,19 +233,7 @@ def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
         "what follows",
     )
     rows = tuple((*group_texts(pair.group, fields), *_row(pair)) for pair in pairs)
-    return ReportTable(
-        key, title, CAPTION + _unchecked_sentences(pairs), headings, rows, len(fields), remarks=True
-    )
-
-
-def _unchecked_sentences(pairs: Sequence[MethodPair]) -> str:
-    """Return a sentence per method as published without a reference."""
-    names = dict.fromkeys(pair.group["mapper"] for pair in pairs if pair.how == "as published")
-    return "".join(
-        f" {name}{SUFFIX} was never compared with runs of its original."
-        for name in names
-        if name in UNCHECKED
-    )
+    return ReportTable(key, title, CAPTION, headings, rows, len(fields), remarks=True)
 
 
 def _row(pair: MethodPair) -> tuple[Content, ...]:

@@ -43,9 +43,6 @@ class RegistrationConfig:
         decorrelation_distance: distance between scans below which they see the same cells with the same
             errors, so that each adds only its share of information, meters.
         min_information_share: smallest share of information that a scan adds.
-        translation_weight: weight of the distance from the expected pose, 1/m, relative to the mean error of
-            the beams, as in ceres_scan_matcher; 0: the covariance of dead reckoning says how far it may err.
-        rotation_weight: the same of the yaw, 1/rad.
 
     Raises:
         ConfigError: a ratio, share or threshold outside (0, 1), or a distance that is not above 0.
@@ -64,15 +61,12 @@ class RegistrationConfig:
     mahalanobis_gate: float = 4.0
     decorrelation_distance: float = 0.4
     min_information_share: float = 0.02
-    translation_weight: float = 0.0
-    rotation_weight: float = 0.0
 
     def __post_init__(self) -> None:
         ratios = ("search_threshold", "known_ratio", "min_information_share")
         require_within(self, "(0, 1)", *ratios, of="the registration")
         require_above(self, 0, "decorrelation_distance", "mahalanobis_gate", of="the registration")
-        weights = ("translation_weight", "rotation_weight")
-        require_at_least(self, 0, "min_gain", *weights, of="the registration")
+        require_at_least(self, 0, "min_gain", of="the registration")
         require_at_least(self, 1, "min_beams", "min_walls", of="the registration")
 
 
@@ -113,7 +107,7 @@ class Registration:
         if walls < (c.min_walls if uneven else c.min_beams):
             return expected, None
         share = self._information_share(expected.pose, before)
-        prior = Prior(expected.pose.as_array(), self._prior_covariance(expected, len(hits)))
+        prior = Prior(expected.pose.as_array(), expected.covariance)
         match = self._matcher.match(pyramid, hits, weights, prior, information_share=share)
         if match.known < c.min_beams / walls:
             return expected, None
@@ -125,15 +119,6 @@ class Registration:
                 match = wider
         x, y, yaw = match.pose.tolist()
         return PoseEstimate(Pose2(x, y, wrap_angle(yaw)), match.covariance), match
-
-    def _prior_covariance(self, expected: PoseEstimate, beams: int) -> FloatArray:
-        """Return the (3, 3) covariance of the expected pose by dead reckoning or fixed weights."""
-        c = self.config
-        if not (c.translation_weight and c.rotation_weight):
-            return expected.covariance
-        # The weights refer to the mean of the beams' squared errors; the matcher has their sum.
-        linear, angular = (c.match.sigma / w for w in (c.translation_weight, c.rotation_weight))
-        return np.diag((linear**2, linear**2, angular**2)) / beams
 
     def _information_share(self, pose: Pose2, before: Pose2) -> float:
         """Return the share of information that a scan at `pose` adds to that at `before`."""

@@ -23,7 +23,8 @@ def test_every_mapper_keeps_its_place_in_the_warm_up_room(name: str) -> None:
     for k in range(40):
         pose = warm_up._on_circle(k * warm_up.STEP / warm_up.RADIUS)
         found = mapper.update(warm_up._scan(pose, 0.2 * k), start.inverse() @ pose, None)
-    assert found.distance(start.inverse() @ pose) < 0.1
+    # The original drops the first odometry and turns one scan late: a start at full speed displaces it.
+    assert found.distance(start.inverse() @ pose) < (0.4 if name == "cartographer_original" else 0.1)
     warm_up.warm_up(name)
 
 

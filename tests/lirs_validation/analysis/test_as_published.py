@@ -112,13 +112,6 @@ def test_methods_are_paired_with_their_originals_world_by_world() -> None:
     ]  # fmt: skip
 
 
-def test_a_method_without_a_reference_says_so() -> None:
-    (hector,) = method_tables([*runs("hector", [0.02]), *runs("hector_original", [2.0])])
-    assert "never compared" not in hector.caption
-    (cartographer,) = method_tables([*runs("cartographer", [0.02]), *runs("cartographer_original", [2.0])])
-    assert "cartographer_original was never compared with runs of its original." in cartographer.caption
-
-
 def test_the_odometry_is_counted_once_a_seed() -> None:
     (table,) = method_tables([*runs("hector", [0.02] * 2), *runs("hector_original", [2.0] * 3)])
     spread = table.rows[0][table.headings.index("odometry")]

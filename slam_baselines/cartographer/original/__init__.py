@@ -1,0 +1,1 @@
+"""Cartographer as in Google's program: planar, with the published defaults."""
