@@ -1,8 +1,8 @@
 """Mapper in space that fuses lidar, wheels and inertial unit.
 
 Wheels, gyro and gravity predict the pose. Each sweep is deskewed by the predicted velocity and registered
-with a local map of planes, with the prediction as prior. The prediction alone decides in the directions that
-the sweep does not constrain.
+with a local map of planes and vertical lines, with the prediction as prior. In directions that the planes do
+not constrain, prediction and lines decide.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from lirs_wct.geometry import Imu, ImuReadings, PointCloud, Pose2, Pose3, Trajec
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 from slam_baselines.wheel_lio.motion import Motion, Prediction
 from slam_baselines.wheel_lio.registration import MatchRule, PlaneMatch, SpatialPrior, register
-from slam_baselines.wheel_lio.sweep import deskew, thin
-from slam_baselines.wheel_lio.voxel_map import VoxelMap
+from slam_baselines.wheel_lio.sweep import SweepPoints, deskew, find_edges, thin
+from slam_baselines.wheel_lio.voxel_map import LineMap, LocalMap, PlaneMap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +35,9 @@ class WheelLioConfig:
         radius: the map is kept up to this distance, meters.
         key_shift: a sweep goes into the map after this motion, meters.
         key_turn: or after this turn, radians.
-        noise: standard deviation of a registered point, meters.
-        gate: distance from its plane beyond which a point is left out, meters.
+        noise: standard deviation of a point on a surface, meters.
+        edge: standard deviation of a point on a vertical edge, meters.
+        gate: distance from its plane or line beyond which a point is left out, meters.
         error: standard deviation of the error that the points of a sweep share, meters.
         weak: root mean square of the share of a motion that the planes see, below which its direction is
             left to the prediction. Planes of bare, level ground pretend to see about .01.
@@ -58,6 +59,7 @@ class WheelLioConfig:
     key_shift: float = 0.1
     key_turn: float = 0.05
     noise: float = 0.02
+    edge: float = 0.05
     gate: float = 0.5
     error: float = 0.001
     weak: float = 0.03
@@ -87,8 +89,9 @@ class WheelLioMapper:
 
     def __init__(self, config: WheelLioConfig) -> None:
         c = self.config = config
-        self._motion, self._map = Motion(c.tilt_time), VoxelMap(c.cell, c.radius)
-        self._rule = MatchRule(c.noise, c.gate, c.error, c.weak)
+        self._motion = Motion(c.tilt_time)
+        self._map = LocalMap(PlaneMap(c.cell, c.radius), LineMap(c.cell, c.radius))
+        self._rule = MatchRule(c.noise, c.edge, c.gate, c.error, c.weak)
         self._key: PlaneMatch | None = None
         self._stamps: list[float] = []
         self._poses: list[Pose3] = []
@@ -106,12 +109,16 @@ class WheelLioMapper:
         started = self._watch.start()
         odometry = required_odometry("wheel_lio", odometry, cloud.stamp)
         predicted = self._motion.predict(cloud.stamp, odometry, imu, readings)
-        points = self._in_range(deskew(cloud, predicted.twist))
-        match = register(thin(points, self.config.thin), self._map, self._prior(predicted), self._rule)
+        sweep = deskew(cloud, predicted.twist)
+        points = self._in_range(sweep)
+        edges = self._in_range(find_edges(sweep, cloud.ring, cloud.T_base_laser.position))
+        seen = SweepPoints(thin(points, self.config.thin), edges)
+        match = register(seen, self._map, self._prior(predicted), self._rule)
         self._motion.correct(match.R, match.t)
         if self._is_key(match):
             self._key = match
-            self._map.insert(points @ match.R.T + match.t, match.t)
+            self._map.planes.insert(points @ match.R.T + match.t, match.t)
+            self._map.lines.insert(edges @ match.R.T + match.t, match.t)
         self._stamps.append(cloud.stamp)
         quaternion = Rotation.from_matrix(match.R).as_quat(scalar_first=True)
         self._poses.append(Pose3.from_arrays(match.t, quaternion))
@@ -155,7 +162,7 @@ class WheelLioMapper:
         return MapperStats(
             received=n,
             used=sum(count < 6 for count in weak),
-            memory=self._map.memory,
+            memory=self._map.planes.memory + self._map.lines.memory,
             weak_directions="".join(map(str, weak)),
             **self._watch.summary(),
         )

@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.kernels import njit
-from slam_baselines.wheel_lio.voxel_map import EMPTY, LEVELS, VARIANCE, VoxelMap, find_slot, voxel_key
+from slam_baselines.wheel_lio.sweep import SweepPoints
+from slam_baselines.wheel_lio.voxel_map import EMPTY, LEVELS, VARIANCE, LocalMap, find_slot, voxel_key
 
 STEPS = 15
 """Largest number of Gauss-Newton steps."""
@@ -30,8 +31,9 @@ class MatchRule(NamedTuple):
     """Errors of a sweep's points.
 
     Attributes:
-        noise: standard deviation of one point, meters.
-        gate: distances from a plane beyond which a point is left out, meters.
+        noise: standard deviation of one point on a surface, meters.
+        edge: standard deviation of one point on an edge, meters.
+        gate: distances from a plane or line beyond which a point is left out, meters.
         error: standard deviation of the error that all points share, meters. It does not average out,
             however many points there are.
         weak: root mean square of the share of a motion that the planes see, below which its direction is
@@ -39,6 +41,7 @@ class MatchRule(NamedTuple):
     """
 
     noise: float
+    edge: float
     gate: float
     error: float
     weak: float
@@ -103,31 +106,34 @@ NOTHING = Constraint(np.zeros(6), np.eye(6), np.ones(6, np.bool_))
 """Constraint of a sweep without planes."""
 
 
-def register(points: FloatArray, voxels: VoxelMap, prior: SpatialPrior, rule: MatchRule) -> PlaneMatch:
+def register(seen: SweepPoints, local: LocalMap, prior: SpatialPrior, rule: MatchRule) -> PlaneMatch:
     """Return the most probable pose of a sweep; without enough planes the expected one.
 
-    Each Gauss-Newton step solves (A + P) x = b + P e, with A and b of the points in the directions that are
-    not weak, P the information of the prior, and e the offset of the expected pose.
+    Each Gauss-Newton step solves (A + E + P) x = b + e + P o. A and b are of the surfaces' points in the
+    directions that are not weak, E and e of the edges, P is the information of the prior and o the offset of
+    the expected pose. Edges count each by itself: there are few of them, and beams miss them at random.
 
     Args:
-        points: (n, 3) in the base frame, meters.
-        voxels: map, in the level map frame.
+        seen: points in the base frame.
+        local: map.
         prior: expected pose.
         rule: errors of the points.
     """
     R, t, P = prior.R, prior.t, prior.sigmas**-2.0
+    planes, lines = local
     for _ in range(STEPS):
-        H, g, weight, square, found = linearize(points, voxels.table, voxels.cell, R, t, rule)
+        H, g, weight, square, found = linearize(seen.surfaces, planes.table, planes.cell, R, t, rule)
         if found < LEAST_POINTS:
             return PlaneMatch(prior.R, prior.t, found, NOTHING)
         arc = np.repeat((1.0, math.sqrt(square / weight)), 3)
         constraint = find_weak(H / weight / np.outer(arc, arc), rule.weak)
-        seen = constraint.directions * ~constraint.weak
-        J = seen.T * arc
+        strong = constraint.directions * ~constraint.weak
+        J = strong.T * arc
         A = (J.T * constraint.values) @ J / rule.error**2
-        b = J.T @ (seen.T @ (g / weight / arc)) / rule.error**2
+        b = J.T @ (strong.T @ (g / weight / arc)) / rule.error**2
+        E, e = linearize_edges(seen.edges, lines.table, lines.cell, R, t, rule)
         offset = np.concatenate((prior.t - t, Rotation.from_matrix(prior.R @ R.T).as_rotvec()))
-        step = np.linalg.solve(A + np.diag(P), b + P * offset)
+        step = np.linalg.solve(A + E + np.diag(P), b + e + P * offset)
         t, R = t + step[:3], Rotation.from_rotvec(step[3:]).as_matrix() @ R
         if (abs(step) < SMALL).all():
             break
@@ -157,7 +163,7 @@ def linearize(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -
         qx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
         qy = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
         qz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
-        slot = _smallest_plane(table, qx + t[0], qy + t[1], qz + t[2], cell)
+        slot = _smallest(table, qx + t[0], qy + t[1], qz + t[2], cell)
         if slot < 0:
             continue
         plane = table[2][slot]
@@ -180,11 +186,41 @@ def linearize(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -
 
 
 @njit(cache=True, nogil=True)
-def _smallest_plane(table: Any, x: float, y: float, z: float, cell: float) -> Any:
-    """Return the slot of the smallest plane around a point, -1 where none is."""
+def _smallest(table: Any, x: float, y: float, z: float, cell: float) -> Any:
+    """Return the slot of the smallest plane or line around a point, -1 without."""
     keys, _, planes = table
     for level in range(LEVELS):
         slot = find_slot(keys, voxel_key(x, y, z, cell, level))
         if keys[slot] != EMPTY and planes[slot, VARIANCE] > 0.0:
             return slot
     return -1
+
+
+@njit(cache=True, nogil=True)
+def linearize_edges(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
+    """Linearize the horizontal distances of edges from the map's vertical lines.
+
+    Returns:
+        Weighted sums J'J (6, 6) and J'r (6,), as in `linearize`.
+    """
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    J, r = np.zeros((2, 6)), np.empty(2)
+    for n in range(len(points)):
+        q = np.dot(R, points[n])
+        slot = _smallest(table, q[0] + t[0], q[1] + t[1], q[2] + t[2], cell)
+        if slot < 0:
+            continue
+        line = table[2][slot]
+        r[0], r[1] = line[3] - q[0] - t[0], line[4] - q[1] - t[1]
+        square = r[0] * r[0] + r[1] * r[1]
+        if square > rule.gate**2:
+            continue
+        variance = rule.edge**2 + line[VARIANCE]
+        w = variance / (variance + square) ** 2
+        J[0, 0], J[0, 4], J[0, 5] = 1.0, q[2], -q[1]
+        J[1, 1], J[1, 3], J[1, 5] = 1.0, -q[2], q[0]
+        for i in range(6):
+            g[i] += w * (J[0, i] * r[0] + J[1, i] * r[1])
+            for j in range(6):
+                H[i, j] += w * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
+    return H, g

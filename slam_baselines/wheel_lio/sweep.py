@@ -1,10 +1,10 @@
-"""Points of a sweep: deskewed by the robot's motion, and thinned out."""
+"""Points of a sweep, deskewed and thinned out, and its edges."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,15 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import PointCloud
 from lirs_wct.kernels import njit
 from slam_baselines.wheel_lio.voxel_map import EMPTY, find_slot, voxel_key
+
+INSIDE = 3
+"""Points of a surface beside its end."""
+BEHIND = 0.5
+"""Distance of what is behind the end of a surface, meters."""
+WIDEST = 0.02
+"""Largest angle between two beams of a ring, radians."""
+NOISE = 0.1
+"""Difference of two ranges on a surface by noise, meters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +34,18 @@ class BodyTwist:
 
     linear: FloatArray
     angular: FloatArray
+
+
+class SweepPoints(NamedTuple):
+    """Points of a sweep to register, base frame, meters.
+
+    Attributes:
+        surfaces: (n, 3).
+        edges: (m, 3) vertical ends of surfaces, and others.
+    """
+
+    surfaces: FloatArray
+    edges: FloatArray
 
 
 def deskew(cloud: PointCloud, twist: BodyTwist) -> FloatArray:
@@ -92,3 +113,46 @@ def thin(points: Any, cell: float) -> Any:
     for k in range(m):
         sums[k] /= counts[k]
     return sums[:m]
+
+
+@njit(cache=True, nogil=True)
+def find_edges(points: Any, ring: Any, origin: Any) -> Any:
+    """Return the ends (m, 3) of surfaces in the rings, meters.
+
+    There the next beam of the ring has no return, or one far behind. The last beam on a surface misses its
+    end by half the distance of two beams on the mean, which is added.
+
+    Args:
+        points: (n, 3) of a sweep, ring by ring, meters.
+        ring: (n,) of the points.
+        origin: (3,) of the beams.
+    """
+    n = len(points)
+    azimuth, distance = np.empty(n), np.empty(n)
+    for i in range(n):
+        x, y, z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
+        azimuth[i], distance[i] = math.atan2(y, x), math.sqrt(x * x + y * y + z * z)
+    found, count, begin = np.empty((2 * n, 3)), 0, 0
+    while begin < n:
+        end = begin
+        while end < n and ring[end] == ring[begin]:
+            end += 1
+        turn = end - begin if end - begin > 2 * INSIDE else 0
+        for i in range(begin, begin + turn):
+            for outward in (-1, 1):
+                beyond = begin + (i - begin + outward) % turn
+                inside = begin + (i - begin - INSIDE * outward) % turn
+                angle, gap = _angle(azimuth[inside], azimuth[i]) / INSIDE, _angle(azimuth[i], azimuth[beyond])
+                is_end = gap >= 3 * angle or distance[beyond] >= distance[i] + BEHIND
+                step = INSIDE * (NOISE + 4 * angle * distance[i])
+                if is_end and angle <= WIDEST and abs(distance[inside] - distance[i]) < step:
+                    found[count] = points[i] + (points[i] - points[inside]) / (2 * INSIDE)
+                    count += 1
+        begin = end
+    return found[:count]
+
+
+@njit(cache=True, nogil=True)
+def _angle(a: float, b: float) -> Any:
+    """Return the angle between two azimuths, radians."""
+    return abs((a - b + math.pi) % math.tau - math.pi)

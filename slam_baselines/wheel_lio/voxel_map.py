@@ -1,4 +1,4 @@
-"""Local map of planes in voxels of three sizes.
+"""Local map of planes and vertical lines in voxels of three sizes.
 
 A lidar with rings sees the ground in lines far apart. A plane comes from the smallest voxel around a point
 whose points determine it: near the robot a small one, farther away a larger one.
@@ -59,8 +59,24 @@ class PlaneRule(NamedTuple):
     normal: float = 0.02
 
 
+class LineRule(NamedTuple):
+    """Conditions under which the points of a voxel determine a vertical line.
+
+    Attributes:
+        points: least number of points.
+        full: number of points at which a voxel takes no more.
+        thickness: largest standard deviation across the line, meters.
+        length: least standard deviation along it, meters.
+    """
+
+    points: float = 8
+    full: float = 2000
+    thickness: float = 0.1
+    length: float = 0.1
+
+
 class VoxelMap:
-    """Planes around the robot.
+    """Sums of points around the robot; the base of both maps.
 
     Attributes:
         cell: edge of the smallest voxels, meters.
@@ -69,11 +85,12 @@ class VoxelMap:
     Args:
         cell: edge of the smallest voxels, meters.
         radius: voxels farther from the robot are dropped when the table is full, meters.
-        rule: of the planes.
     """
 
-    def __init__(self, cell: float, radius: float, rule: PlaneRule = PlaneRule()) -> None:  # noqa: B008
-        self.cell, self._radius, self._rule = cell, radius, rule
+    _rule: PlaneRule | LineRule
+
+    def __init__(self, cell: float, radius: float) -> None:
+        self.cell, self._radius = cell, radius
         self.table, self._used = _new_table(START), 0
 
     @property
@@ -90,7 +107,10 @@ class VoxelMap:
             touched = np.empty(LEVELS * CHUNK, np.int64)
             created, count = _add(self.table, chunk, self.cell, self._rule.full, touched)
             self._used += created
-            _fit_planes(self.table, touched[:count], self.cell, self._rule)
+            self._fit(self.table, touched[:count], self.cell, self._rule)
+
+    def _fit(self, table: Table, slots: IntArray, cell: float, rule: Any) -> None:
+        raise NotImplementedError
 
     def _make_room(self, center: FloatArray) -> None:
         """Drop the voxels far from a point; enlarge the table where that does not suffice."""
@@ -100,6 +120,31 @@ class VoxelMap:
             slots *= 2
         old, self.table, self._used = self.table, _new_table(slots), len(kept)
         _copy(old, self.table, kept)
+
+
+class PlaneMap(VoxelMap):
+    """Planes of surfaces."""
+
+    _rule = PlaneRule()
+
+    def _fit(self, *given: Any) -> None:
+        _fit_planes(*given)
+
+
+class LineMap(VoxelMap):
+    """Vertical lines: ends of walls, poles, trunks. An edge that moves with the view makes none."""
+
+    _rule = LineRule()
+
+    def _fit(self, *given: Any) -> None:
+        _fit_lines(*given)
+
+
+class LocalMap(NamedTuple):
+    """Surroundings of the robot in the level map frame."""
+
+    planes: PlaneMap
+    lines: LineMap
 
 
 def _new_table(slots: int) -> Table:
@@ -199,6 +244,25 @@ def _fit_planes(table: Any, slots: Any, cell: float, rule: Any) -> None:
             plane[0], plane[1], plane[2] = vectors[0, 0], vectors[1, 0], vectors[2, 0]
             plane[3], plane[4], plane[5] = cx + x, cy + y, cz + z
             plane[VARIANCE] = across
+
+
+@njit(cache=True, nogil=True)
+def _fit_lines(table: Any, slots: Any, cell: float, rule: Any) -> None:
+    """Fit vertical lines to voxels: mean and horizontal variance of the points."""
+    keys, sums, lines = table
+    for slot in slots:
+        s, line = sums[slot], lines[slot]
+        n = s[0]
+        line[FITTED], line[VARIANCE] = n, 0.0
+        if n < rule.points:
+            continue
+        x, y, z = s[1] / n, s[2] / n, s[3] / n
+        xx, yy, zz, xy = s[4] / n - x * x, s[7] / n - y * y, s[9] / n - z * z, s[5] / n - x * y
+        across = (xx + yy) / 2 + np.sqrt(((xx - yy) / 2) ** 2 + xy * xy)
+        if across <= rule.thickness**2 and zz >= rule.length**2:
+            cx, cy, cz = _center(keys[slot], cell)
+            line[3], line[4], line[5] = cx + x, cy + y, cz + z
+            line[VARIANCE] = max(across, 1e-6)
 
 
 @njit(cache=True, nogil=True)

@@ -23,10 +23,10 @@ from slam_baselines.wheel_lio.registration import (
     linearize,
     register,
 )
-from slam_baselines.wheel_lio.sweep import BodyTwist, deskew, thin
-from slam_baselines.wheel_lio.voxel_map import VoxelMap
+from slam_baselines.wheel_lio.sweep import BodyTwist, SweepPoints, deskew, find_edges, thin
+from slam_baselines.wheel_lio.voxel_map import LineMap, LocalMap, PlaneMap
 
-RULE = MatchRule(0.02, 0.5, 0.001, 0.03)
+RULE = MatchRule(0.02, 0.05, 0.5, 0.001, 0.03)
 MOUNT = Pose3.from_rpy(0.2, 0.1, 0.4, 0.05, -0.1, 0.3)
 LOOSE = np.repeat((0.3, 0.1), 3)
 AT_ORIGIN = SpatialPrior(np.eye(3), np.zeros(3), LOOSE)
@@ -43,10 +43,14 @@ def surfaces(rng: np.random.Generator, *, length: float, walls: bool, ends: bool
     return np.concatenate(parts) + rng.normal(0.0, 0.01, (n * len(parts), 3))
 
 
-def mapped(points: FloatArray) -> VoxelMap:
-    voxels = VoxelMap(0.5, 80.0)
-    voxels.insert(points, np.zeros(3))
-    return voxels
+def mapped(points: FloatArray, cell: float = 0.5) -> LocalMap:
+    local = LocalMap(PlaneMap(cell, 300.0), LineMap(cell, 300.0))
+    local.planes.insert(points, np.zeros(3))
+    return local
+
+
+def seen_points(points: FloatArray, cell: float = 0.3) -> SweepPoints:
+    return SweepPoints(thin(points, cell), np.zeros((0, 3)))
 
 
 @pytest.mark.parametrize(
@@ -62,7 +66,7 @@ def test_the_weak_directions_are_those_of_the_scene(scene: dict[str, float], wea
     rng = np.random.default_rng(1)
     voxels = mapped(surfaces(rng, **scene))  # type: ignore[arg-type]
     seen = surfaces(rng, **scene)  # type: ignore[arg-type]
-    seen = thin(seen[np.abs(seen[:, 0]) < 10.0], 0.3)
+    seen = seen_points(seen[np.abs(seen[:, 0]) < 10.0], 0.3)
     match = register(seen, voxels, AT_ORIGIN, RULE)
     found, expected = match.constraint.weak_directions, np.array(weak, dtype=float).reshape(-1, 6)
     assert len(found) == len(expected)
@@ -76,10 +80,9 @@ def test_turns_are_weighed_by_the_arc_of_the_points() -> None:
     values = []
     for scale in (1.0, 3.0):
         points = scale * surfaces(rng, **scene)  # type: ignore[arg-type]
-        voxels = VoxelMap(0.5 * scale, 300.0)
-        voxels.insert(points, np.zeros(3))
-        rule = MatchRule(0.02 * scale, 0.5 * scale, 0.001, 0.03)
-        match = register(thin(points, 0.3 * scale), voxels, AT_ORIGIN, rule)
+        voxels = mapped(points, 0.5 * scale)
+        rule = MatchRule(0.02 * scale, 0.05, 0.5 * scale, 0.001, 0.03)
+        match = register(seen_points(points, 0.3 * scale), voxels, AT_ORIGIN, rule)
         values.append(match.constraint.values)
     np.testing.assert_allclose(values[0], values[1], rtol=0.1)
 
@@ -100,7 +103,7 @@ def test_registration_recovers_a_known_transform() -> None:
     voxels = mapped(surfaces(rng, **scene))  # type: ignore[arg-type]
     R, t = Rotation.from_rotvec((0.02, -0.03, 0.06)).as_matrix(), np.array((0.2, -0.15, 0.05))
     seen = (surfaces(rng, **scene) - t) @ R  # type: ignore[arg-type]
-    match = register(thin(seen, 0.3), voxels, AT_ORIGIN, RULE)
+    match = register(seen_points(seen, 0.3), voxels, AT_ORIGIN, RULE)
     np.testing.assert_allclose(match.t, t, atol=2e-3)
     assert Rotation.from_matrix(match.R @ R.T).magnitude() < 1e-3
 
@@ -112,31 +115,31 @@ def test_the_prior_alone_decides_in_a_weak_direction() -> None:
     seen = surfaces(rng, **scene)  # type: ignore[arg-type]
     expected = np.array((0.37, 0.1, -0.05))
     prior = SpatialPrior(np.eye(3), expected, LOOSE)
-    match = register(thin(seen[np.abs(seen[:, 0]) < 10.0], 0.3), voxels, prior, RULE)
+    match = register(seen_points(seen[np.abs(seen[:, 0]) < 10.0], 0.3), voxels, prior, RULE)
     assert match.t[0] == pytest.approx(0.37, abs=0.01)
     np.testing.assert_allclose(match.t[1:], 0.0, atol=3e-3)
 
 
 def test_the_linearization_is_the_derivative_of_the_distances() -> None:
     rng = np.random.default_rng(6)
-    voxels = mapped(surfaces(rng, length=12.0, walls=False, ends=False))
+    planes = mapped(surfaces(rng, length=12.0, walls=False, ends=False)).planes
     points, t = np.array(((1.2, 0.7, -0.35), (3.3, -2.2, -0.45))), np.array((0.02, 0.01, 0.03))
-    soft = MatchRule(100.0, 0.5, 0.001, 0.03)  # all weights alike
+    soft = MatchRule(100.0, 0.05, 0.5, 0.001, 0.03)  # all weights alike
     step = np.array((0.0, 0.0, 1e-3, 1e-3, -2e-3, 0.0))
 
     def gradient(x: FloatArray) -> FloatArray:
         R = Rotation.from_rotvec(x[3:]).as_matrix()
-        found: FloatArray = linearize(points, voxels.table, voxels.cell, R, t + x[:3], soft)[1]
+        found: FloatArray = linearize(points, planes.table, planes.cell, R, t + x[:3], soft)[1]
         return found
 
-    H = linearize(points, voxels.table, voxels.cell, np.eye(3), t, soft)[0]
+    H = linearize(points, planes.table, planes.cell, np.eye(3), t, soft)[0]
     np.testing.assert_allclose(gradient(np.zeros(6)) - gradient(step), H @ step, rtol=0.02, atol=1e-9)
 
 
 def test_too_few_planes_constrain_nothing() -> None:
     voxels = mapped(np.zeros((0, 3)))
     prior = SpatialPrior(np.eye(3), np.ones(3), LOOSE)
-    match = register(np.ones((100, 3)), voxels, prior, RULE)
+    match = register(SweepPoints(np.ones((100, 3)), np.zeros((0, 3))), voxels, prior, RULE)
     assert match.constraint is NOTHING
     assert (match.points, match.t.tolist()) == (0, [1.0, 1.0, 1.0])
 
@@ -145,10 +148,10 @@ def test_a_ring_on_the_ground_makes_no_plane() -> None:
     angles = np.linspace(0, math.tau, 4000)
     ring = np.column_stack((4 * np.cos(angles), 4 * np.sin(angles), np.zeros(4000)))
     voxels = mapped(ring)
-    assert not voxels.table.planes[:, 6].any()
-    voxels.insert(1.05 * ring, np.zeros(3))
-    voxels.insert(1.1 * ring, np.zeros(3))
-    assert voxels.table.planes[:, 6].any()
+    assert not voxels.planes.table.planes[:, 6].any()
+    voxels.planes.insert(1.05 * ring, np.zeros(3))
+    voxels.planes.insert(1.1 * ring, np.zeros(3))
+    assert voxels.planes.table.planes[:, 6].any()
 
 
 def test_deskewing_at_constant_twist_gives_the_cloud_of_one_instant() -> None:
@@ -176,8 +179,46 @@ def test_points_are_thinned_to_the_mean_of_each_cell() -> None:
         np.testing.assert_allclose(mean, inside.mean(axis=0))
 
 
+def wall_sweep(x: float) -> tuple[FloatArray, FloatArray]:
+    """Return points and rings of a sweep at (x, 0) to a wall from (-3, 6) to (4, 6)."""
+    azimuth = np.arange(-np.pi, np.pi, math.tau / 1800)
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.where((s > 0) & (x + 6 / s * c > -3) & (x + 6 / s * c < 4), 6 / s, np.inf)
+    rings = []
+    for k, slope in enumerate(np.tan(np.radians((-3, -1, 1, 3)))):
+        met = np.isfinite(distance)
+        rings.append(np.column_stack((distance * c, distance * s, distance * slope, np.full(1800, k)))[met])
+    rows = np.concatenate(rings)
+    return rows[:, :3], rows[:, 3].astype(np.uint16)
+
+
+@pytest.mark.parametrize("x", [-1.0, 0.0, 2.5])
+def test_the_ends_of_a_wall_are_edges(x: float) -> None:
+    points, ring = wall_sweep(x)
+    edges = find_edges(points, ring, np.zeros(3)) + np.array((x, 0.0, 0.0))
+    assert len(edges) == 8
+    np.testing.assert_allclose(np.sort(edges[:, 0]), 4 * [-3.0] + 4 * [4.0], atol=0.04)
+    np.testing.assert_allclose(edges[:, 1], 6.0, atol=1e-6)
+
+
+def test_edges_find_the_place_along_a_wall() -> None:
+    points, ring = wall_sweep(0.0)
+    local = mapped(surfaces(np.random.default_rng(11), length=60.0, walls=False, ends=False))
+    for x in (-0.4, -0.2, 0.0, 0.2):
+        points, ring = wall_sweep(x)
+        local.lines.insert(find_edges(points, ring, np.zeros(3)) + np.array((x, 0.0, 0.0)), np.zeros(3))
+    points, ring = wall_sweep(0.7)
+    ground = surfaces(np.random.default_rng(12), length=20.0, walls=False, ends=False)
+    seen = SweepPoints(thin(ground, 0.3), find_edges(points, ring, np.zeros(3)))
+    for expected in (0.5, 0.9):
+        prior = SpatialPrior(np.eye(3), np.array((expected, 0.1, 0.0)), np.repeat((1.0, 0.02), 3))
+        match = register(seen, local, prior, RULE)
+        np.testing.assert_allclose(match.t, (0.7, 0.0, 0.0), atol=0.03)
+
+
 def test_far_voxels_are_dropped_before_the_map_grows() -> None:
-    rng, voxels = np.random.default_rng(9), VoxelMap(0.5, 30.0)
+    rng, voxels = np.random.default_rng(9), PlaneMap(0.5, 30.0)
     sizes = []
     for k in range(60):
         center = np.array((10.0 * k, 0.0, 0.0))
