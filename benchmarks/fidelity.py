@@ -1,6 +1,7 @@
 """Methods as published beside their C++ originals, on the scans of the same runs.
 
-    python benchmarks/fidelity.py [--data FOLDER] [--seeds 1-3] [--quick] [--json FILE]
+    python benchmarks/fidelity.py [--data FOLDER] [--run NAME ...] [--noise METERS] [--seeds 1-3] [--quick]
+        [--json FILE]
 
 Every run has scans, IMU and truth of a simulated Husky, and the trajectories that the C++ originals made of
 the scans: HectorSLAM's core (0.05 m, odometry as the start of the match), OpenSLAM's GMapping (30 particles,
@@ -27,6 +28,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import default_rng
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -99,15 +101,21 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--data", type=Path, default=DATA, help="folder with a folder a run")
+    parser.add_argument("--run", nargs="+", help="only these runs, such as simple-1")
+    parser.add_argument(
+        "--noise", type=float, default=0.0, help="of the ranges, meters: shows how far small causes lead"
+    )
     parser.add_argument("--seeds", default="1-3", help="such as 1-3 or 1,5")
     parser.add_argument("--quick", action="store_true", help=f"one seed, {QUICK} runs")
     parser.add_argument("--json", type=Path, help="also write the ATEs and the agreement there")
     given = parser.parse_args()
-    runs = sorted(path.parent for path in given.data.glob("*/scans.clf.gz"))[: QUICK if given.quick else None]
+    found_runs = sorted(path.parent for path in given.data.glob("*/scans.clf.gz"))
+    runs = [run for run in found_runs if not given.run or run.name in given.run]
+    runs = runs[: QUICK if given.quick else None]
     if not runs:
-        parser.error(f"{given.data}: holds no run with scans.clf.gz")
+        parser.error(f"{given.data}: holds no such run with scans.clf.gz")
     seeds = read_numbers("1" if given.quick else given.seeds, "--seeds")
-    rows = {run.name: ates(run, seeds) for run in track(runs, "mapping")}
+    rows = {run.name: ates(run, seeds, given.noise) for run in track(runs, "mapping")}
     found = {method: agreement(rows.values(), method) for method in PUBLISHED}
     Console(width=220).print(table(rows))
     for method, figures in found.items():
@@ -121,9 +129,9 @@ def main() -> None:
         given.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
-def ates(run: Path, seeds: Sequence[int]) -> Row:
+def ates(run: Path, seeds: Sequence[int], noise: float = 0.0) -> Row:
     """Return the ATEs of one run."""
-    log, scans = recorded(run)
+    log, scans = recorded(run, noise)
     readings, truth = read_imu(run / "imu.csv.gz"), unpacked(run / "truth.tum.gz")
     odometry = Trajectory.from_poses(log.stamps.tolist(), list(log.odometry))
     paths = {column: [unpacked(f) for f in sorted(run.glob(name))] for column, name in ORIGINALS.items()}
@@ -139,10 +147,14 @@ def ates(run: Path, seeds: Sequence[int]) -> Row:
     return {c: [trajectory_errors(truth, path).ate_rmse for path in paths[c]] for c in COLUMNS}
 
 
-def recorded(run: Path) -> tuple[LaserLog, list[LaserScan]]:
+def recorded(run: Path, noise: float = 0.0) -> tuple[LaserLog, list[LaserScan]]:
     """Return the log of a run, and its scans with the laser's mount, of which the log has the plane only."""
-    log, mount = read_carmen(run / "scans.clf.gz"), make_robot("husky").T_base_laser
-    return log, [replace(scan, T_base_laser=mount) for scan in log.scans]
+    log, mount, rng = read_carmen(run / "scans.clf.gz"), make_robot("husky").T_base_laser, default_rng(0)
+    scans = []
+    for scan in log.scans:
+        ranges = (scan.ranges + noise * rng.standard_normal(len(scan.ranges))).astype(np.float32)
+        scans.append(replace(scan, ranges=ranges, T_base_laser=mount))
+    return log, scans
 
 
 def made(method: str, seed: int) -> Mapper:
