@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.rosbag.storage import STORAGES, Storage
 from lirs_wct.option import (
     Options,
@@ -44,6 +44,8 @@ STAND = 3.0
 TOUR, FRONTIER = "tour", "frontier"
 DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN", "goal": "X,Y"}
 """Drivers, and the argument that each needs."""
+NOISE_LEVELS, NOISE_FILES = ("none", "simulated", "datasheet"), (".yaml", ".yml")
+"""Noise levels of a lidar, and suffixes of a file of sensor noise."""
 MANUAL = "manual"
 """Driver of a record that a person drove on the live page; `replay:RUN` repeats it."""
 
@@ -105,6 +107,12 @@ def read_drivers(text: str, flag: str = "--driver") -> tuple[str, ...]:
         except ConfigError as error:
             raise ConfigError(f"{flag}: {error}") from error
     return tuple(dict.fromkeys(driver.strip() for driver in drivers))
+
+
+def _known_noise(value: str, label: str) -> None:
+    """Check that a noise is a level or the name of a YAML file, which is read later."""
+    if value not in NOISE_LEVELS and not value.endswith(NOISE_FILES):
+        raise unknown_name(label, value, [*NOISE_LEVELS, "FILE.yaml"])
 
 
 def _robots() -> Collection[str]:
@@ -247,6 +255,17 @@ class RunConfig(Options):
         hidden=True,
         on_page=False,
     )
+    noise: str = option(
+        "simulated",
+        "Sensor noise: a level of the lidar's, or a YAML file such as `lirs-wct twin` writes.",
+        axis=read_names,
+        metavar="none|simulated|datasheet|FILE.yaml",
+        panel=AXES,
+        check=_known_noise,
+        shown="noise: {}",
+        names=NOISE_LEVELS,
+        on_page=False,
+    )
     seed: int = option(
         1,
         "Seeds of every random number: 1-5 or 1,3,7-9.",
@@ -322,6 +341,8 @@ class RunConfig(Options):
     def digest(self) -> str:
         """Eight hex digits that distinguish this experiment from others."""
         entry = digest_fields(self) | {"source": self.source, "build": digest_fields(self.build)}
+        if self.noise.endswith(NOISE_FILES) and Path(self.noise).is_file():
+            entry["noise"] = _sha256(Path(self.noise))
         return _digest(entry)
 
 

@@ -11,8 +11,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from lirs_envs.robot_model import CONTROL_PERIOD
-from lirs_envs.sensing.sensors import Observation, SensorNoise
+from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
+from lirs_validation.experiment.scenario import sensor_noise
 from lirs_validation.record.run_record import BAG
 from lirs_wct import OccupancyGrid, OutputError, Pose2, Pose3
 from lirs_wct.files import remove_orphans
@@ -77,7 +78,7 @@ def sensor_errors(config: RunConfig) -> SensorErrors:
     """Return the standard deviations of a run's sensors, for the covariances of its bag."""
     from lirs_wct.formats.rosbag.messages import SensorErrors
 
-    noise = SensorNoise().with_odometry_noise(config.odometry_noise)
+    noise = sensor_noise(config)
     imu, wheels = noise.imu, noise.odometry
     return SensorErrors(
         scale=wheels.scale_sigma,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.inertial import InertialNoise
+from lirs_envs.sensing.noise_file import resolve_noise
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
@@ -42,17 +43,27 @@ class Scenario:
     def simulation(self, robot: Robot, *, inertial: bool = False) -> Simulation:
         """Put the robot into the world, with inertial readings near 200 Hz on request."""
         c = self.config
-        noise = SensorNoise().with_odometry_noise(c.odometry_noise)
         config = SimulationConfig(
             robot=robot,
             lidar=c.lidar,
             contact_geometry=c.terrain,
             rays=resolve_rays(c.rays),
             actors=c.actors,
-            noise=replace(noise, rolling_scan=None if c.scan_time is None else c.scan_time == "rolling"),
+            noise=replace(
+                sensor_noise(c), rolling_scan=None if c.scan_time is None else c.scan_time == "rolling"
+            ),
             inertial=InertialNoise() if inertial else None,
         )
         return Simulation(self.world, config, seed=c.seed)
+
+
+def sensor_noise(config: RunConfig) -> SensorNoise:
+    """Return the noise of a run's sensors.
+
+    Raises:
+        WctError: there is no such noise, or its file cannot be used.
+    """
+    return resolve_noise(config.noise).with_odometry_noise(config.odometry_noise)
 
 
 def build_scenario(config: RunConfig) -> Scenario:

@@ -70,6 +70,7 @@ class LidarNoise:
 DATASHEET: dict[str, LidarNoise] = {
     "lms1xx": LidarNoise(sigma=0.012, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
     "lms111": LidarNoise(sigma=0.012, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
+    "lms200": LidarNoise(sigma=0.005, quantization=0.01, dropout=0.001, mixed_pixels=0.5),
     "utm30lx": LidarNoise(sigma=0.03, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
     "urg04lx": LidarNoise(sigma_relative=0.01, quantization=0.001, dropout=0.002, mixed_pixels=0.5),
     "rplidar_a1": LidarNoise(sigma_relative=0.01, quantization=0.0005, dropout=0.01, mixed_pixels=0.3),

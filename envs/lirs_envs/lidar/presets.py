@@ -169,6 +169,8 @@ LIDARS: dict[str, LidarPreset] = {
         _preset("urg04lx", 682, 239.77, 10.0, (0.02, 5.6), sigma_relative=0.01),
         _preset("rplidar_a1", 360, 360.0, 5.5, (0.15, 12.0), sigma_relative=0.01),
         _preset("lds01", 360, 360.0, 5.0, (0.12, 3.5), sigma=0.01),
+        # SICK LMS200 in steps of 1 deg and of 1 cm; its data sheet gives the deviation up to 8 m.
+        _preset("lms200", 181, 180.0, 75.0, (0.05, 80.0), sigma=0.005),
         # Velodyne VLP-16: a ring every 2 deg, a column every 0.2 deg.
         _ring_preset("vlp16", 16, -15.0, 1800, (0.5, 100.0), 0.03),
         # Ouster OS1-32, Rev 6 and 7, in its mode 1024 x 10; the deviation is that of a bright target.
