@@ -24,6 +24,7 @@ from lirs_validation.cli.commands.map import map_log
 from lirs_validation.cli.commands.mappers import mappers
 from lirs_validation.cli.commands.reports import compare, report, score
 from lirs_validation.cli.commands.robot_card import robot
+from lirs_validation.cli.commands.twin import twin
 from lirs_validation.cli.commands.validate import record, validate
 from lirs_validation.cli.commands.verdict import verdict
 from lirs_validation.cli.commands.worlds import build, convert, info, view
@@ -48,6 +49,7 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
     "verdict": verdict,
     "validate": validate,
     "map": map_log,
+    "twin": twin,
     "build": build,
     "report": report,
     "compare": compare,

@@ -41,6 +41,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     ),
     "record": ("lirs-wct record simple --seconds 60 -o run",),
     "map": ("lirs-wct map examples/data/office.clf.gz --mapper gmapping -o out/",),
+    "twin": (
+        "lirs-wct twin examples/data/office.clf.gz -o out/",
+        "lirs-wct validate examples/data/office.yaml --noise out/office-TWIN/noise.yaml -o out/",
+    ),
 }
 """Command lines by command."""
 

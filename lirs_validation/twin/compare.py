@@ -1,0 +1,116 @@
+"""Residuals between measured ranges and those expected by a map of other blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lirs_envs.lidar.noise import LidarNoise, draw_noise, measure
+from lirs_validation.twin.surface import (
+    Expected,
+    LogScans,
+    Surfaces,
+    align,
+    expected_beams,
+    fit_surfaces,
+    map_of,
+)
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+
+BLOCK = 2.5
+"""Length of a block along the path, meters."""
+REFINEMENTS = (0.15, 0.08, 0.05)
+"""Widths of the matching of the even blocks' scans to their own surfaces, meters."""
+WIDTH = 0.05
+"""Width of the matching of the odd blocks' scans, meters."""
+GATE = 0.25
+"""Largest residual that counts as noise; beyond it a beam met something else, meters."""
+LOCALIZED = 1 / 3
+"""Smallest share of a scan's beams on the map's lines; others are not compared."""
+CLUSTER = 3
+"""Fewest neighboring beams of an object that the map lacks."""
+
+
+@dataclass(frozen=True)
+class LogComparison:
+    """Beams of the odd blocks against the map of the even ones.
+
+    Attributes:
+        scans: all scans at their matched poses.
+        beams: expected beams of all scans.
+        surfaces: lines of the even blocks' map.
+        used: (n,) scans that are compared: in odd blocks, and localized.
+        compared: (n, beams) beams that are compared.
+        residual: (n, beams) measured less expected range, meters; not finite where nothing was measured.
+    """
+
+    scans: LogScans
+    beams: Expected
+    surfaces: Surfaces
+    used: BoolArray
+    compared: BoolArray
+    residual: FloatArray
+
+    @property
+    def noise(self) -> BoolArray:
+        """(n, beams) compared beams whose residual counts as noise."""
+        return self.compared & (np.abs(self.residual) <= GATE)
+
+    def residuals(self) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+        """Return residual, expected range, cosine of the incidence and block of the noise's beams, (m,)."""
+        some = self.noise
+        rows, _ = np.nonzero(some)
+        b = self.beams
+        return self.residual[some], b.ranges[some], b.cosine[some], self.scans.block[rows]
+
+
+def compare(scans: LogScans) -> LogComparison:
+    """Map the even blocks, localize the odd ones there, and compare their beams."""
+    even = scans.even
+    poses, share = scans.poses.copy(), np.zeros(len(scans.poses))
+    for width in REFINEMENTS:
+        surfaces = fit_surfaces(replace(scans, poses=poses))
+        moved = np.empty_like(poses[even])
+        align(surfaces, scans.ranges[even], scans.angles, poses[even], width, moved, np.empty(len(moved)))
+        poses[even] = moved
+    placed = replace(scans, poses=poses)
+    surfaces = fit_surfaces(placed)
+    for width in (*REFINEMENTS[:-1], WIDTH):
+        moved, found = np.empty_like(poses[~even]), np.empty(int((~even).sum()))
+        align(surfaces, scans.ranges[~even], scans.angles, poses[~even], width, moved, found)
+        poses[~even], share[~even] = moved, found
+    placed = replace(scans, poses=poses)
+    beams = expected_beams(map_of(placed), surfaces, placed)
+    used = ~even & (share >= LOCALIZED)
+    with np.errstate(invalid="ignore"):
+        residual = scans.ranges - beams.ranges
+    return LogComparison(placed, beams, surfaces, used, beams.flat & used[:, None], residual)
+
+
+def simulate_scans(real: LogComparison, start: FloatArray, noise: LidarNoise, seed: int) -> LogScans:
+    """Return the scans that a lidar with `noise` measures in the map.
+
+    They are taken at the matched poses.
+
+    Args:
+        real: comparison of the log.
+        start: (n, 3) first poses, from which the matching begins as it did for the log.
+        noise: of the simulated lidar.
+        seed: of its random numbers.
+    """
+    rng = np.random.default_rng(seed)
+    n, beams = real.scans.ranges.shape
+    ranges = np.empty((n, beams), np.float32)
+    for k in range(n):
+        drawn = draw_noise(noise, beams, rng)
+        measure(real.beams.ranges[k], *drawn, (0.0, real.scans.range_max), noise.parameters, ranges[k])
+    return replace(real.scans, ranges=ranges.astype(np.float64), poses=start)
+
+
+def blocks_of(poses: FloatArray) -> IntArray:
+    """Return (n,) the block of each pose (n, 3) along the path."""
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(steps)))
+    blocks: IntArray = np.floor(along / BLOCK).astype(np.int64)
+    return blocks
