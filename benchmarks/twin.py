@@ -22,9 +22,8 @@ from rich.table import Table
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.noise_file import write_noise
 from lirs_envs.sensing.odometry import OdometryConfig
-from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.sensing.sensors import SensorNoise, write_noise
 from lirs_validation import validate
 from lirs_validation.config import MapConfig
 from lirs_validation.twin.twin import run_twin

@@ -20,11 +20,10 @@ from lirs_validation.cli.commands.collide import collide
 from lirs_validation.cli.commands.doctor import doctor
 from lirs_validation.cli.commands.export import export
 from lirs_validation.cli.commands.gui import gui
-from lirs_validation.cli.commands.map import map_log
+from lirs_validation.cli.commands.map import map_log, twin
 from lirs_validation.cli.commands.mappers import mappers
 from lirs_validation.cli.commands.reports import compare, report, score
 from lirs_validation.cli.commands.robot_card import robot
-from lirs_validation.cli.commands.twin import twin
 from lirs_validation.cli.commands.validate import record, validate
 from lirs_validation.cli.commands.verdict import verdict
 from lirs_validation.cli.commands.worlds import build, convert, info, view

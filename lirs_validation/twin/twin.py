@@ -12,16 +12,22 @@ import numpy as np
 
 from lirs_envs.lidar.noise import lidar_noise
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.sensing.noise_file import write_noise
-from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.sensing.sensors import SensorNoise, write_noise
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import run_mapping
 from lirs_validation.twin.compare import CLUSTER, GATE, LogComparison, blocks_of, compare, simulate_scans
-from lirs_validation.twin.fit import FittedNoise, Sample, curve, fit_noise, residual_distance
-from lirs_validation.twin.odometry import FittedOdometry, fit_odometry
-from lirs_validation.twin.picture import residual_figure
+from lirs_validation.twin.fit import (
+    FittedNoise,
+    FittedOdometry,
+    Sample,
+    curve,
+    fit_noise,
+    fit_odometry,
+    residual_distance,
+)
 from lirs_validation.twin.surface import LogScans
 from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.drawing.style import BLUE, VERMILLION, Drawing, new_figure, plain_axes, title
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder, write_json
 from lirs_wct.geometry import LaserScan, Pose2, Trajectory
@@ -29,6 +35,8 @@ from lirs_wct.progress import Progress, no_progress
 
 MOST_SCANS = 1500
 """Most scans of a comparison; of longer logs every second, third, ... scan is used."""
+LIMIT = 0.1
+"""Largest residual that the picture shows, meters."""
 STILL, STANDS = 5, (0.01, 0.01, 0.002)
 """Fewest successive scans at standstill, and limit of its motion by the mapper, meters and radians."""
 
@@ -269,3 +277,26 @@ def _map_share(fitted: FittedNoise) -> float:
     wide = fitted.real.widths(fitted.real.blocks)
     known = np.isfinite(wide) & np.isfinite(fitted.map_width)
     return float(np.sum(fitted.map_width[known] ** 2) / np.sum(wide[known] ** 2))
+
+
+def residual_figure(fitted: FittedNoise) -> Drawing:
+    """Draw the residuals' width over the range, and their distributions."""
+    figure = new_figure(9.0, 3.6)
+    width, distribution = figure.subplots(1, 2)
+    both = (("log", fitted.real, BLUE), ("simulated with noise.yaml", fitted.simulated, VERMILLION))
+    bins = np.linspace(-LIMIT, LIMIT, 101)
+    for name, sample, color in both:
+        rows = curve(sample)
+        ranges = [row["range"] for row in rows]
+        width.plot(ranges, [1000 * row["width"] for row in rows], "o-", color=color, label=name)
+        width.plot(ranges, [1000 * row["bias"] for row in rows], "o:", color=color, markersize=3)
+        distribution.hist(
+            sample.residual, bins=bins.tolist(), density=True, histtype="step", color=color, label=name
+        )
+    width.set_ylim(bottom=min(0.0, width.get_ylim()[0]))
+    plain_axes(width, "expected range, m", "residuals, mm")
+    plain_axes(distribution, "measured less expected range, m", "density, 1/m")
+    title(width, "Half the central 68 % (solid), median (dotted)")
+    title(distribution, f"Distance of the distributions: {fitted.distance:.3f}")
+    width.legend(frameon=False, fontsize=8)
+    return figure

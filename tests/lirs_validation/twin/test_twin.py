@@ -9,13 +9,12 @@ from typer.testing import CliRunner
 from lirs_envs.lidar.noise import LidarNoise, draw_noise, measure
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.robot_model import CONTROL_PERIOD
-from lirs_envs.sensing.noise_file import read_noise
 from lirs_envs.sensing.odometry import DistanceNoise, OdometryConfig
+from lirs_envs.sensing.sensors import read_noise
 from lirs_validation import cli
 from lirs_validation.cli.app import app
 from lirs_validation.twin.compare import GATE, LogComparison, blocks_of, compare
-from lirs_validation.twin.fit import Sample, fit_noise, resolution_of
-from lirs_validation.twin.odometry import fit_odometry
+from lirs_validation.twin.fit import Sample, fit_noise, fit_odometry, resolution_of
 from lirs_validation.twin.surface import LogScans, fit_surfaces
 from lirs_validation.twin.twin import _beam_shares, standstill
 from lirs_wct.arrays import FloatArray
