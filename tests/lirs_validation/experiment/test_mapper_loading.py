@@ -16,7 +16,9 @@ from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.trajectory import Trajectory
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
+OWN = "module:name of your own"
 ROOT = Path(__file__).resolve().parents[3]
 MODULE = """
 from slam_baselines.mapper import MapperStats
@@ -91,8 +93,8 @@ def test_a_library_call_leaves_the_import_path_as_it_was(monkeypatch: pytest.Mon
         ("their_slam:Greedy", r"cannot be made: TypeError: .*'weights'"),
         (
             "hektor",
-            r"unknown mapper 'hektor'; legal: cartographer, cartographer_original, genz-icp, gmapping, "
-            r"gmapping_original, hector, hector_original, kiss-icp, kiss-slam, module:name",
+            f"unknown mapper 'hektor'; legal: {', '.join(sorted((*MAPPERS, *ALL_CLOUD_MAPPERS, OWN)))}; "
+            "did you mean hector",
         ),
     ],
 )
