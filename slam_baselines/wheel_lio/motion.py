@@ -16,6 +16,8 @@ from slam_baselines.wheel_lio.sweep import BodyTwist
 GRAVITY = np.array((0.0, 0.0, 9.80665))
 STANDING = 1e-5
 """Motion of the wheels between two sweeps up to which the robot stands, meters."""
+STILL = math.radians(1.0)
+"""Yaw rate of the odometry up to which the robot stands, and does not turn on the spot, rad/s."""
 REST = 100
 """Readings of a standing robot that are needed for the bias of its gyro."""
 LATEST = 2
@@ -44,7 +46,7 @@ class Prediction:
 class Motion:
     """Dead reckoning from sweep to sweep, from corrected poses.
 
-    The bias of the gyro is its mean while the wheels stand.
+    The bias of the gyro is its mean while the robot stands.
 
     Args:
         tilt_time: seconds within which the tilt follows the measured one.
@@ -76,7 +78,8 @@ class Motion:
             R = np.eye(3) if imu is None else Pose3.from_rpy(0, 0, 0, imu.roll, imu.pitch, 0).rotation
             return Prediction(R, np.zeros(3), BodyTwist(np.zeros(3), np.zeros(3)), Pose2(), 0.0)
         step = before.inverse() @ odometry
-        self._learn_bias(step, readings)
+        if math.hypot(step.x, step.y) < STANDING and abs(step.yaw) < STILL * seconds:
+            self._learn_bias(readings)
         R = self._R @ self._turn(step, seconds, readings)
         if imu is not None:
             R = level(R, imu, -math.expm1(-seconds / self._tilt_time))
@@ -92,10 +95,10 @@ class Motion:
         """(3,) of the gyro, rad/s; 0 until the robot has stood."""
         return self._resting_sum / self._resting if self._resting >= REST else np.zeros(3)
 
-    def _learn_bias(self, step: Pose2, readings: ImuReadings) -> None:
-        if math.hypot(step.x, step.y) < STANDING:
-            self._resting_sum = self._resting_sum + readings.angular_velocity.sum(axis=0)
-            self._resting += len(readings)
+    def _learn_bias(self, readings: ImuReadings) -> None:
+        """Add the readings of a standing robot."""
+        self._resting_sum = self._resting_sum + readings.angular_velocity.sum(axis=0)
+        self._resting += len(readings)
 
     def _turn(self, step: Pose2, seconds: float, readings: ImuReadings) -> FloatArray:
         """Return the rotation of a step (3, 3) by the gyro, else by the odometry."""

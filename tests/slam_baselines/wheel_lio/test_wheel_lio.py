@@ -288,6 +288,18 @@ def test_the_bias_of_the_gyro_is_learned_while_the_wheels_stand() -> None:
     assert not creeping.bias.any()
 
 
+def test_turning_on_the_spot_is_no_bias_of_the_gyro() -> None:
+    motion, yaw = Motion(2.0), 0.0
+    for k in range(40):
+        rate = 1.0 if k >= 20 else 0.0
+        yaw += 0.1 * rate
+        rates = np.tile((0.0, 0.0, rate), (20, 1))
+        motion.predict(
+            0.1 * k, Pose2(0.0, 0.0, yaw), None, ImuReadings(np.zeros(20), rates, np.zeros((20, 3)))
+        )
+    assert not motion.bias.any()
+
+
 def test_leveling_takes_the_tilt_and_leaves_the_heading() -> None:
     imu, R = Imu(roll=0.1, pitch=-0.2), Pose3.from_rpy(0, 0, 0, 0.15, -0.1, 0.8).rotation
     for _ in range(100):
