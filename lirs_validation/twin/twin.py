@@ -37,8 +37,9 @@ MOST_SCANS = 1500
 """Most scans of a comparison; of longer logs every second, third, ... scan is used."""
 LIMIT = 0.1
 """Largest residual that the picture shows, meters."""
-STILL, STANDS = 5, (0.01, 0.01, 0.002)
-"""Fewest successive scans at standstill, and limit of its motion by the mapper, meters and radians."""
+STILL, STANDS = 20, (0.01, 0.01, 0.002)
+"""Fewest successive scans at standstill, and limit of its motion by the mapper, meters and radians. Shorter
+repetitions of a pose may be gaps of the odometry."""
 
 
 @dataclass(frozen=True)
