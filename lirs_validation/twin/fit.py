@@ -197,6 +197,8 @@ def _corrected(
     map_square = simulated_wide**2 - added**2
     known = np.isfinite(wide) & np.isfinite(simulated_wide)
     rest = np.sqrt(np.maximum(wide**2 - map_square, FLOOR**2))[known]
+    if not known.any():
+        return noise, np.sqrt(np.maximum(map_square, 0.0))
     weight = np.sqrt(np.histogram(real.ranges, BINS)[0][known])
     design = np.column_stack((np.ones(known.sum()), middle[known])) * weight[:, None]
     sigma, relative = nnls(design, rest * weight)[0].tolist()

@@ -15,7 +15,15 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import run_mapping
-from lirs_validation.twin.compare import CLUSTER, GATE, LogComparison, blocks_of, compare, simulate_scans
+from lirs_validation.twin.compare import (
+    BLOCK,
+    CLUSTER,
+    GATE,
+    LogComparison,
+    blocks_of,
+    compare,
+    simulate_scans,
+)
 from lirs_validation.twin.fit import (
     FittedNoise,
     FittedOdometry,
@@ -33,6 +41,8 @@ from lirs_wct.files import atomic_folder, write_json
 from lirs_wct.geometry import LaserScan, Pose2, Trajectory
 from lirs_wct.progress import Progress, no_progress
 
+LEAST_BLOCKS = 4
+"""Fewest blocks of a log."""
 MOST_SCANS = 1500
 """Most scans of a comparison; of longer logs every second, third, ... scan is used."""
 LIMIT = 0.1
@@ -138,10 +148,15 @@ def run_twin(
     odometry = [mapped.log.odometry[k] for k in kept]
     stamps = np.array([scan.stamp for scan in scans])
     log = _as_arrays(scans, mapped.trajectory)
+    if log.block.max() < LEAST_BLOCKS:
+        raise SourceError(f"{config.log}: must be at least {LEAST_BLOCKS * BLOCK:g} m long for a comparison")
     progress("compare", 0.1)
     real = compare(log)
     progress("fit", 0.3)
-    fitted = fit_noise(real, log.poses, seed)
+    try:
+        fitted = fit_noise(real, log.poses, seed)
+    except SourceError as error:
+        raise SourceError(f"{config.log}: {error}") from error
     progress("fit", 0.8)
     sheet = replace(lidar_noise(preset, "datasheet"), quantization=fitted.noise.quantization)
     before = Sample.of(compare(simulate_scans(real, log.poses, sheet, seed)))

@@ -1,3 +1,4 @@
+import gzip
 import json
 import math
 from pathlib import Path
@@ -182,6 +183,19 @@ def test_an_unknown_lidar_is_named(
         cli.main()
     assert ended.value.code == 2
     assert "unknown lidar 'lms201'" in capsys.readouterr().err
+
+
+def test_a_log_that_is_too_short_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = gzip.decompress((ROOT / "examples" / "data" / "office.clf.gz").read_bytes()).splitlines()
+    log = tmp_path / "short.clf"
+    log.write_bytes(b"\n".join(lines[:40]) + b"\n")
+    monkeypatch.setattr("sys.argv", ["lirs-wct", "twin", str(log), "-o", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert f"{log}: must be at least 10 m long" in capsys.readouterr().err.replace("\n", "")
 
 
 @pytest.mark.slow
