@@ -32,7 +32,7 @@ def mappers(
 
 def mapper_table() -> Table:
     """Return a row a mapper."""
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from lirs_envs.lidar.presets import RING_LIDARS
     from lirs_validation.experiment.mapper_loading import is_installed
@@ -44,8 +44,9 @@ def mapper_table() -> Table:
         requires_odometry,
     )
 
-    headings = "mapper", "estimates", "reads", "needs", "license", "installed"
-    table = Table(*headings, box=None, pad_edge=False)
+    table = Table(Column("mapper", no_wrap=True), box=None, pad_edge=False)
+    for heading in ("estimates", "reads", "needs", "license", "installed"):
+        table.add_column(heading)
     for name in MAPPERS:
         needs = "any lidar, odometry" if requires_odometry(make_mapper(name)) else "any lidar"
         table.add_row(name, "planar", "scans, odometry, IMU", needs, "ours", "yes")

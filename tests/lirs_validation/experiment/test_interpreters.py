@@ -196,7 +196,7 @@ def test_the_list_shows_requirements_and_how_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr("lirs_validation.cli.commands.mappers.out._width", 200)
     monkeypatch.setattr("slam_baselines.mapper.find_spec", lambda package: None)
     python = environment_python(RKO_LIO)
     python.parent.mkdir(parents=True)

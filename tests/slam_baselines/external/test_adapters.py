@@ -157,7 +157,7 @@ def test_planar_and_cloud_mappers_are_not_taken_for_each_other() -> None:
     with pytest.raises(ConfigError, match="kiss-icp reads point clouds, planar mappers are hector"):
         make_mapper("kiss-icp")
     with pytest.raises(
-        ConfigError, match="unknown mapper of point clouds 'hector'; legal: genz-icp, kiss-icp"
+        ConfigError, match=r"unknown mapper of point clouds 'hector'; legal: .*genz-icp, kiss-icp"
     ):
         make_cloud_mapper("hector")
     assert not reads_clouds(make_mapper("hector"))
