@@ -31,7 +31,7 @@ from lirs_validation.experiment.mapper_loading import (
     warm_up_mapper,
 )
 from lirs_validation.experiment.mapper_under_test import METHODS, Estimate, MapperUnderTest, SensorReadings
-from lirs_validation.interrupts import end_with
+from lirs_validation.interrupts import end_with, is_interrupt
 from lirs_wct.errors import MapperError, WctError
 from slam_baselines.mapper import CLOUD_MAPPERS
 
@@ -168,8 +168,10 @@ class MapperProcess(MapperUnderTest):
                 try:
                     pending.append(next(ticks))
                     self._give(pending[-1].observation)
-                except Exception as error:  # is raised when its turn comes
-                    failure = error
+                except Exception as error:
+                    if is_interrupt(error):
+                        raise
+                    failure = error  # is raised when its turn comes
             begun = time.perf_counter()
             estimate = self._answer()
             yield pending.popleft(), replace(estimate, waited=time.perf_counter() - begun)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +19,7 @@ import pytest
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_validation import RunConfig, read_record, validate
+from lirs_validation.experiment.drive_log import Tick
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.mapper_process import BATCH, MapperProcess
@@ -26,7 +27,7 @@ from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.run import prepare
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, MapperError, SourceError
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_validation.experiment.mapper_processes import mapper_processes
 
 OWN = """
@@ -116,6 +117,24 @@ def test_a_process_that_dies_before_a_batch_is_sent_keeps_nobody_waiting() -> No
     assert process._answered
     with pytest.raises(MapperError, match="its process ended"):
         process._answer()
+
+
+def test_an_interrupted_kernel_does_not_wait_for_the_mapper() -> None:
+    (observation,) = validate("simple", seconds=1).log.observations[:1]
+    process = MapperProcess(RunConfig(source="simple"), look_ahead=True)
+    process.wait_until_ready()
+    os.kill(process._process.pid, signal.SIGSTOP)
+    late = threading.Timer(5.0, process._process.kill)
+    late.start()
+
+    def ticks() -> Iterator[Tick]:
+        yield Tick(observation, Pose3(), 0.0)
+        # As a compiled kernel raises it.
+        raise SystemError("CPUDispatcher returned a result with an exception set") from KeyboardInterrupt()
+
+    with pytest.raises(SystemError), closing(process):
+        list(process.follow(ticks(), lambda pending: True))
+    late.cancel()
 
 
 def test_a_process_that_cannot_be_started_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
