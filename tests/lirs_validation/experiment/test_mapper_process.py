@@ -159,6 +159,8 @@ def test_nothing_is_left_of_a_run_whose_world_cannot_be_built() -> None:
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_the_end_of_the_program_is_that_of_a_mapper_that_hangs(sent: signal.Signals) -> None:
     command = [sys.executable, "-m", "lirs_validation", "validate", "simple", "--mapper", "own_slam:Hanging"]
+    # A shell's background jobs ignore Ctrl-C, and their children inherit that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     program = subprocess.Popen(
         [*command, "--seconds", "5", "--threads", "2", "-o", "out"],
         env=environment(),
