@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
+from lirs_envs.lidar.obstacle_rays import meet_walkers
 from lirs_envs.lidar.ray_casting import mujoco_ranges
-from lirs_envs.lidar.walker_rays import meet_walkers
 from lirs_envs.props import Prop
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot

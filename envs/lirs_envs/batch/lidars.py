@@ -11,9 +11,9 @@ import numpy as np
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, transform_rays
 from lirs_envs.lidar.noise import LidarNoise, NoiseParameters, measure
+from lirs_envs.lidar.obstacle_rays import WallCells
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
 from lirs_envs.lidar.terrain_rays import TerrainMipmap
-from lirs_envs.lidar.wall_rays import WallCells
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray
 from lirs_wct.geometry import Pose3

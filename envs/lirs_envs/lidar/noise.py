@@ -141,7 +141,7 @@ def measure(
                 jump = exact[k + 1] - true
                 if edge_threshold < abs(jump) < np.inf:
                     true += jump * uniform[k, 0] / mixed_pixels
-        if true > range_max:
+        if true > range_max or true == np.inf:
             ranges[k] = np.inf
             continue
         measured = true + (sigma + sigma_relative * true) * normal[k]

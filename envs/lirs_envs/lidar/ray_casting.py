@@ -24,10 +24,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.mesh_rays import MeshCaster
+from lirs_envs.lidar.obstacle_rays import (
+    WallCells,
+    build_wall_cells,
+    capsule_normals,
+    meet_walkers,
+    remove_hits_in_holes,
+    wall_ranges,
+)
 from lirs_envs.lidar.reflection import GROUND, PROP, WALKER, WALL, reflect, world_reflectances
 from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, terrain_ranges
-from lirs_envs.lidar.walker_rays import capsule_normals, meet_walkers
-from lirs_envs.lidar.wall_rays import WallCells, build_wall_cells, remove_hits_in_holes, wall_ranges
 from lirs_envs.props import PROP_GROUP
 from lirs_envs.walkers import WALKER_GROUP, Walkers
 from lirs_wct import ConfigError, HeightField, WallGrid, World, unknown_name

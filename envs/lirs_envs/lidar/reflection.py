@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from lirs_envs.lidar.obstacle_rays import WallCells
 from lirs_envs.lidar.terrain_rays import EDGE, LEAF, ROW, TerrainMipmap
-from lirs_envs.lidar.wall_rays import WallCells
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.kernels import njit
 

@@ -435,3 +435,45 @@ def _cell_range(corners: tuple[float, float, float, float], ray: Ray, t: float, 
             # A ray that does not fall was at 0 or less from the start, by rounding.
             return min(max(-height / slope, begin), end) if slope < 0.0 else begin
     return np.inf
+
+
+@njit(cache=True, error_model="numpy")
+def side_ranges(
+    terrain: TerrainMipmap,
+    base: float,
+    origin: FloatArray,
+    directions: FloatArray,
+    max_range: float,
+    ranges: FloatArray,
+) -> None:
+    """Shorten `ranges` (n,) to the side walls and the bottom of a solid height field.
+
+    Args:
+        terrain: height field.
+        base: height of the bottom, meters, below all nodes.
+        origin: (3,) start of all rays.
+        directions: (n, 3) unit vectors.
+        max_range: meters.
+        ranges: (n,) meters.
+    """
+    frame, cells = terrain.frame, terrain.cells
+    size = (cells[0] * frame[2], cells[1] * frame[3])
+    start = (origin[0] - frame[0], origin[1] - frame[1])
+    for k in range(len(directions)):
+        rise, nearest = directions[k, 2], min(max_range, ranges[k])
+        for axis in range(2):
+            other, slope = 1 - axis, directions[k, axis]
+            for side in range(2):
+                t = (side * size[axis] - start[axis]) / slope if slope != 0.0 else -1.0
+                across = start[other] + t * directions[k, other]
+                if 0.0 <= t <= nearest and 0.0 <= across <= size[other]:
+                    z = origin[2] + t * rise
+                    at = (side * cells[axis], across / frame[2 + other])
+                    i, j = at if axis == 0 else (at[1], at[0])
+                    column, row = min(int(i), cells[0] - 1), min(int(j), cells[1] - 1)
+                    if base <= z <= _surface(terrain, column, row, i - column, j - row):
+                        nearest = ranges[k] = t
+        t = (base - origin[2]) / rise if rise != 0.0 else -1.0
+        x, y = start[0] + t * directions[k, 0], start[1] + t * directions[k, 1]
+        if 0.0 <= t <= nearest and 0.0 <= x <= size[0] and 0.0 <= y <= size[1]:
+            ranges[k] = t
