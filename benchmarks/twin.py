@@ -1,16 +1,20 @@
 """Twin test: planted noise recovered, and real logs against their simulations.
 
-    python benchmarks/twin.py [LOG ...] [--planted large|small] [--seconds 300]
+    python benchmarks/twin.py [LOG[,TRUTH] ...] [--planted large|small|none] [--draws 1] [-o OUT]
 
 A Husky drives through a generated floor plan with known noise of lidar, wheels and gyro; `lirs-wct twin` is
 run on the log of that drive, and on the given logs with `--lidar lms200`. Asked are the planted figures
 within 10 %, a Kolmogorov distance of at most .10 after the fit, and the share of lost beams within 20 %.
+Six mappers map each log and its simulations; TRUTH is a reference trajectory, or relations if its name has
+the word. Asked are Kendall's tau of at least .6 between the errors of all mappers and logs, and 80 % of the
+errors within a factor of two.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +30,7 @@ from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
 from lirs_validation import validate
 from lirs_validation.config import MapConfig
+from lirs_validation.twin.replay import REPLAYED, Replay
 from lirs_validation.twin.twin import run_twin
 from lirs_wct import OccupancyGrid
 from lirs_wct.formats.map_server import write_map
@@ -42,8 +47,9 @@ PLANTED = {
 PLAN_SEED, SEED = 3, 2
 COLUMNS = (
     "log", "localized", "compared", "sigma, mm + mm/m", "map's share", "distance before, after",
-    "lost real, simulated", "standstill, mm",
+    "lost real, simulated", "standstill, mm", "CPU s",
 )  # fmt: skip
+ERRORS = ("log", "mapper", "error, m", "simulated, m", "ratio", "each simulated log", "status")
 
 
 def planted_log(folder: Path, seconds: float, noise: SensorNoise) -> Path:
@@ -87,29 +93,67 @@ def log_row(log: str, figures: dict[str, Any]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
+def replay_rows(log: str, replay: Replay) -> list[tuple[str, ...]]:
+    """Return a row for each mapper."""
+    rows = []
+    for m in replay.mappers:
+        values = ("-" if value is None else f"{value:.3f}" for value in (m.real, m.simulated, m.ratio))
+        drawn = " ".join("-" if error is None else f"{error:.3f}" for error in m.drawn)
+        rows.append((log, m.mapper, *values, drawn, " ".join(m.status) or m.reason))
+    return rows
+
+
+def summary(replays: Sequence[Replay]) -> str:
+    """Return the agreement over all mappers and logs."""
+    compared = [m for replay in replays for m in replay.pairs]
+    both = Replay("", tuple(compared))
+    tau = "-" if both.tau is None else f"{both.tau:.2f}"
+    return f"{sum(m.agrees for m in compared)} of {len(compared)} within a factor of two, Kendall's tau {tau}"
+
+
+def show_planted(console: Console, name: str, seconds: float, folder: Path) -> None:
+    """Print planted and fitted noise."""
+    planted = PLANTED[name]
+    log = planted_log(folder, seconds, planted)
+    result, _ = run_twin(MapConfig(log=str(log)), lidar="lms111", seed=1, out=folder)
+    table = Table("figure", "planted", "fitted", "low", "high", title="planted noise")
+    for row in planted_rows(planted, result.figures()):
+        table.add_row(*row)
+    console.print(table, f"Kolmogorov distance {result.distance_before:.3f}, {result.fitted.distance:.3f}")
+
+
+def show_logs(console: Console, logs: Sequence[str], draws: int, out: Path) -> None:
+    """Print noise, distances and replays of real logs."""
+    noise, errors = Table(*COLUMNS, title="real logs"), Table(*ERRORS, title="replay")
+    replays = []
+    for given in logs:
+        path, _, truth = given.partition(",")
+        kind = "relations" if "relations" in Path(truth).name else "reference"
+        config = MapConfig(log=path, **({kind: truth} if truth else {}))
+        begun = time.process_time()
+        result, _ = run_twin(config, lidar="lms200", seed=1, out=out, replayed=REPLAYED, draws=draws)
+        noise.add_row(*log_row(Path(path).name, result.figures()), f"{time.process_time() - begun:.0f}")
+        assert result.replay is not None
+        replays.append(result.replay)
+        for row in replay_rows(Path(path).name, result.replay):
+            errors.add_row(*row)
+    console.print(noise, errors, summary(replays))
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("logs", nargs="*")
-    parser.add_argument("--planted", choices=tuple(PLANTED), default="large")
+    parser.add_argument("--planted", choices=(*PLANTED, "none"), default="large")
     parser.add_argument("--seconds", type=float, default=300.0)
+    parser.add_argument("--draws", type=int, default=1)
+    parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args(arguments)
     console = Console(width=170)
     with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        planted = PLANTED[given.planted]
-        log = planted_log(folder, given.seconds, planted)
-        result, _ = run_twin(MapConfig(log=str(log)), lidar="lms111", seed=1, out=folder)
-        table = Table("figure", "planted", "fitted", "low", "high", title="planted noise")
-        for row in planted_rows(planted, result.figures()):
-            table.add_row(*row)
-        console.print(
-            table, f"Kolmogorov distance {result.distance_before:.3f}, {result.fitted.distance:.3f}"
-        )
-        table = Table(*COLUMNS, title="real logs")
-        for path in given.logs:
-            result, _ = run_twin(MapConfig(log=path), lidar="lms200", seed=1, out=folder)
-            table.add_row(*log_row(Path(path).name, result.figures()))
-        console.print(table)
+        if given.planted != "none":
+            show_planted(console, given.planted, given.seconds, Path(made))
+        if given.logs:
+            show_logs(console, given.logs, given.draws, given.output or Path(made))
 
 
 if __name__ == "__main__":

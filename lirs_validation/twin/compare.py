@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,8 @@ from lirs_validation.twin.surface import (
     fit_surfaces,
     map_of,
 )
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from lirs_wct.geometry import LaserScan, Pose2, Trajectory
 
 BLOCK = 2.5
 """Length of a block along the path, meters."""
@@ -99,13 +101,24 @@ def simulate_scans(real: LogComparison, start: FloatArray, noise: LidarNoise, se
         noise: of the simulated lidar.
         seed: of its random numbers.
     """
+    drawn = noisy_ranges(real.beams.ranges, real.scans.range_max, noise, seed)
+    return replace(real.scans, ranges=drawn.astype(np.float64), poses=start)
+
+
+def noisy_ranges(exact: FloatArray, range_max: float, noise: LidarNoise, seed: int) -> Float32Array:
+    """Return (n, beams) ranges that a lidar with `noise` measures, meters.
+
+    Args:
+        exact: (n, beams) expected ranges; inf = no wall.
+        range_max: largest range, meters.
+        noise: of the lidar.
+        seed: of its random numbers.
+    """
     rng = np.random.default_rng(seed)
-    n, beams = real.scans.ranges.shape
-    ranges = np.empty((n, beams), np.float32)
-    for k in range(n):
-        drawn = draw_noise(noise, beams, rng)
-        measure(real.beams.ranges[k], *drawn, (0.0, real.scans.range_max), noise.parameters, ranges[k])
-    return replace(real.scans, ranges=ranges.astype(np.float64), poses=start)
+    ranges = np.empty(exact.shape, np.float32)
+    for k, row in enumerate(exact):
+        measure(row, *draw_noise(noise, len(row), rng), (0.0, range_max), noise.parameters, ranges[k])
+    return ranges
 
 
 def blocks_of(poses: FloatArray) -> IntArray:
@@ -114,3 +127,20 @@ def blocks_of(poses: FloatArray) -> IntArray:
     along = np.concatenate(([0.0], np.cumsum(steps)))
     blocks: IntArray = np.floor(along / BLOCK).astype(np.int64)
     return blocks
+
+
+def scan_arrays(scans: Sequence[LaserScan], trajectory: Trajectory) -> LogScans:
+    """Return scans of one laser as arrays, at the mapper's poses."""
+    stamps = np.array([scan.stamp for scan in scans])
+    x, y, yaw = trajectory.planar_at(stamps).T
+    base = Trajectory.from_poses(stamps, map(Pose2, x.tolist(), y.tolist(), yaw.tolist()))
+    poses = laser_poses(base, scans)
+    ranges = np.stack([np.where(scan.hits, scan.ranges.astype(np.float64), np.inf) for scan in scans])
+    reach = max(scan.range_max for scan in scans)
+    return LogScans(ranges, scans[0].angles, poses, blocks_of(poses), reach)
+
+
+def laser_poses(base: Trajectory, scans: Sequence[LaserScan]) -> FloatArray:
+    """Return (n, 3) planar poses of the laser from those of the base."""
+    mounts = (Pose2(s.T_base_laser.x, s.T_base_laser.y, s.T_base_laser.yaw) for s in scans)
+    return np.array([(base.pose2(k) @ mount).as_array() for k, mount in enumerate(mounts)])

@@ -171,7 +171,7 @@ def fit_noise(real: LogComparison, start: FloatArray, seed: int) -> FittedNoise:
     noise = LidarNoise(sigma=width, quantization=step, dropout=float(lost), mixed_pixels=float(mixed))
     for k in range(ROUNDS):
         control = Sample.of(compare(simulate_scans(real, start, noise, seed + k)))
-        fitted, map_width = _corrected(sample, control, sample.blocks, noise)
+        fitted, map_width = _correct(sample, control, sample.blocks, noise)
         if k < ROUNDS - 1:
             noise = fitted
     drawn = [fitted, *_bootstrap(sample, control, noise, seed)]
@@ -187,7 +187,7 @@ def residual_distance(real: Sample, other: Sample) -> float:
     return float(ks_2samp(real.residual, other.residual).statistic)
 
 
-def _corrected(
+def _correct(
     real: Sample, control: Sample, blocks: IntArray, noise: LidarNoise
 ) -> tuple[LidarNoise, FloatArray]:
     """Return the noise corrected by a simulation with `noise`, and (bins,) the map's width, meters."""
@@ -226,7 +226,7 @@ def _bootstrap(real: Sample, control: Sample, noise: LidarNoise, seed: int) -> l
     rng = np.random.default_rng(seed)
     blocks = np.intersect1d(real.blocks, control.blocks)
     draws = (rng.choice(blocks, len(blocks)) for _ in range(SAMPLES))
-    return [_corrected(real, control, drawn, noise)[0] for drawn in draws]
+    return [_correct(real, control, drawn, noise)[0] for drawn in draws]
 
 
 def _quantile(drawn: list[LidarNoise], share: float) -> LidarNoise:
@@ -255,7 +255,7 @@ class FittedOdometry:
 
     Attributes:
         segments: count of segments.
-        scale: systematic part of the distance's scale error, which presets do not have.
+        scale: constant part of the distance's scale error.
         scale_sigma: deviation of the scale error, and interval.
         rate_sigma: white noise of the turn rate in each update of a simulation, rad/s, and interval.
         rate_bias: absolute mean error of the turn rate, rad/s.

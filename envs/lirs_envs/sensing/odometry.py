@@ -26,6 +26,7 @@ class OdometryConfig:
     Attributes:
         scale_sigma: standard deviation of the distance's scale error, which varies while the robot drives.
         scale_length: correlation length of the scale error, meters (first-order Gauss-Markov process).
+        scale_bias: constant scale error of the distance, as of a wrong wheel radius.
         method: `gyro` = distance from the wheels, heading from the gyro; `ekf` = a Kalman filter over both,
             which estimates the gyro's bias where the wheels measure the turn (at rest, or with one axle).
 
@@ -35,10 +36,12 @@ class OdometryConfig:
 
     scale_sigma: float = 0.02
     scale_length: float = 5.0
+    scale_bias: float = 0.0
     method: Method = "gyro"
 
     def __post_init__(self) -> None:
         require_within(self, "[0, 1)", "scale_sigma", of="the odometry")
+        require_within(self, "(-1, 1)", "scale_bias", of="the odometry")
         require_above(self, 0, "scale_length", of="the odometry", unit="m", finite=True)
         if self.method not in METHODS:
             raise unknown_name("odometry method", self.method, METHODS)
@@ -82,11 +85,15 @@ class DistanceNoises:
         scale: (N,) present scale error.
         normals: (N, BLOCK) coming normal numbers.
         used: (N,) how many of them are used up.
-        parameters: standard deviation and correlation length, meters.
+        parameters: standard deviation, correlation length, meters, and constant error.
     """
 
     def __init__(self, config: OdometryConfig, count: int) -> None:
-        self.parameters = (float(config.scale_sigma), float(config.scale_length))
+        self.parameters = (
+            float(config.scale_sigma),
+            float(config.scale_length),
+            float(config.scale_bias),
+        )
         self._rngs = [np.random.default_rng(0) for _ in range(count)]
         self.normals = np.zeros((count, BLOCK))
         self.used = np.zeros(count, np.int64)
@@ -134,14 +141,14 @@ def measured_distance(
     normals: FloatArray,
     used: IntArray,
     distance: float,
-    parameters: tuple[float, float],
+    parameters: tuple[float, float, float],
 ) -> float:
     """Return a measured distance, meters, with the next normal number; `scale` and `used` are (1,)."""
-    sigma, length = parameters
+    sigma, length, constant = parameters
     keep = math.exp(-abs(distance) / length)
     scale[0] = keep * scale[0] + sigma * math.sqrt(1 - keep * keep) * normals[used[0]]
     used[0] += 1
-    meters: float = distance * (1 + scale[0])
+    meters: float = distance * (1 + constant + scale[0])
     return meters
 
 
@@ -183,7 +190,7 @@ def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
 def reckoned_pose(
     pose: Vector3,
     noise: tuple[FloatArray, FloatArray, IntArray],
-    parameters: tuple[float, float],
+    parameters: tuple[float, float, float],
     distance: float,
     readings: tuple[Vector3, float, float],
     dt: float,
@@ -263,7 +270,7 @@ def _integrate_wheels(
     motion: tuple[FloatArray, FloatArray, FloatArray],
     joints: WheelJoints,
     noise: tuple[FloatArray, FloatArray, IntArray],
-    parameters: tuple[float, float],
+    parameters: tuple[float, float, float],
     dt: float,
     angles: FloatArray,
     pose: FloatArray,

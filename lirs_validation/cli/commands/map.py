@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,6 +55,12 @@ def figures_table(record: MapRecord) -> Table:
 
 
 Lidar = Annotated[str, typer.Option(help="Preset whose data sheet the log is compared with.")]
+Replayed = Annotated[
+    str, typer.Option("--replay", metavar="NAMES|all|none", help="Mappers of the log and its simulation.")
+]
+Draws = Annotated[
+    int, typer.Option(min=1, help="Simulated logs with different random numbers; errors are their medians.")
+]
 TwinOutput = Annotated[Path, typer.Option("-o", "--output", help="Folder for the result's folder.")]
 
 
@@ -66,8 +74,14 @@ def twin(
     range_max: Annotated[float | None, typer_option(MapConfig, "range_max")] = None,
     scan_topic: Annotated[str | None, typer_option(MapConfig, "scan_topic")] = None,
     odom_topic: Annotated[str | None, typer_option(MapConfig, "odom_topic")] = None,
+    relations: Annotated[str | None, typer_option(MapConfig, "relations")] = None,
+    reference: Annotated[str | None, typer_option(MapConfig, "reference")] = None,
+    reference_topic: Annotated[str | None, typer_option(MapConfig, "reference_topic")] = None,
+    replay: Replayed = "all",
+    draws: Draws = 1,
 ) -> None:
-    """Compare a log's lidar with the simulated one, and fit its noise: noise.yaml for --noise."""
+    """Compare a log with its simulation: twin.html, and fitted noise.yaml for --noise."""
+    from lirs_validation.twin.replay import parse_mappers
     from lirs_validation.twin.twin import run_twin
 
     config = MapConfig(
@@ -78,8 +92,21 @@ def twin(
         range_max=range_max,
         scan_topic=scan_topic,
         odom_topic=odom_topic,
+        relations=relations,
+        reference=reference,
+        reference_topic=reference_topic,
     )
     with progress_bar(log, err) as progress:
-        result, folder = run_twin(config, lidar=lidar, seed=seed, out=output, progress=progress)
-    out.print(result.sentence, soft_wrap=True, highlight=False)
-    out.print(f"{folder}", soft_wrap=True, highlight=False)
+        result, folder = run_twin(
+            config,
+            lidar=lidar,
+            seed=seed,
+            out=output,
+            replayed=parse_mappers(replay),
+            draws=draws,
+            command=shlex.join(["lirs-wct", *sys.argv[1:]]),
+            progress=progress,
+        )
+    for sentence in result.sentences:
+        out.print(sentence, soft_wrap=True, highlight=False)
+    out.print(f"{folder / 'twin.html'}", soft_wrap=True, highlight=False)

@@ -37,7 +37,7 @@ def scanner(preset: LidarPreset, mount: Pose3 | None = None, seed: int = 0) -> L
 
 
 def test_presets_are_the_devices() -> None:
-    planar = {"lms1xx", "lms111", "lms200", "utm30lx", "urg04lx", "rplidar_a1", "lds01"}
+    planar = {"lms1xx", "lms111", "lms200", "pls", "utm30lx", "urg04lx", "rplidar_a1", "lds01"}
     assert {name for name, lidar in LIDARS.items() if lidar.rings == 1} == planar
     lms = LIDARS["lms111"]
     assert (lms.beams, lms.rate, lms.range_min, lms.range_max, lms.sigma) == (541, 25.0, 0.5, 20.0, 0.012)

@@ -1,6 +1,7 @@
 import gzip
 import json
 import math
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,9 @@ from lirs_validation import cli
 from lirs_validation.cli.app import app
 from lirs_validation.twin.compare import GATE, LogComparison, blocks_of, compare
 from lirs_validation.twin.fit import Sample, fit_noise, fit_odometry, resolution_of
+from lirs_validation.twin.result import _beam_shares
 from lirs_validation.twin.surface import LogScans, fit_surfaces
-from lirs_validation.twin.twin import _beam_shares, standstill
+from lirs_validation.twin.twin import standstill
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import LaserScan, Pose2
 from lirs_wct.geometry.walls import WallGrid
@@ -199,15 +201,26 @@ def test_a_log_that_is_too_short_is_named(
 
 
 @pytest.mark.slow
-def test_the_command_writes_figures_picture_and_preset(tmp_path: Path) -> None:
+def test_the_command_writes_page_figures_and_preset(tmp_path: Path) -> None:
     log = str(ROOT / "examples" / "data" / "office.clf.gz")
-    result = CliRunner().invoke(app, ["twin", log, "-o", str(tmp_path)])
+    result = CliRunner().invoke(
+        app, ["twin", log, "-o", str(tmp_path), "--replay", "hector,cartographer", "--draws", "2"]
+    )
     assert result.exit_code == 0, result.output
     (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())
     figures = json.loads((folder / "twin.json").read_text())
-    assert figures["sentence"] in result.output
+    page = (folder / "twin.html").read_text()
+    for sentence in figures["sentences"]:
+        assert sentence in result.output
+        assert sentence in unescape(page)
     assert figures["kolmogorov"]["after"] < figures["kolmogorov"]["before"]
     noise = read_noise(folder / "noise.yaml")
     assert isinstance(noise.lidar, LidarNoise)
     assert noise.lidar.sigma == figures["noise"]["fitted"]["sigma"]
-    assert (folder / "residuals.png").stat().st_size > 10_000
+    assert noise.odometry.scale_bias == figures["odometry"]["scale"]
+    assert page.count("data:image/png") == 3
+    assert (folder / "scans.png").stat().st_size > 10_000
+    rows = figures["replay"]["mappers"]
+    assert [(row["mapper"], len(row["simulated"])) for row in rows] == [("hector", 2), ("cartographer", 2)]
+    # The log is a simulated drive: its simulation cannot differ by much.
+    assert all(row["real"] < 0.2 and max(row["simulated"]) < 0.2 for row in rows)
