@@ -115,8 +115,9 @@ def _difference(ax: Axes, result: TwinResult, k: int, simulated: FloatArray) -> 
     """Draw measured less expected range of one scan's beams, real and simulated, millimeters."""
     angles = np.degrees(result.real.scans.angles)
     compared = result.real.compared[k]
+    expected = np.where(compared, result.real.beams.ranges[k], np.nan)
     for ranges, color in ((simulated, VERMILLION), (result.real.scans.ranges[k], BLUE)):
-        error = 1000 * (ranges - result.real.beams.ranges[k])
+        error = 1000 * (ranges - expected)
         ax.plot(
             angles[compared],
             np.clip(error, -1000 * GATE, 1000 * GATE)[compared],

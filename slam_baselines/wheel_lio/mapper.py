@@ -111,14 +111,16 @@ class WheelLioMapper:
         predicted = self._motion.predict(cloud.stamp, odometry, imu, readings)
         sweep = deskew(cloud, predicted.twist)
         points = self._in_range(sweep)
-        edges = self._in_range(find_edges(sweep, cloud.ring, cloud.T_base_laser.position))
-        seen = SweepPoints(thin(points, self.config.thin), edges)
+        origin = cloud.T_base_laser.position
+        edges = self._in_range(find_edges(sweep, cloud.ring, origin))
+        seen = SweepPoints(thin(points, self.config.thin), edges, origin)
         match = register(seen, self._map, self._prior(predicted), self._rule)
         self._motion.correct(match.R, match.t)
         if self._is_key(match):
             self._key = match
-            self._map.planes.insert(points @ match.R.T + match.t, match.t)
-            self._map.lines.insert(edges @ match.R.T + match.t, match.t)
+            center = match.R @ origin + match.t
+            self._map.planes.insert(points @ match.R.T + match.t, center)
+            self._map.lines.insert(edges @ match.R.T + match.t, center)
         self._stamps.append(cloud.stamp)
         quaternion = Rotation.from_matrix(match.R).as_quat(scalar_first=True)
         self._poses.append(Pose3.from_arrays(match.t, quaternion))

@@ -17,7 +17,15 @@ from scipy.spatial.transform import Rotation
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.kernels import njit
 from slam_baselines.wheel_lio.sweep import SweepPoints
-from slam_baselines.wheel_lio.voxel_map import EMPTY, LEVELS, VARIANCE, LocalMap, find_slot, voxel_key
+from slam_baselines.wheel_lio.voxel_map import (
+    EMPTY,
+    LEVELS,
+    VARIANCE,
+    LocalMap,
+    find_slot,
+    is_behind,
+    voxel_key,
+)
 
 STEPS = 15
 """Largest number of Gauss-Newton steps."""
@@ -122,7 +130,9 @@ def register(seen: SweepPoints, local: LocalMap, prior: SpatialPrior, rule: Matc
     R, t, P = prior.R, prior.t, prior.sigmas**-2.0
     planes, lines = local
     for _ in range(STEPS):
-        H, g, weight, square, found = linearize(seen.surfaces, planes.table, planes.cell, R, t, rule)
+        H, g, weight, square, found = linearize(
+            seen.surfaces, seen.origin, planes.table, planes.cell, R, t, rule
+        )
         if found < LEAST_POINTS:
             return PlaneMatch(prior.R, prior.t, found, NOTHING)
         arc = np.repeat((1.0, math.sqrt(square / weight)), 3)
@@ -147,8 +157,8 @@ def find_weak(information: FloatArray, weak: float) -> Constraint:
 
 
 @njit(cache=True, nogil=True)
-def linearize(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
-    """Linearize the distances of points from the map's planes.
+def linearize(points: Any, origin: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
+    """Linearize the distances of points, seen from `origin` (3,), from the map's planes.
 
     Returns:
         Weighted sums over the points with a plane: J'J (6, 6) and J'r (6,) of a shift and a turn about the
@@ -157,7 +167,7 @@ def linearize(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -
     H, g = np.zeros((6, 6)), np.zeros(6)
     total = square = 0.0
     found = 0
-    J = np.empty(6)
+    J, sensor = np.empty(6), np.dot(R, origin) + t
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         qx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
@@ -167,6 +177,8 @@ def linearize(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -
         if slot < 0:
             continue
         plane = table[2][slot]
+        if is_behind(plane, sensor):
+            continue
         a, b, c = plane[0], plane[1], plane[2]
         r = a * (plane[3] - qx - t[0]) + b * (plane[4] - qy - t[1]) + c * (plane[5] - qz - t[2])
         if abs(r) > rule.gate:

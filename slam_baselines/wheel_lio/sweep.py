@@ -42,10 +42,12 @@ class SweepPoints(NamedTuple):
     Attributes:
         surfaces: (n, 3).
         edges: (m, 3) vertical ends of surfaces, and others.
+        origin: (3,) of the beams.
     """
 
     surfaces: FloatArray
     edges: FloatArray
+    origin: FloatArray
 
 
 def deskew(cloud: PointCloud, twist: BodyTwist) -> FloatArray:

@@ -19,6 +19,8 @@ START = 1 << 15
 """Slots of a new table."""
 FILLED = 0.5
 """Largest share of used slots."""
+BEHIND = 0.05
+"""Least distance of a sensor behind a plane at which it sees another surface, meters."""
 CHUNK = 2048
 """Points that are added together; the table must have free slots for all of them."""
 EMPTY = -1
@@ -33,7 +35,7 @@ class Table(NamedTuple):
     Attributes:
         keys: (slots,) of the voxels, EMPTY in a free slot.
         sums: (slots, 10) number of points, sums of x, y, z, xx, xy, xz, yy, yz, zz from the voxel's center.
-        planes: (slots, 8), map frame, meters.
+        planes: (slots, 8), map frame, meters; normals point to the side that was seen.
     """
 
     keys: IntArray
@@ -99,17 +101,20 @@ class VoxelMap:
         return sum(array.nbytes for array in self.table)
 
     def insert(self, points: FloatArray, center: FloatArray) -> None:
-        """Add points (n, 3) of the map frame, seen from about `center` (3,), meters."""
+        """Add points (n, 3) of the map frame, seen from `center` (3,), meters.
+
+        A voxel takes no points of the other side of its plane: a thin wall has two faces.
+        """
         for begin in range(0, len(points), CHUNK):
             chunk = points[begin : begin + CHUNK]
             if self._used + LEVELS * CHUNK > FILLED * len(self.table.keys):
                 self._make_room(center)
             touched = np.empty(LEVELS * CHUNK, np.int64)
-            created, count = _add(self.table, chunk, self.cell, self._rule.full, touched)
+            created, count = _add(self.table, chunk, center, self.cell, self._rule.full, touched)
             self._used += created
-            self._fit(self.table, touched[:count], self.cell, self._rule)
+            self._fit(self.table, touched[:count], center, self.cell, self._rule)
 
-    def _fit(self, table: Table, slots: IntArray, cell: float, rule: Any) -> None:
+    def _fit(self, table: Table, slots: IntArray, center: FloatArray, cell: float, rule: Any) -> None:
         raise NotImplementedError
 
     def _make_room(self, center: FloatArray) -> None:
@@ -181,7 +186,7 @@ def _center(key: int, cell: float) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def _add(table: Any, points: Any, cell: float, full: float, touched: Any) -> Any:
+def _add(table: Any, points: Any, center: Any, cell: float, full: float, touched: Any) -> Any:
     """Add points; return the numbers of new voxels and of rows in `touched`."""
     keys, sums, planes = table
     created = count = 0
@@ -193,7 +198,7 @@ def _add(table: Any, points: Any, cell: float, full: float, touched: Any) -> Any
                 keys[slot] = key
                 created += 1
             s = sums[slot]
-            if s[0] >= full:
+            if s[0] >= full or is_behind(planes[slot], center):
                 continue
             if s[0] == planes[slot, FITTED]:
                 touched[count] = slot
@@ -214,7 +219,15 @@ def _add(table: Any, points: Any, cell: float, full: float, touched: Any) -> Any
 
 
 @njit(cache=True, nogil=True)
-def _fit_planes(table: Any, slots: Any, cell: float, rule: Any) -> None:
+def is_behind(plane: Any, sensor: Any) -> Any:
+    """Return whether a sensor (3,) is on the side of a plane that was not seen."""
+    a, b, c = plane[0], plane[1], plane[2]
+    side = a * (sensor[0] - plane[3]) + b * (sensor[1] - plane[4]) + c * (sensor[2] - plane[5])
+    return plane[VARIANCE] > 0.0 and side < -BEHIND
+
+
+@njit(cache=True, nogil=True)
+def _fit_planes(table: Any, slots: Any, center: Any, cell: float, rule: Any) -> None:
     """Fit the planes of voxels by the eigenvectors of their points' covariance.
 
     With n points, variance v across the plane and w along its narrow side, the normal has the variance
@@ -243,11 +256,13 @@ def _fit_planes(table: Any, slots: Any, cell: float, rule: Any) -> None:
             cx, cy, cz = _center(keys[slot], cell)
             plane[0], plane[1], plane[2] = vectors[0, 0], vectors[1, 0], vectors[2, 0]
             plane[3], plane[4], plane[5] = cx + x, cy + y, cz + z
+            if np.dot(plane[:3], center - plane[3:6]) < 0:
+                plane[:3] = -plane[:3]
             plane[VARIANCE] = across
 
 
 @njit(cache=True, nogil=True)
-def _fit_lines(table: Any, slots: Any, cell: float, rule: Any) -> None:
+def _fit_lines(table: Any, slots: Any, center: Any, cell: float, rule: Any) -> None:
     """Fit vertical lines to voxels: mean and horizontal variance of the points."""
     keys, sums, lines = table
     for slot in slots:

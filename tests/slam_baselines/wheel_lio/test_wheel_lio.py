@@ -50,7 +50,7 @@ def mapped(points: FloatArray, cell: float = 0.5) -> LocalMap:
 
 
 def seen_points(points: FloatArray, cell: float = 0.3) -> SweepPoints:
-    return SweepPoints(thin(points, cell), np.zeros((0, 3)))
+    return SweepPoints(thin(points, cell), np.zeros((0, 3)), np.zeros(3))
 
 
 @pytest.mark.parametrize(
@@ -129,17 +129,32 @@ def test_the_linearization_is_the_derivative_of_the_distances() -> None:
 
     def gradient(x: FloatArray) -> FloatArray:
         R = Rotation.from_rotvec(x[3:]).as_matrix()
-        found: FloatArray = linearize(points, planes.table, planes.cell, R, t + x[:3], soft)[1]
+        found: FloatArray = linearize(points, np.zeros(3), planes.table, planes.cell, R, t + x[:3], soft)[1]
         return found
 
-    H = linearize(points, planes.table, planes.cell, np.eye(3), t, soft)[0]
+    H = linearize(points, np.zeros(3), planes.table, planes.cell, np.eye(3), t, soft)[0]
     np.testing.assert_allclose(gradient(np.zeros(6)) - gradient(step), H @ step, rtol=0.02, atol=1e-9)
+
+
+def test_the_other_face_of_a_thin_wall_is_not_taken_for_the_first() -> None:
+    """The first face is at x = 4, seen from the origin; the other one is 0.3 m behind it."""
+    rng = np.random.default_rng(8)
+    yz = rng.uniform((-4, -0.4), (4, 2), (4000, 2))
+    voxels = mapped(np.column_stack((np.full(4000, 4.0), yz)))
+    planes = voxels.planes.table.planes.copy()
+    R, t = Rotation.from_rotvec((0, 0, math.pi)).as_matrix(), np.array((8.0, 0.0, 0.0))
+    other = (np.column_stack((np.full(4000, 4.3), yz)) - t) @ R
+    match = register(seen_points(other), voxels, SpatialPrior(R, t, LOOSE), RULE)
+    assert match.points == 0
+    voxels.planes.insert(np.column_stack((np.full(4000, 4.3), yz)), t)
+    flat = planes[:, 6] > 0
+    np.testing.assert_array_equal(voxels.planes.table.planes[flat], planes[flat])
 
 
 def test_too_few_planes_constrain_nothing() -> None:
     voxels = mapped(np.zeros((0, 3)))
     prior = SpatialPrior(np.eye(3), np.ones(3), LOOSE)
-    match = register(SweepPoints(np.ones((100, 3)), np.zeros((0, 3))), voxels, prior, RULE)
+    match = register(SweepPoints(np.ones((100, 3)), np.zeros((0, 3)), np.zeros(3)), voxels, prior, RULE)
     assert match.constraint is NOTHING
     assert (match.points, match.t.tolist()) == (0, [1.0, 1.0, 1.0])
 
@@ -210,7 +225,7 @@ def test_edges_find_the_place_along_a_wall() -> None:
         local.lines.insert(find_edges(points, ring, np.zeros(3)) + np.array((x, 0.0, 0.0)), np.zeros(3))
     points, ring = wall_sweep(0.7)
     ground = surfaces(np.random.default_rng(12), length=20.0, walls=False, ends=False)
-    seen = SweepPoints(thin(ground, 0.3), find_edges(points, ring, np.zeros(3)))
+    seen = SweepPoints(thin(ground, 0.3), find_edges(points, ring, np.zeros(3)), np.zeros(3))
     for expected in (0.5, 0.9):
         prior = SpatialPrior(np.eye(3), np.array((expected, 0.1, 0.0)), np.repeat((1.0, 0.02), 3))
         match = register(seen, local, prior, RULE)
