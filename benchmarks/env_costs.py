@@ -24,7 +24,7 @@ import numpy as np
 
 import lirs_envs  # noqa: F401  registers
 
-IDS = "LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0"
+IDS = "LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1"
 N = 16
 START = """
 import time

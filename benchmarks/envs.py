@@ -165,7 +165,7 @@ def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
     """Return all figures."""
     recording = Recording(steps, told)
     one, two, several = vector(1), vector(2), vector(len(os.sched_getaffinity(0)))
-    sync = SyncVectorEnv([lambda: gym.make("LIRS/Mapping-v1", **TASK) for _ in range(N)])
+    sync = SyncVectorEnv([lambda: gym.make("LIRS/Mapping-v2", **TASK) for _ in range(N)])
     sync.reset(seed=0)
     cpu, wall = time.process_time, time.perf_counter
     times = medians(
@@ -181,7 +181,7 @@ def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
         rounds,
         steps,
     )
-    peers = AsyncVectorEnv([lambda: gym.make("LIRS/Mapping-v1", **TASK) for _ in range(N)])
+    peers = AsyncVectorEnv([lambda: gym.make("LIRS/Mapping-v2", **TASK) for _ in range(N)])
     peers.reset(seed=0)
     times |= medians(
         {

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-TASKS = ("LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0")
+TASKS = ("LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1")
 ROBOTS = ("husky", "jackal", "turtlebot3_burger")
 GROUPS = ("scan", "sectors", "body", "odometry", "attitude", "seen_map", "height_map")
 GOAL_GROUPS = ("goal", "goal_direction")
@@ -37,8 +37,8 @@ def environment_outcomes(steps: int) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield f"{name}, {kind}", single(task, steps, robot=robot, **options)
                 yield f"{name}, {kind}, vector", vector(task, steps, robot=robot, **options)
     for name, options in VARIANTS.items():
-        yield f"Navigation-v0 {name}", single(TASKS[1], steps, **options)
-        yield f"Navigation-v0 {name}, vector", vector(TASKS[1], steps, autoreset_mode="SameStep", **options)
+        yield f"Navigation-v1 {name}", single(TASKS[1], steps, **options)
+        yield f"Navigation-v1 {name}, vector", vector(TASKS[1], steps, autoreset_mode="SameStep", **options)
 
 
 def single(task: str, steps: int, **options: Any) -> dict[str, Any]:

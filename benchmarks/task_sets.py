@@ -27,7 +27,7 @@ from lirs_wct.errors import SimulationError, SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
 
-VERSION = 1
+VERSION = 2
 SHIPPED = Path(__file__).resolve().parents[1] / "lirs_validation" / "bench" / "task_sets"
 DIFFICULTIES = (0.5, 0.75, 1.0)
 """Of goals, in turn."""

@@ -22,7 +22,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=200)
     parser.add_argument("-o", "--out", type=Path, default=Path("scan.png"))
     given = parser.parse_args()
-    env = gym.make("LIRS/Mapping-v1", world="medium", robot="husky")
+    env = gym.make("LIRS/Mapping-v2", world="medium", robot="husky")
     observation, _ = env.reset(seed=1)
     earned = 0.0
     for _ in range(given.steps):

@@ -95,7 +95,7 @@ def training_envs(places: Sequence[Place]) -> Any:
 
     vectors = [
         gym.make_vec(
-            "LIRS/Navigation-v0", num_envs=ROBOTS_PER_PLACE, autoreset_mode="SameStep", world=world,
+            "LIRS/Navigation-v1", num_envs=ROBOTS_PER_PLACE, autoreset_mode="SameStep", world=world,
             robot=robot, observe=OBSERVE, control_hz=CONTROL_HZ, difficulty=DIFFICULTY,
         )
         for world, robot in places

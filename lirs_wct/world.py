@@ -90,6 +90,13 @@ class World(ShownAsPicture):
         """Walls of a laser map."""
         return self.ground.walls if isinstance(self.ground, LaserMap) else None
 
+    def enclose(self) -> World:
+        """Return a laser map's world with a wall along the border of the map; other worlds unchanged."""
+        if not isinstance(self.ground, LaserMap):
+            return self
+        walls = self.ground.walls.enclose()
+        return self if walls is self.ground.walls else replace(self, ground=replace(self.ground, walls=walls))
+
     @property
     def truth(self) -> OccupancyGrid | None:
         """The input laser map."""

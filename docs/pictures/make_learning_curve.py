@@ -38,7 +38,7 @@ def main() -> None:
                               fontsize=8, va="center", annotation_clip=False)  # fmt: skip
     plain_axes(axes, "thousand environment steps", f"share of the last {WINDOW} episodes")
     axes.set_ylim(0, 1)
-    title(axes, "PPO on LIRS/Navigation-v0")
+    title(axes, "PPO on LIRS/Navigation-v1")
     given.output.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(given.output, dpi=110)
 

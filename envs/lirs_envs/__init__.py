@@ -27,7 +27,7 @@ def _choose_opengl() -> None:
 
 _choose_opengl()
 
-for _id, _task in (("Mapping-v1", "mapping"), ("Navigation-v0", "navigation"), ("Traverse-v0", "traverse")):
+for _id, _task in (("Mapping-v2", "mapping"), ("Navigation-v1", "navigation"), ("Traverse-v1", "traverse")):
     register(
         id=f"LIRS/{_id}",
         entry_point="lirs_envs.env:RobotEnv",

@@ -48,8 +48,7 @@ class RobotModel:
         model: compiled.
         data: its state.
         contact: the grid that wheels touch.
-        timestep: seconds; the largest part of the period that is at most the robot's own and at most
-            `longest_timestep`.
+        timestep: seconds; the largest part of the period that is at most the robot's own.
         substeps: steps of each control update of one period.
         wheel_geoms: ids of the geoms that are meant to touch the ground.
         contact_drops: (ngeom,) least height of a geom's center above a contact that is no collision, meters;
@@ -74,7 +73,6 @@ class RobotModel:
         height_range: lowest and highest height that `replace_surface` may write, meters; the ground that is
             touched is then the surface itself. None = the ground stays.
         contact_sensors: whether to add sensors of the robot's contacts.
-        longest_timestep: longest step of the physics, seconds (see `shorten_timestep`); None = the robot's.
     """
 
     def __init__(
@@ -89,15 +87,12 @@ class RobotModel:
         actors: int = 0,
         height_range: tuple[float, float] | None = None,
         contact_sensors: bool = False,
-        longest_timestep: float | None = None,
     ) -> None:
         if height_range is not None and world.kind != "terrain":
             raise ConfigError(f"{world.name}: a height_range is for terrains, this world is a {world.kind}")
         self._height_range = height_range
         self.contact: ContactGrid = (contact_grid if height_range is None else surface_itself)(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
-        if longest_timestep is not None:
-            shorten_timestep(spec, longest_timestep)
         self._period = period
         spec.option.timestep = self.timestep = _even_part(period, spec.option.timestep)
         steps = round(period / self.timestep)
@@ -300,18 +295,6 @@ class RobotModel:
         ends = np.cumsum(self.substeps) * (self.timestep / timestep)
         begun = np.ceil(ends - 1e-6).astype(int)
         return tuple(np.diff(begun, prepend=0).tolist())
-
-
-def shorten_timestep(spec: mujoco.MjSpec, longest: float) -> None:
-    """Limit a robot's time step, seconds; kv * timestep of its wheel servos stays constant."""
-    factor = spec.option.timestep / longest
-    if factor <= 1:
-        return
-    spec.option.timestep = longest
-    for actuator in spec.actuators:
-        if actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE:
-            actuator.gainprm[0] *= factor
-            actuator.biasprm[2] *= factor
 
 
 def _even_part(period: float, longest: float) -> float:

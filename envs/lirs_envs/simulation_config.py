@@ -15,7 +15,7 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.walkers import TOUCHABLE
 from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.field_validators import is_finite, require_above, require_type
+from lirs_wct.field_validators import is_finite, require_type
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,6 @@ class SimulationConfig:
         start: pose where a reset sets the robot down; None = the world's first start pose.
         height_range: lowest and highest height that `Simulation.replace_terrain` may write, meters; wheels
             then touch the surface itself, node by node. None = the ground stays.
-        longest_timestep: longest step of the physics, seconds; None = the robot's own, never exceeded.
         inertial: noise of inertial readings near 200 Hz, which observations then hold; None = none.
 
     Raises:
@@ -53,7 +52,6 @@ class SimulationConfig:
     actors: int = 0
     start: Pose2 | None = None
     height_range: tuple[float, float] | None = None
-    longest_timestep: float | None = None
     inertial: InertialNoise | None = None
 
     def __post_init__(self) -> None:
@@ -71,8 +69,6 @@ class SimulationConfig:
         if self.start is not None:
             check_start(self.start)
         self._check_height_range()
-        if self.longest_timestep is not None:
-            require_above(self, 0, "longest_timestep", unit="s", finite=True)
         require_type(self, InertialNoise | None, "inertial")
         make_lidar_preset(self.preset_name)
 

@@ -114,7 +114,7 @@ class TaskSet:
 
     Attributes:
         name: of the set.
-        version: raised whenever a task changes; scores of two versions are not compared.
+        version: raised whenever a task or the environment changes; scores of two versions are not compared.
         tasks: all of them.
     """
 

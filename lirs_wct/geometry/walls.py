@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -59,6 +59,18 @@ class WallGrid:
     def floor(self) -> BoolArray:
         """(rows, cols) bool, the cells that are neither wall nor hole."""
         return ~self.solid if self.hole is None else ~(self.solid | self.hole)
+
+    def enclose(self) -> WallGrid:
+        """Return the walls with a ring of wall cells around the grid; itself if its border is all wall."""
+        if all(side.all() for side in (self.solid[0], self.solid[-1], self.solid[:, 0], self.solid[:, -1])):
+            return self
+        x, y = self.origin.apply((-self.resolution, -self.resolution)).tolist()
+        return replace(
+            self,
+            solid=np.pad(self.solid, 1, constant_values=True),
+            hole=None if self.hole is None else np.pad(self.hole, 1),
+            origin=Pose2(x, y, self.origin.yaw),
+        )
 
     @property
     def corners(self) -> FloatArray:

@@ -31,12 +31,14 @@ import lirs_envs  # noqa: F401  registers
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
-IDS = ("LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0")
+IDS = ("LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1")
 ALL_GROUPS = ["scan", "odometry", "attitude", "seen_map", "height_map"]
 
 
@@ -105,7 +107,7 @@ def test_a_copy_in_mid_episode_goes_on_bit_for_bit(name: str, copied: Callable[[
 
 
 def test_observations_are_nobody_else_s() -> None:
-    env = gym.make("LIRS/Mapping-v1", observe=ALL_GROUPS)
+    env = gym.make("LIRS/Mapping-v2", observe=ALL_GROUPS)
     first, _ = env.reset(seed=0)
     kept = {name: value.copy() for name, value in first.items()}
     env.step(env.action_space.sample())
@@ -299,7 +301,7 @@ def test_starts_are_anywhere_free_or_the_first_spawn_pose(rough: World) -> None:
 
 def test_random_flight_holds_out() -> None:
     """A quadrotor flies for 200 steps of random actions, and climbs when told to."""
-    env = gym.make("LIRS/Mapping-v1", robot="quadrotor")
+    env = gym.make("LIRS/Mapping-v2", robot="quadrotor")
     for seed in range(3):
         env.reset(seed=seed)
         env.action_space.seed(seed)
@@ -317,7 +319,7 @@ def test_random_flight_holds_out() -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the memory from /proc")
-@pytest.mark.parametrize("name", ["LIRS/Mapping-v1", "LIRS/Traverse-v0"])
+@pytest.mark.parametrize("name", ["LIRS/Mapping-v2", "LIRS/Traverse-v1"])
 def test_memory_does_not_grow(name: str) -> None:
     """Episodes keep no records: 60 resets and 800 steps, of which a leak of 25 kB a reset would show."""
 
@@ -342,7 +344,7 @@ def test_memory_does_not_grow(name: str) -> None:
     assert megabytes() - before < 1.5
 
 
-def test_the_husky_keeps_the_timestep_of_the_environments(plane: World) -> None:
+def test_environments_take_the_robots_own_timestep(plane: World, husky: Robot) -> None:
     body = Simulation(plane, EnvConfig(world=plane).simulation).body
-    assert body.timestep == 0.004
-    assert body.substeps == (2,) * 5
+    own = Simulation(plane, SimulationConfig(robot=husky)).body
+    assert body.timestep == own.timestep == 0.005

@@ -20,14 +20,14 @@ def test_props_and_rays_are_options_of_plain_json() -> None:
     start = {"start": (0.0, 0.0, 0.0)}
     ranges = []
     for rays in ("builtin", "mujoco"):
-        env = gym.make("LIRS/Mapping-v1", rays=rays, **options)
+        env = gym.make("LIRS/Mapping-v2", rays=rays, **options)
         ranges.append(env.reset(seed=1, options=start)[0]["scan"])
         copy = pickle.loads(pickle.dumps(env.spec))
         assert gym.make(copy).reset(seed=1, options=start)[0]["scan"].tobytes() == ranges[-1].tobytes()
     middle = len(ranges[0]) // 2
     assert 1.0 < ranges[0][middle] < 1.9
     assert ranges[0][middle] == pytest.approx(ranges[1][middle], abs=0.01)
-    vector = gym.make_vec("LIRS/Mapping-v1", num_envs=2, vectorization_mode="vector_entry_point", **options)
+    vector = gym.make_vec("LIRS/Mapping-v2", num_envs=2, vectorization_mode="vector_entry_point", **options)
     assert vector.reset(seed=1, options=start)[0]["scan"][0].tobytes() == ranges[0].tobytes()
 
 
@@ -41,4 +41,4 @@ def test_props_and_rays_are_options_of_plain_json() -> None:
 )
 def test_bad_props_and_rays_are_named(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        gym.make("LIRS/Mapping-v1", **options)
+        gym.make("LIRS/Mapping-v2", **options)

@@ -89,7 +89,7 @@ def test_blind_policies() -> None:
 
 @pytest.mark.parametrize(("robot", "world"), [("husky", "medium"), ("jackal", "simple")])
 def test_it_reaches_goals_where_straight_ahead_does_not(robot: str, world: str) -> None:
-    env: Any = gym.make("LIRS/Navigation-v0", world=world, robot=robot, difficulty=0.3).unwrapped
+    env: Any = gym.make("LIRS/Navigation-v1", world=world, robot=robot, difficulty=0.3).unwrapped
     successes = {GoToGoal: 0, StraightAhead: 0}
     for policy in successes:
         for seed in range(3):

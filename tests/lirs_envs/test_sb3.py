@@ -167,7 +167,7 @@ def test_vectors_that_do_not_fit(
 @pytest.mark.filterwarnings("ignore:Your observation height_map has an unconventional shape")
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("robot", sorted(ROBOTS))
-@pytest.mark.parametrize("name", ["LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0"])
+@pytest.mark.parametrize("name", ["LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1"])
 def test_its_checker_finds_nothing(name: str, robot: str) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker", reason=REASON)
     checker.check_env(gym.make(name, robot=robot, world="simple").unwrapped)

@@ -86,20 +86,6 @@ def test_the_reference_physics_holds_each_control_at_the_steps_within_it(plane: 
     assert body._steps_within_updates(body.timestep) == body.substeps
 
 
-def test_a_shorter_step_makes_the_servos_stiffer(plane: World, husky: Robot) -> None:
-    own = Simulation(plane, SimulationConfig(robot=husky)).body
-    short = Simulation(plane, SimulationConfig(robot=husky, longest_timestep=0.8 * own.timestep)).body
-    assert short.timestep == pytest.approx(0.8 * own.timestep)
-    gains = own.model.actuator_gainprm[:, 0]
-    np.testing.assert_allclose(short.model.actuator_gainprm[:, 0] * 0.8, gains)
-    np.testing.assert_allclose(short.model.actuator_biasprm[:, 2] * 0.8, -gains)
-    assert sum(short.substeps) * short.timestep == pytest.approx(sum(own.substeps) * own.timestep)
-    longer = Simulation(plane, SimulationConfig(robot=husky, longest_timestep=1.0)).body
-    assert longer.timestep == own.timestep
-    with pytest.raises(ConfigError, match="longest_timestep"):
-        SimulationConfig(robot=husky, longest_timestep=0.0)
-
-
 def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
     sim = Simulation(rough, SimulationConfig(robot=husky))
     drive(sim)

@@ -17,7 +17,7 @@ from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.world import World
 
-IDS = ("LIRS/Mapping-v1", "LIRS/Navigation-v0", "LIRS/Traverse-v0")
+IDS = ("LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1")
 N = 3
 
 
@@ -165,7 +165,7 @@ def test_what_cannot_be(plane: World) -> None:
 
 
 def test_max_episode_steps_truncates(plane: World) -> None:
-    env = gym.make_vec("LIRS/Mapping-v1", num_envs=2, world=plane, max_episode_steps=3)
+    env = gym.make_vec("LIRS/Mapping-v2", num_envs=2, world=plane, max_episode_steps=3)
     assert isinstance(env, RobotVectorEnv)
     env.reset(seed=0)
     truncated = [env.step(np.zeros((2, 2)))[3].tolist() for _ in range(4)]
@@ -175,7 +175,7 @@ def test_max_episode_steps_truncates(plane: World) -> None:
 def test_vector_wrappers() -> None:
     """Wrappers of vectors, one on the other: returns of episodes, flat and normalized readings."""
     envs: Any = gym.make_vec(
-        "LIRS/Navigation-v0",
+        "LIRS/Navigation-v1",
         num_envs=3,
         vectorization_mode="vector_entry_point",
         world="simple",

@@ -184,7 +184,6 @@ def make_body(
         actors=config.walker_bodies,
         height_range=height_range,
         contact_sensors=contact_sensors,
-        longest_timestep=config.longest_timestep,
     )
 
 

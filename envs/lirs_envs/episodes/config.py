@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from lirs_envs.lidar.noise import NoiseLevel
@@ -14,6 +14,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.odometry import Method, OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.tasks.task import Rewards
 from lirs_wct import ConfigError, Pose2, World, unknown_name
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.field_validators import is_finite, require_above, require_type, require_within
@@ -26,8 +27,6 @@ RANDOMIZED: dict[str, tuple[float, float] | None] = {
     "terrain": None,
 }
 """Quantities that an episode may randomize, with their default ranges of factors."""
-TIMESTEPS = {"husky": 0.004}
-"""Longest physics step, seconds, of robots whose step was shorter when the environments' versions came."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +52,7 @@ class EnvConfig:
         actors: number of walkers (see `lirs_envs.walkers`).
         difficulty: 0 to 1, for tasks with a difficulty.
         time_limit: seconds until an episode is truncated; None = the task's own.
+        rewards: weights that differ from the defaults, by name (see `lirs_envs.tasks.task.Rewards`).
 
     Raises:
         ConfigError: a value is not legal.
@@ -73,6 +73,7 @@ class EnvConfig:
     actors: int = 0
     difficulty: float = 0.5
     time_limit: float | None = None
+    rewards: Mapping[str, float] = field(default_factory=dict)
     simulation: SimulationConfig = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -92,10 +93,20 @@ class EnvConfig:
             contact_geometry=self.terrain,
             props=[_prop(given) for given in self.props],
             actors=self.actors,
-            longest_timestep=TIMESTEPS.get(self.robot),
         )
         object.__setattr__(self, "simulation", config)
-        _ = self.factors
+        _ = self.factors, self.weights
+
+    @property
+    def weights(self) -> Rewards:
+        """Weights of the rewards."""
+        if not isinstance(self.rewards, Mapping):
+            raise ConfigError(f"rewards must be a mapping of names to weights, got {self.rewards!r}")
+        names = [weight.name for weight in fields(Rewards)]
+        for name in self.rewards:
+            if name not in names:
+                raise unknown_name("reward", str(name), names)
+        return Rewards(**self.rewards)
 
     @property
     def factors(self) -> dict[str, tuple[float, float] | None] | None:

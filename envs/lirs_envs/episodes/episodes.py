@@ -22,7 +22,7 @@ from lirs_envs.tasks.mapping import MappingTask
 from lirs_envs.tasks.navigation import NavigationTask
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import make_site
-from lirs_envs.tasks.task import CONTACT_COST, DRAWS, EFFORT_COST, Stage, Task
+from lirs_envs.tasks.task import DRAWS, Stage, Task
 from lirs_envs.tasks.traverse import MIXED, CourseScale, TraverseTask, course_scale
 from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
@@ -80,6 +80,8 @@ TASKS: dict[str, type[Task]] = {
     "traverse": TraverseTask,
 }
 """Tasks by name."""
+ERROR, TIPPED, LEFT = "error", "tipped over", "left the world"
+"""Accidents: reasons for the end of an episode of any task."""
 CLIMB_RATE = 1.0
 """Climb rate of a flying robot at full action, m/s."""
 GROUND_REACH, FLYING_REACH = 1.0, 3.0
@@ -152,6 +154,8 @@ class Episodes:
         self._scale = np.array((robot.max_speed, robot.max_turn_rate, CLIMB_RATE))
         limit = TASKS[task].time_limit if config.time_limit is None else config.time_limit
         self._last_step = min(max(1, round(limit * config.control_hz)), max_steps or 2**62)
+        weights = config.weights
+        self._accidents = {ERROR: weights.tipped, TIPPED: weights.tipped, LEFT: weights.left}
         self._make_rows(count)
 
     def _make_stage(self, factors: Factors, *, sees: bool) -> Stage:
@@ -160,6 +164,7 @@ class Episodes:
             simulation=self.simulation,
             site=site,
             seen=self._make_seen(self.count, site.seen.height.shape) if sees else None,
+            rewards=self.config.weights,
             difficulty=np.full(self.count, float(self.config.difficulty)),
             randomize_start="start" in factors,
             randomize_terrain="terrain" in factors,
@@ -175,6 +180,8 @@ class Episodes:
         self.terminated: BoolArray = np.zeros(count, np.bool_)
         self.truncated: BoolArray = np.zeros(count, np.bool_)
         self._steps, self._redrawn = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        self._contact = np.zeros(count)
+        """Cost of contact in this episode, at most 0."""
         self._ready: BoolArray = np.zeros(count, np.bool_)
         self._reasons = [""] * count
 
@@ -211,6 +218,7 @@ class Episodes:
     def _begin(self, i: int, redrawn: int) -> None:
         self._redrawn[i], self._steps[i], self._reasons[i] = redrawn, 0, ""
         self.terminated[i] = self.truncated[i] = False
+        self._contact[i] = 0.0
         if self.stage.seen is not None:
             self.stage.seen.begin(i, *self.task.ground(i))
             self._see(np.array((i,)))
@@ -254,11 +262,32 @@ class Episodes:
         going = np.array([i for i in ids.tolist() if not errors[i]], np.int64)
         rewards = np.zeros(self.count)
         rewards[going] = self.task.step(going)
-        cost = CONTACT_COST * self.simulation.touched[ids] + EFFORT_COST * (taken**2).mean(axis=1)
-        rewards[ids] -= cost * self.simulation.period
         self._steps[ids] += 1
         self._end(ids)
-        return rewards[ids]
+        for i in ids.tolist():
+            if self._reasons[i] in self._accidents:
+                # A falling robot earns nothing by the ground that its lidar sweeps.
+                rewards[i] = min(rewards[i], 0.0) + self._accidents[self._reasons[i]]
+        effort = self.stage.rewards.effort * self.simulation.period
+        cost: FloatArray = self._charge_contact(ids) + effort * (taken**2).mean(axis=1)
+        return rewards[ids] + cost
+
+    def _charge_contact(self, ids: IntArray) -> FloatArray:
+        """Return the cost of contact in this step (n,), at most 0.
+
+        All of an episode cost no more than a collision: else a policy that gets somewhere on rough ground
+        would earn less than one that stands still.
+        """
+        if self.task.ends_at_contact:
+            return np.zeros(len(ids))
+        weights, period = self.stage.rewards, self.simulation.period
+        before = self._contact[ids]
+        self._contact[ids] = np.maximum(
+            before + weights.contact * period * self.simulation.touched[ids],
+            np.minimum(weights.collision, before),
+        )
+        charged: FloatArray = self._contact[ids] - before
+        return charged
 
     def _end(self, ids: IntArray) -> None:
         simulation = self.simulation
@@ -266,11 +295,11 @@ class Episodes:
         for i in ids.tolist():
             reason = self.task.end(i)
             if simulation.errors[i]:
-                reason = "error"
+                reason = ERROR
             elif tipped[i]:
-                reason = "tipped over"
+                reason = TIPPED
             elif off[i]:
-                reason = "left the world"
+                reason = LEFT
             self.terminated[i] = bool(reason)
             self.truncated[i] = not reason and self._steps[i] >= self._last_step
             self._reasons[i] = "timeout" if self.truncated[i] else reason
@@ -401,4 +430,5 @@ def _factors(config: EnvConfig, crossing: bool) -> Factors:
 def _world(config: EnvConfig, crossing: bool, scale: CourseScale) -> World:
     if crossing:
         return generate("waves", 0.0, np.random.default_rng(0), **scale._asdict()).world()
-    return config.world if isinstance(config.world, World) else cached_world(str(config.world))
+    world = config.world if isinstance(config.world, World) else cached_world(str(config.world))
+    return world.enclose()

@@ -13,10 +13,6 @@ from lirs_envs.tasks.task import Stage, Task, point
 from lirs_wct import Pose2, SimulationError
 from lirs_wct.arrays import FloatArray, IntArray
 
-SUCCESS = 10.0
-"""Reward at the goal."""
-COLLISION = -5.0
-"""Reward at a collision."""
 NEAR, FAR = 3.0, 30.0
 """Longest path to a goal at difficulty 0 and 1, meters."""
 CANDIDATES = 8
@@ -26,7 +22,7 @@ CANDIDATES = 8
 class NavigationTask(Task):
     """Navigation task: reward per meter gained on the shortest path to the goal.
 
-    The goal is worth 10. A collision costs 5 and ends the episode.
+    Goal and collision end the episode.
 
     The way is the shortest over ground that the robot can drive. The goal is reached where way and straight
     distance are at most 0.5 m, or the robot's radius if that is more, and no obstacle is between. Difficulty
@@ -36,6 +32,7 @@ class NavigationTask(Task):
     observe: ClassVar = ("scan", "goal", "attitude")
     time_limit: ClassVar = 90.0
     option_names: ClassVar = ("start", "goal", "difficulty")
+    ends_at_contact: ClassVar = True
 
     def __init__(self, stage: Stage) -> None:
         super().__init__(stage)
@@ -79,6 +76,7 @@ class NavigationTask(Task):
     def step(self, ids: IntArray) -> FloatArray:
         """Return the meters gained, plus the rewards of success and collision."""
         stage, rewards = self.stage, np.zeros(len(ids))
+        success, collision = stage.rewards.success, stage.rewards.collision
         for k, i in enumerate(ids.tolist()):
             T = stage.pose(i)
             way = _way(stage.site, self._costs[i], T.x, T.y)
@@ -90,7 +88,7 @@ class NavigationTask(Task):
             near = max(self._distance(i), way) <= self._radius
             self._success[i] = near and self._sees_goal(i)
             self._collision[i] = bool(stage.simulation.touched[i]) and not self._success[i]
-            rewards[k] += SUCCESS * bool(self._success[i]) + COLLISION * bool(self._collision[i])
+            rewards[k] += success * bool(self._success[i]) + collision * bool(self._collision[i])
         return rewards
 
     def end(self, i: int) -> str:

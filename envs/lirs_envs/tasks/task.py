@@ -14,13 +14,52 @@ from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import SeenFrame, Site
 from lirs_wct import ConfigError, Pose2, Pose3
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.field_validators import is_finite, require_at_least
 
 DRAWS = 100
 """Number of draws of start and goal before a reset fails."""
-CONTACT_COST = 5.0
-"""Reward lost in a second in which the robot collides."""
-EFFORT_COST = 0.1
-"""Reward lost in a second of full action."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rewards:
+    """Weights of the rewards that all tasks share; costs are negative.
+
+    Tipping over and leaving the world never cost less than a collision.
+
+    Attributes:
+        success: reward at the goal.
+        crossing: reward of the whole distance to the goal in traverse; a part of it earns its share.
+        collision: reward at the collision that ends an episode of navigation.
+        contact: reward of a second in which the robot collides, in the other tasks; `collision` is the limit
+            of an episode's sum.
+        tipped: reward at tipping over, or where the simulation diverges.
+        left: reward at leaving the world.
+        effort: reward of a second of full action.
+
+    Raises:
+        ConfigError: a weight has the wrong sign, or an accident costs less than a collision.
+    """
+
+    success: float = 10.0
+    crossing: float = 100.0
+    collision: float = -5.0
+    contact: float = -5.0
+    tipped: float = -10.0
+    left: float = -10.0
+    effort: float = -0.1
+
+    def __post_init__(self) -> None:
+        require_at_least(self, 0, "success", "crossing", of="the rewards", finite=True)
+        for name in ("collision", "contact", "tipped", "left", "effort"):
+            value = getattr(self, name)
+            if not (is_finite(value) and value <= 0):
+                raise ConfigError(f"{name} of the rewards is a cost, at most 0 and finite, got {value!r}")
+        for name in ("tipped", "left"):
+            if getattr(self, name) > self.collision:
+                raise ConfigError(
+                    f"{name} of the rewards must be at most that of a collision, {self.collision:g}, "
+                    f"got {getattr(self, name):g}"
+                )
 
 
 @dataclass
@@ -31,6 +70,7 @@ class Stage:
         simulation: the robots.
         site: free ground in the initial world.
         seen: the ground that they have seen; None = not needed.
+        rewards: weights of the rewards.
         difficulty: difficulty of each robot's next episode, 0 to 1.
         randomize_start: whether starts are drawn.
         randomize_terrain: whether terrains are drawn.
@@ -39,6 +79,7 @@ class Stage:
     simulation: BatchSimulation
     site: Site
     seen: SeenGround | None
+    rewards: Rewards
     difficulty: FloatArray
     randomize_start: bool
     randomize_terrain: bool
@@ -69,6 +110,7 @@ class Task(ABC):
         time_limit: seconds, where the user gives none.
         option_names: names of the options of `reset(options=...)`.
         has_goal: whether there is a goal to observe.
+        ends_at_contact: whether a collision ends the episode; else each second of contact costs.
         stage: state on which the task acts.
     """
 
@@ -76,6 +118,7 @@ class Task(ABC):
     time_limit: ClassVar[float]
     option_names: ClassVar[tuple[str, ...]]
     has_goal: ClassVar[bool] = True
+    ends_at_contact: ClassVar[bool] = False
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
@@ -104,7 +147,7 @@ class Task(ABC):
     def step(self, ids: IntArray) -> FloatArray:
         """Return the task's rewards (n,) of a step of robots `ids`.
 
-        The costs of contact and effort are not included.
+        The costs of contact, effort and accidents are not included.
         """
 
     @abstractmethod

@@ -15,8 +15,6 @@ from lirs_envs.tasks.task import Stage, Task
 from lirs_wct import Pose2, SimulationError, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 
-SUCCESS = 10.0
-"""Reward at the goal."""
 HUSKY_RADIUS, HUSKY_FRICTION = 0.58, 0.7
 """Reference robot of courses: radius, meters, and tangent of the slope on which it slides."""
 MIXED = "mixed"
@@ -38,7 +36,11 @@ def course_scale(robot: Robot) -> CourseScale:
 
 
 class TraverseTask(Task):
-    """Traverse task: reward per meter gained on the goal in a straight line. The goal is worth 10."""
+    """Traverse task: reward per share of the straight distance to the goal that is gained.
+
+    Shares, as in the benchmark's score, weigh the same on a small robot's short course. The goal ends the
+    episode.
+    """
 
     observe: ClassVar = ("scan", "goal", "attitude", "height_map")
     time_limit: ClassVar = 90.0
@@ -81,12 +83,13 @@ class TraverseTask(Task):
         self._distances[i], self._success[i] = self._distance(i), False
 
     def step(self, ids: IntArray) -> FloatArray:
-        """Return the meters gained, plus the reward of success."""
-        rewards = np.zeros(len(ids))
+        """Return the reward of the share gained, plus that of success."""
+        weights, rewards = self.stage.rewards, np.zeros(len(ids))
         for k, i in enumerate(ids.tolist()):
             distance = self._distance(i)
             self._success[i] = distance <= self._radius
-            rewards[k] = self._distances[i, 1] - distance + SUCCESS * bool(self._success[i])
+            gained = (self._distances[i, 1] - distance) / self._distances[i, 0]
+            rewards[k] = weights.crossing * gained + weights.success * bool(self._success[i])
             self._distances[i, 1] = distance
         return rewards
 

@@ -205,7 +205,7 @@ def test_points_on_walkers_are_known(rough: World, husky: Robot) -> None:
 
 def test_an_environment_observes_the_planar_scan_of_a_ring_lidar() -> None:
     env = gym.make(
-        "LIRS/Navigation-v0", world="simple", robot="husky", lidar="vlp16", noise="none", observe=["scan"]
+        "LIRS/Navigation-v1", world="simple", robot="husky", lidar="vlp16", noise="none", observe=["scan"]
     )
     observation, _ = env.reset(seed=1)
     scan = observation["scan"] if isinstance(observation, dict) else observation

@@ -28,7 +28,7 @@ def picture(env: Any, in_ci: bool) -> Any:
 @pytest.mark.render
 @pytest.mark.parametrize(("mode", "shape"), [("rgb_array", (480, 640, 3)), ("depth_array", (480, 640))])
 def test_cameras(plane: World, mode: str, shape: tuple[int, ...], in_ci: bool) -> None:
-    env = gym.make("LIRS/Navigation-v0", world=plane, render_mode=mode)
+    env = gym.make("LIRS/Navigation-v1", world=plane, render_mode=mode)
     env.reset(seed=1)
     shown = picture(env, in_ci)
     assert shown.shape == shape
@@ -39,7 +39,7 @@ def test_cameras(plane: World, mode: str, shape: tuple[int, ...], in_ci: bool) -
 
 
 def test_a_map_shows_the_episode_s_path_and_copies_draw_the_same(plane: World) -> None:
-    env: Any = gym.make("LIRS/Navigation-v0", world=plane, render_mode="map").unwrapped
+    env: Any = gym.make("LIRS/Navigation-v1", world=plane, render_mode="map").unwrapped
     for _ in range(2):
         env.reset(seed=1)
         first = env.render()
@@ -53,7 +53,7 @@ def test_a_map_shows_the_episode_s_path_and_copies_draw_the_same(plane: World) -
 
 
 def test_walkers_are_shown_where_they_are(plane: World) -> None:
-    env: Any = gym.make("LIRS/Navigation-v0", world=plane, actors=6, render_mode="map").unwrapped
+    env: Any = gym.make("LIRS/Navigation-v1", world=plane, actors=6, render_mode="map").unwrapped
     env.reset(seed=1)
     snapshot = snapshot_of(env.episodes, 0)
     assert snapshot.walkers.shape == (6, 3)
@@ -66,7 +66,7 @@ def test_walkers_are_shown_where_they_are(plane: World) -> None:
 
 def test_a_vector_shows_each_environment(plane: World) -> None:
     envs: Any = gym.make_vec(
-        "LIRS/Navigation-v0",
+        "LIRS/Navigation-v1",
         num_envs=3,
         vectorization_mode="vector_entry_point",
         world=plane,
@@ -74,7 +74,7 @@ def test_a_vector_shows_each_environment(plane: World) -> None:
     )
     envs.reset(seed=5)
     shown = envs.render()
-    single: Any = gym.make("LIRS/Navigation-v0", world=plane, render_mode="map").unwrapped
+    single: Any = gym.make("LIRS/Navigation-v1", world=plane, render_mode="map").unwrapped
     for i in range(3):
         single.reset(seed=5 + i)
         assert np.array_equal(single.render(), shown[i])
@@ -82,7 +82,7 @@ def test_a_vector_shows_each_environment(plane: World) -> None:
     envs.close()
     with pytest.raises(ConfigError, match="unknown render mode 'human'; legal: rgb_array, depth_array, map"):
         gym.make_vec(
-            "LIRS/Mapping-v1",
+            "LIRS/Mapping-v2",
             num_envs=2,
             vectorization_mode="vector_entry_point",
             world=plane,

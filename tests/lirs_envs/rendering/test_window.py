@@ -27,7 +27,7 @@ def colors():
 
 world = generate("waves", 0.3, np.random.default_rng(0)).world()
 assert colors() == 1, "the screen is empty"
-env = gym.make("LIRS/Mapping-v1", world=world, render_mode="human")
+env = gym.make("LIRS/Mapping-v2", world=world, render_mode="human")
 env.reset(seed=1)
 for _ in range(3):
     env.step(np.array((1.0, 0.3), np.float32))

@@ -11,25 +11,26 @@ from lirs_envs.env import RobotEnv
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Robot
 from lirs_envs.tasks.site import SEEN_CELL
-from lirs_envs.tasks.task import CONTACT_COST, EFFORT_COST
+from lirs_envs.tasks.task import Rewards
 from lirs_envs.tasks.traverse import TraverseTask, course_scale
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
+EFFORT = -Rewards().effort
 AHEAD = np.array((1.0, 0.0), np.float32)
 
 
 def test_mapping_reward_is_the_ground_newly_seen(rough: World) -> None:
-    env = RobotEnv("mapping", world=rough)
+    env = RobotEnv("mapping", world=rough, rewards={"contact": 0.0})
     _, first = env.reset(seed=1)
     total = 0.0
     rng = np.random.default_rng(0)
     for _ in range(60):
         action = rng.uniform(-1, 1, 2)
         _, reward, *_, info = env.step(action)
-        cost = (CONTACT_COST * info["contact"] + EFFORT_COST * (action**2).mean()) * 0.1
+        cost = EFFORT * (action**2).mean() * 0.1
         assert reward + cost >= -1e-9
         total += reward + cost
     assert total > 5
@@ -71,7 +72,7 @@ def test_navigation_reward_is_the_way_gained(rough: World) -> None:
             _, reward, terminated, _, info = env.step(AHEAD)
             if terminated:
                 break
-            gained += reward + EFFORT_COST * 0.5 * 0.1 + CONTACT_COST * info["contact"] * 0.1
+            gained += reward + EFFORT * 0.5 * 0.1
         site, T = env.episodes.stage.site, env.view.T_world_base
         left = site.distances(*info["goal"])[tuple(site.grid.cells((T.x, T.y)))]
         if not terminated and np.isfinite(left):
@@ -119,7 +120,7 @@ def test_navigation_ends_at_a_collision(walled: World) -> None:
         if terminated:
             break
     assert (info["collision"], info["success"], info["reason"]) == (True, False, "collision")
-    assert reward < -4
+    assert -5.2 < reward < -4.8
 
 
 def test_difficulty_lengthens_the_way_and_roughens_it(rough: World) -> None:
@@ -146,7 +147,7 @@ def refused(*_: object) -> None:
 
 
 def test_traverse_progress_and_success() -> None:
-    env = RobotEnv("traverse", kind="waves", difficulty=0.0)
+    env = RobotEnv("traverse", kind="waves", difficulty=0.0, rewards={"contact": 0.0})
     observation, info = env.reset(seed=2)
     assert set(observation) == {"scan", "goal", "attitude", "height_map"}
     first, total = info["distance"], 0.0
@@ -154,12 +155,12 @@ def test_traverse_progress_and_success() -> None:
         bearing = float(observation["goal"][1])
         action = np.array((1.0 if abs(bearing) < 0.5 else 0.2, np.clip(bearing, -1, 1)))
         observation, reward, terminated, truncated, info = env.step(action)
-        total += reward + 0.1 * (EFFORT_COST * (action**2).mean() + CONTACT_COST * info["contact"])
+        total += reward + 0.1 * EFFORT * (action**2).mean()
         if terminated or truncated:
             break
     assert info["reason"] == "success"
     assert info["progress"] == pytest.approx(first - info["distance"])
-    assert total == pytest.approx(10 + info["progress"])
+    assert total == pytest.approx(10 + 100 * info["progress"] / first)
 
 
 @pytest.mark.parametrize("name", ["jackal", "turtlebot3_burger"])

@@ -1,0 +1,121 @@
+"""Mean return and mean score of policies on courses to traverse: both must rank the policies alike.
+
+    python benchmarks/traverse_ranking.py [--courses N] [--csv FILE]
+
+Eight policies drive a Husky over 20 test courses of the benchmark's set `generated`. The score is that of
+`lirs-wct bench`: the share of the distance to the goal that is gained at the end. It exits 1 where Spearman's
+rank correlation of the two means is below .8, or where standing still earns as much as a drive to the goal.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+from scipy.stats import spearmanr
+
+from lirs_envs.policies import GoToGoal, PolicyContext, RandomActions, StraightAhead
+from lirs_validation.bench.episode import make_task_env, reset_options
+from lirs_validation.bench.policies import BASELINES
+from lirs_validation.bench.scores import distance_share
+from lirs_validation.bench.tasks import BenchTask, task_set
+
+LEAST = 0.8
+Act = Callable[[dict[str, np.ndarray]], np.ndarray]
+
+
+class Constant:
+    """The same action in each step."""
+
+    def __init__(self, speed: float, turn: float) -> None:
+        self._action = np.array((speed, turn), np.float32)
+
+    def reset(self, info: object) -> None:
+        """Begin an episode."""
+
+    def act(self, observation: object) -> np.ndarray:
+        """Return the one action."""
+        return self._action
+
+
+class Beeline:
+    """Straight towards the goal, whatever is between."""
+
+    def __init__(self, context: PolicyContext, speed: float) -> None:
+        self._turn_rate, self._speed = context.robot.max_turn_rate, speed
+
+    def reset(self, info: object) -> None:
+        """Begin an episode."""
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        """Turn to the goal and drive."""
+        bearing = float(observation["goal"][1])
+        ahead = self._speed * max(0.0, np.cos(bearing))
+        return np.array((ahead, np.clip(2 * bearing / self._turn_rate, -1, 1)), np.float32)
+
+
+POLICIES = {
+    "still": lambda env, context: Constant(0.0, 0.0),
+    "spin": lambda env, context: Constant(0.0, 1.0),
+    "random": lambda env, context: RandomActions(context),
+    "straight": lambda env, context: StraightAhead(context),
+    "beeline": lambda env, context: Beeline(context, 1.0),
+    "slow beeline": lambda env, context: Beeline(context, 0.4),
+    "go_to_goal": lambda env, context: GoToGoal(context),
+    "astar": BASELINES["astar"].make,
+}
+
+
+def drive(name: str, task: BenchTask) -> tuple[float, float, str]:
+    """Return return, score and reason of the end of an episode."""
+    env = make_task_env(task, None, ("scan", "goal"))
+    observation, first = env.reset(seed=task.seed, options=reset_options(task))
+    policy = POLICIES[name](env, PolicyContext.of(env.episodes.config, task.seed))
+    policy.reset(first)
+    earned, ended = 0.0, False
+    while not ended:
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        earned, ended = earned + reward, terminated or truncated
+    env.close()
+    score = 1.0 if info["success"] else distance_share(info["progress"], first["distance"])
+    return earned, score, str(info["reason"])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--courses", type=int, default=20, help="number of courses")
+    parser.add_argument("--csv", type=Path, help="also write the table to this file")
+    arguments = parser.parse_args()
+    tasks = task_set("generated").chosen("traverse", "test")[: arguments.courses]
+    console = Console()
+    rows = []
+    for name in track(POLICIES, "policies", console=console, transient=True):
+        driven = [drive(name, task) for task in tasks]
+        reasons = [reason for *_, reason in driven]
+        accidents = sum(reason in ("tipped over", "left the world") for reason in reasons)
+        earned, scores = np.mean([row[0] for row in driven]), np.mean([row[1] for row in driven])
+        rows.append((name, float(earned), float(scores), reasons.count("success"), accidents))
+    rows.sort(key=lambda row: row[2])
+    table = Table("policy", "mean return", "mean score", "goals", "tipped or left")
+    cells = [(name, f"{r:.2f}", f"{s:.3f}", str(goals), str(bad)) for name, r, s, goals, bad in rows]
+    for row in cells:
+        table.add_row(*row)
+    console.print(table)
+    means = {name: earned for name, earned, *_ in rows}
+    rank = float(spearmanr([row[1] for row in rows], [row[2] for row in rows]).statistic)
+    console.print(f"Spearman {rank:.3f} over {len(rows)} policies x {len(tasks)} courses")
+    if arguments.csv:
+        with arguments.csv.open("w", newline="") as file:
+            csv.writer(file).writerows([("policy", "return", "score", "goals", "tipped_or_left"), *cells])
+    sys.exit(rank < LEAST or means["still"] >= min(means["beeline"], means["slow beeline"]))
+
+
+if __name__ == "__main__":
+    main()
