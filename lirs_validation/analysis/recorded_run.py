@@ -170,7 +170,8 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
     Raises:
         SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
     """
-    from lirs_wct.formats.rosbag.writer import BagDrive, BagTick
+    from lirs_wct.formats.rosbag.messages import BagTick
+    from lirs_wct.formats.rosbag.writer import BagDrive
 
     truth, log = recorded_truth(run.folder), read_carmen(run.folder / "scans.clf.gz")
     imu, estimate = read_imu(run.folder / "imu.csv.gz"), read_tum(run.folder / "estimate.tum")

@@ -46,7 +46,7 @@ class Recording:
         """
         if self._writer is None:
             return
-        from lirs_wct.formats.rosbag.writer import BagTick
+        from lirs_wct.formats.rosbag.messages import BagTick
 
         if self._T_map_world is None:
             self._T_map_world = Pose3.from_pose2(T_world_base.to_pose2().inverse())

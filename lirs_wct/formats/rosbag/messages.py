@@ -22,6 +22,27 @@ UNKNOWN = 1e6
 Edges = tuple[tuple[str, str], ...]
 """Parent and child frame of each transform of a message."""
 
+TOPICS = {
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/odom": "nav_msgs/msg/Odometry",
+    "/imu": "sensor_msgs/msg/Imu",
+    "/imu/data_raw": "sensor_msgs/msg/Imu",
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/points": "sensor_msgs/msg/PointCloud2",
+    "/ground_truth": "geometry_msgs/msg/PoseStamped",
+    "/map": "nav_msgs/msg/OccupancyGrid",
+}
+"""Topics and their types; a bag has only topics with messages."""
+MAP_TOPIC = "/map"
+LATCHED = ("/tf_static", MAP_TOPIC)
+"""Topics whose last message also reaches late subscribers."""
+MOUNTED, DRIVEN, MAPPED = ((BASE, LASER),), ((ODOM, BASE),), ((ODOM, BASE), (MAP, ODOM))
+"""Parents and children of the transforms: the sensor's mount, the odometry, and the map."""
+Message = tuple[str, float, bytearray]
+"""Topic, stamp in seconds, and CDR of a message."""
+
 TIME, POSE = "iI", "ddddddd"
 DIAGONAL = ("d", Zeros("d", 3), "d", Zeros("d", 3), "d")
 """Covariance of three independent values."""
@@ -251,3 +272,84 @@ def _time(stamp: float) -> tuple[int, int]:
 def _pose(T: Pose3) -> tuple[float, ...]:
     """Return position and quaternion in ROS's order xyzw."""
     return T.x, T.y, T.z, T.qx, T.qy, T.qz, T.qw
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BagTick:
+    """The sensor data of one scan, as messages hold them.
+
+    Attributes:
+        scan: of the lidar.
+        odometry: `T_odom_base`.
+        imu: reading of the inertial unit.
+        truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
+        estimate: `T_map_base`, a mapper's pose estimate; None = no transform from map to odom.
+        cloud: of a lidar with rings at the same place; None for a planar lidar.
+        inertial: readings near 200 Hz since the previous scan; None = none.
+        odometry_track: stamps and `T_odom_base` since the previous scan.
+    """
+
+    scan: LaserScan
+    odometry: Pose2
+    imu: Imu
+    truth: Pose3
+    estimate: Pose2 | None = None
+    cloud: PointCloud | None = None
+    inertial: ImuReadings | None = None
+    odometry_track: Sequence[tuple[float, Pose2]] = ()
+
+
+class TickMessages:
+    """The messages of consecutive scans of a drive.
+
+    Args:
+        period: from scan to scan, seconds.
+        errors: of the sensors, for covariances.
+    """
+
+    def __init__(self, period: float, errors: SensorErrors = NO_ERRORS) -> None:
+        self._period, self._errors = period, errors
+        self._driven, self._seconds, self._begun = 0.0, 0.0, False
+        self._odometry: tuple[float, Pose2] | None = None
+
+    def of(self, tick: BagTick) -> Iterator[Message]:
+        """Yield the messages of the next scan; transforms precede measurements."""
+        scan, t = tick.scan, tick.scan.stamp
+        if not self._begun:
+            yield "/tf_static", t, transforms(t, MOUNTED, (scan.T_base_laser,))
+            self._begun = True
+        if tick.inertial is not None:
+            for stamp, message in imu_raw(tick.inertial):
+                yield "/imu/data_raw", stamp, message
+        for stamp, T_odom_base in tick.odometry_track:
+            frames = transforms(stamp, DRIVEN, (Pose3.from_pose2(T_odom_base),))
+            yield from self._driven_to(stamp, T_odom_base, frames)
+        yield from self._driven_to(t, tick.odometry, _frames(tick))
+        yield "/imu", t, imu(tick.imu, t, self._errors)
+        yield "/scan", t, laser_scan(scan, self._period)
+        if tick.cloud is not None:
+            yield "/points", tick.cloud.stamp, point_cloud(tick.cloud)
+        yield "/ground_truth", t, pose(t, tick.truth)
+
+    def _driven_to(self, stamp: float, T_odom_base: Pose2, frames: bytearray) -> Iterator[Message]:
+        """Yield clock, transforms and odometry, with the velocity since the previous odometry; 0 at first."""
+        velocity, errors = (0.0, 0.0, 0.0), self._errors
+        if self._odometry is not None:
+            seconds = stamp - self._odometry[0]
+            velocity = body_velocity(self._odometry[1], T_odom_base, seconds)
+            self._driven += seconds * math.hypot(velocity[0], velocity[1])
+            self._seconds += seconds
+        variances = errors.pose_variances(self._driven, self._seconds), errors.velocity_variances(velocity)
+        self._odometry = stamp, T_odom_base
+        yield "/clock", stamp, clock(stamp)
+        yield "/tf", stamp, frames
+        yield "/odom", stamp, odometry(stamp, T_odom_base, velocity, variances)
+
+
+def _frames(tick: BagTick) -> bytearray:
+    """Return the transforms at a scan: odom -> base_link, map -> odom with an estimate."""
+    T_odom_base = Pose3.from_pose2(tick.odometry)
+    if tick.estimate is None:
+        return transforms(tick.scan.stamp, DRIVEN, (T_odom_base,))
+    T_map_odom = Pose3.from_pose2(tick.estimate @ tick.odometry.inverse())
+    return transforms(tick.scan.stamp, MAPPED, (T_odom_base, T_map_odom))

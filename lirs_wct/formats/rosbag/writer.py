@@ -1,12 +1,11 @@
 """Writing a drive as a ROS 2 bag: sensors, frames, truth and map.
 
-The frames are REP 105's: map -> odom -> base_link -> laser. Stamps are simulated time. Chunks are closed
-at 1 MiB *after* the message that fills them, so that a chunk holds every message whole, a large map too.
+Stamps are simulated time. Chunks are closed at 1 MiB *after* the message that fills them, so that a chunk
+holds every message whole, a large map too.
 """
 
 from __future__ import annotations
 
-import math
 import shutil
 import sqlite3
 from collections.abc import Sequence
@@ -30,62 +29,25 @@ from rosbags.typesys import Stores, get_typestore
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.rosbag import messages
-from lirs_wct.formats.rosbag.messages import BASE, LASER, MAP, NO_ERRORS, ODOM, SensorErrors, nanoseconds
+from lirs_wct.formats.rosbag.messages import (
+    LATCHED,
+    MAP_TOPIC,
+    NO_ERRORS,
+    TOPICS,
+    BagTick,
+    SensorErrors,
+    TickMessages,
+    nanoseconds,
+)
 from lirs_wct.formats.rosbag.storage import Storage
-from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 
-TOPICS = {
-    "/clock": "rosgraph_msgs/msg/Clock",
-    "/tf_static": "tf2_msgs/msg/TFMessage",
-    "/tf": "tf2_msgs/msg/TFMessage",
-    "/odom": "nav_msgs/msg/Odometry",
-    "/imu": "sensor_msgs/msg/Imu",
-    "/imu/data_raw": "sensor_msgs/msg/Imu",
-    "/scan": "sensor_msgs/msg/LaserScan",
-    "/points": "sensor_msgs/msg/PointCloud2",
-    "/ground_truth": "geometry_msgs/msg/PoseStamped",
-    "/map": "nav_msgs/msg/OccupancyGrid",
-}
-"""Topics and their types; a bag has only topics with messages."""
-MAP_TOPIC = "/map"
-LATCHED = ("/tf_static", MAP_TOPIC)
-"""Topics whose last message also reaches late subscribers."""
 VERSION: Final = 8
 """Version of `metadata.yaml`: the latest whose quality of service Humble reads (text with numbers)."""
-MOUNTED, DRIVEN, MAPPED = ((BASE, LASER),), ((ODOM, BASE),), ((ODOM, BASE), (MAP, ODOM))
-"""Parents and children of the transforms: the sensor's mount, the odometry, and the map."""
 TOGETHER = 64
 """Number of scans that are written together."""
 FAILURES = (OSError, sqlite3.Error)
 """Exceptions of failed writing."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BagTick:
-    """The messages of one scan.
-
-    Attributes:
-        scan: of the lidar.
-        odometry: `T_odom_base`.
-        imu: reading of the inertial unit.
-        truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
-        estimate: `T_map_base`, a mapper's pose estimate; None = no transform from map to odom.
-        cloud: of a lidar with rings at the same place; None for a planar lidar.
-        inertial: readings near 200 Hz since the previous scan; None = none.
-        odometry_track: stamps and `T_odom_base` since the previous scan.
-    """
-
-    scan: LaserScan
-    odometry: Pose2
-    imu: Imu
-    truth: Pose3
-    estimate: Pose2 | None = None
-    cloud: PointCloud | None = None
-    inertial: ImuReadings | None = None
-    odometry_track: Sequence[tuple[float, Pose2]] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,11 +93,9 @@ class BagWriter:
         self._folder = folder
         self._writer = Writer(folder, version=VERSION, storage_plugin=plugin)
         self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._period, self._errors = period, errors
-        self._driven, self._seconds = 0.0, 0.0
+        self._messages = TickMessages(period, errors)
         self._connections: dict[str, Connection] = {}
         self._last: BagTick | None = None
-        self._odometry: tuple[float, Pose2] | None = None
         self._waiting: list[BagTick] = []
         try:
             self._writer.open()
@@ -192,35 +152,8 @@ class BagWriter:
         self._waiting.clear()
 
     def _write_tick(self, tick: BagTick) -> None:
-        """Write the messages of a scan; transforms precede measurements."""
-        scan, t = tick.scan, tick.scan.stamp
-        if self._last is None:
-            self._write("/tf_static", t, messages.transforms(t, MOUNTED, (scan.T_base_laser,)))
-        if tick.inertial is not None:
-            for stamp, message in messages.imu_raw(tick.inertial):
-                self._write("/imu/data_raw", stamp, message)
-        for stamp, pose in tick.odometry_track:
-            self._write_odometry(stamp, pose, messages.transforms(stamp, DRIVEN, (Pose3.from_pose2(pose),)))
-        self._write_odometry(t, tick.odometry, _frames(tick))
-        self._write("/imu", t, messages.imu(tick.imu, t, self._errors))
-        self._write("/scan", t, messages.laser_scan(scan, self._period))
-        if tick.cloud is not None:
-            self._write("/points", tick.cloud.stamp, messages.point_cloud(tick.cloud))
-        self._write("/ground_truth", t, messages.pose(t, tick.truth))
-
-    def _write_odometry(self, stamp: float, T_odom_base: Pose2, frames: bytearray) -> None:
-        """Write clock, transforms and odometry, with the velocity since the previous odometry; 0 at first."""
-        velocity, errors = (0.0, 0.0, 0.0), self._errors
-        if self._odometry is not None:
-            seconds = stamp - self._odometry[0]
-            velocity = messages.body_velocity(self._odometry[1], T_odom_base, seconds)
-            self._driven += seconds * math.hypot(velocity[0], velocity[1])
-            self._seconds += seconds
-        variances = errors.pose_variances(self._driven, self._seconds), errors.velocity_variances(velocity)
-        self._odometry = stamp, T_odom_base
-        self._write("/clock", stamp, messages.clock(stamp))
-        self._write("/tf", stamp, frames)
-        self._write("/odom", stamp, messages.odometry(stamp, T_odom_base, velocity, variances))
+        for topic, stamp, message in self._messages.of(tick):
+            self._write(topic, stamp, message)
 
     def _write(self, topic: str, stamp: float, message: bytearray) -> None:
         self._writer.write(self._connection(topic), nanoseconds(stamp), memoryview(message))
@@ -250,15 +183,6 @@ def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
         made.rmdir()
         for file in temporary.iterdir():
             file.rename(temporary / file.name[1:])
-
-
-def _frames(tick: BagTick) -> bytearray:
-    """Return the transforms at a scan: odom -> base_link, map -> odom with an estimate."""
-    T_odom_base = Pose3.from_pose2(tick.odometry)
-    if tick.estimate is None:
-        return messages.transforms(tick.scan.stamp, DRIVEN, (T_odom_base,))
-    T_map_odom = Pose3.from_pose2(tick.estimate @ tick.odometry.inverse())
-    return messages.transforms(tick.scan.stamp, MAPPED, (T_odom_base, T_map_odom))
 
 
 def _qos(latched: bool) -> Qos:

@@ -10,8 +10,8 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 
-from lirs_wct.formats.rosbag.messages import SensorErrors
-from lirs_wct.formats.rosbag.writer import BagDrive, BagTick
+from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
+from lirs_wct.formats.rosbag.writer import BagDrive
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3

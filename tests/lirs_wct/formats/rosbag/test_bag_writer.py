@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import yaml
 
-from lirs_wct.formats.rosbag.messages import SensorErrors, body_velocity
-from lirs_wct.formats.rosbag.writer import LATCHED, TOPICS, BagDrive, write_bag
+from lirs_wct.formats.rosbag.messages import LATCHED, TOPICS, SensorErrors, body_velocity
+from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives
 
