@@ -20,6 +20,7 @@ from lirs_validation.cli.commands.collide import collide
 from lirs_validation.cli.commands.doctor import doctor
 from lirs_validation.cli.commands.export import export
 from lirs_validation.cli.commands.gui import gui
+from lirs_validation.cli.commands.live import live
 from lirs_validation.cli.commands.map import map_log, twin
 from lirs_validation.cli.commands.mappers import mappers
 from lirs_validation.cli.commands.reports import compare, report, score
@@ -60,6 +61,7 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
     "robot": robot,
     "export": export,
     "record": record,
+    "live": live,
     "bench": bench,
     "collide": collide,
     "convert": convert,

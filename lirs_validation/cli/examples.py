@@ -40,6 +40,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "lirs-wct verdict medium --robot jackal --mapper hector,gmapping --budget 10min -o verdict/",
     ),
     "record": ("lirs-wct record simple --seconds 60 -o run",),
+    "live": (
+        "lirs-wct live simple --robot husky --lockstep --seconds 60 -o out/",
+        "lirs-wct live medium --driver tour --client slam_toolbox --rate 1 -o out/",
+    ),
     "map": ("lirs-wct map examples/data/office.clf.gz --mapper gmapping -o out/",),
     "twin": (
         "lirs-wct twin examples/data/office.clf.gz -o out/",

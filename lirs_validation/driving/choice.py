@@ -84,6 +84,15 @@ def plan_tour(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
     return plan_coverage(free, start, seconds=config.seconds, rng=rng, config=pace, surface=world.surface)
 
 
+def start_pose(world: World, robot: Robot, config: RunConfig) -> Pose2:
+    """Return the start that the config asks for, or else the seed's spawn pose; world frame.
+
+    Raises:
+        ConfigError: the robot fits nowhere in this world, or cannot drive from the requested start.
+    """
+    return _start(world, _drivable(world, robot), robot, config)
+
+
 def _drivable(world: World, robot: Robot) -> OccupancyGrid:
     """Return the grid whose free cells a plan may use."""
     return world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)

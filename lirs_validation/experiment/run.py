@@ -125,13 +125,9 @@ def run(
     """
     if config.bag is not None and out is None:
         raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
-    ready = prepare(config, progress, scenarios)
-    with recording(config, out, ready.simulation.period) as recorded:
-        with closing(ready.mapper):
-            log, cost = _timed_drive(ready, progress, recorded.add)
-            log.concurrent = log.concurrent or concurrent
-            evaluated = _evaluate(ready, log, cost, progress)
-        return _write_run(evaluated, out, name, recorded)
+    return drive_and_conclude(
+        prepare(config, progress, scenarios), out, progress, name, concurrent=concurrent
+    )
 
 
 @dataclass(frozen=True)
@@ -157,6 +153,27 @@ class ReadyRun:
     def cost(self, meter: CostMeter) -> dict[str, Any]:
         """Return the cost of the drive so far: `cpu_seconds`, `peak_memory`."""
         return asdict(meter.cost() + self.mapper.cost())
+
+
+def drive_and_conclude(
+    ready: ReadyRun,
+    out: Path | None = None,
+    progress: Progress = no_progress,
+    name: str | None = None,
+    *,
+    concurrent: bool = False,
+) -> Run:
+    """Drive, record, evaluate and write a prepared run (see `run`); close its mapper.
+
+    Raises:
+        WctError: the mapper failed, nothing was driven, or results cannot be written.
+    """
+    with recording(ready.scenario.config, out, ready.simulation.period) as recorded:
+        with closing(ready.mapper):
+            log, cost = _timed_drive(ready, progress, recorded.add)
+            log.concurrent = log.concurrent or concurrent
+            evaluated = _evaluate(ready, log, cost, progress)
+        return _write_run(evaluated, out, name, recorded)
 
 
 def prepare(

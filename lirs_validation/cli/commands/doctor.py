@@ -32,6 +32,7 @@ REQUIRED = (
 EXTRAS = {
     "gui": ("viser", "pillow"),
     "mesh": ("coacd", "embreex"),
+    "live": ("cyclonedds", "eclipse-zenoh"),
     "rl": ("stable-baselines3",),
     "dist": ("ray",),
     "notebooks": ("ipykernel", "nbclient"),

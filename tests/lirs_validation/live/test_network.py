@@ -1,0 +1,133 @@
+"""Live drives over DDS and Zenoh, with clients in other processes."""
+
+import os
+import socket
+import struct
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds")
+pytest.importorskip("zenoh")
+
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.run import run as run_offline
+from lirs_validation.live import run as live_run
+from lirs_validation.live.dds import DdsNode
+from lirs_validation.live.graph import type_hash
+from lirs_validation.live.options import LiveOptions
+from lirs_validation.live.run import live
+from tests.lirs_validation.live import client_process
+
+ROOT = Path(__file__).resolve().parents[3]
+LIMIT = 60.0
+"""Wall seconds that a client on a loaded machine may take for one answer."""
+
+
+@contextmanager
+def process(*command, **given):
+    environment = dict(os.environ, PYTHONPATH=os.pathsep.join([str(ROOT), str(ROOT / "envs")]))
+    started = subprocess.Popen([*map(str, command)], env=environment, text=True, **given)
+    try:
+        yield started
+    finally:
+        started.kill()
+        started.wait()
+
+
+def client(middleware, place, *mode, **given):
+    return process(sys.executable, client_process.__file__, middleware, place, *mode, **given)
+
+
+def lockstep(domain, **given):
+    return LiveOptions(lockstep=True, limit=LIMIT, domain=domain, **given)
+
+
+def drive(options, out=None, **run):
+    given = {"mapper": options.client, "driver": "manual", **run}
+    (result,) = live(RunConfig(source="simple", **given), options, out=out)
+    return result
+
+
+def test_the_example_drives_a_robot(domain, tmp_path):
+    with process(sys.executable, ROOT / "examples/live_driver.py", domain):
+        result = drive(lockstep(domain), tmp_path, seconds=4.0)
+    assert (result.bridge.answered, result.bridge.published) == (101, 101)
+    assert result.run.record.trajectory["length"] > 0.5
+    assert (result.run.folder / "record.json").exists()
+
+
+@pytest.mark.slow
+def test_hector_as_client_gives_the_offline_run(domain):
+    seconds = 2.0
+    offline = run_offline(RunConfig(source="simple", mapper="hector", seconds=seconds))
+    with client("dds", domain, "hector"):
+        result = drive(lockstep(domain, answer="tf"), seconds=seconds, driver="tour")
+    expected, found = offline.log.trajectories()[1], result.run.log.trajectories()[1]
+    assert len(found) == len(expected) == 51
+    assert np.abs(found.positions - expected.positions).max() < 1e-6
+    assert np.abs(found.quaternions - expected.quaternions).max() < 1e-6
+    assert result.run.record.trajectory["length"] == offline.record.trajectory["length"]
+    assert result.run.maps.scores["f1"] == pytest.approx(offline.maps.scores["f1"], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_slow_client_gets_the_same_bytes(domain, monkeypatch):
+    sent = []
+
+    class Recorded(DdsNode):
+        def publish(self, topic, message):
+            sent[-1].append((topic, bytes(message)))
+            super().publish(topic, message)
+
+    monkeypatch.setattr(live_run, "open_middleware", Recorded)
+    for delay in (0.0, 0.01, 0.2):
+        sent.append([])
+        with client("dds", domain, "forward", delay):
+            result = drive(lockstep(domain), seconds=0.4)
+        assert result.bridge.answered == 11
+    assert sent[0] == sent[1] == sent[2]
+    assert len(sent[0]) > 11
+
+
+def test_a_node_announces_itself_as_ros_nodes_do(domain):
+    """What `ros2 node list` and `ros2 topic info -v` read: rmw_dds_common's discovery topic and user data."""
+    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+    from cyclonedds.core import Policy
+
+    node = DdsNode(LiveOptions(domain=domain), live_run.PUBLISHED)
+    try:
+        endpoints = BuiltinDataReader(node._participant, BuiltinTopicDcpsPublication).take(100)
+        types = {found.topic_name: found.type_name for found in endpoints}
+        data = {found.topic_name: found.qos[Policy.Userdata].data for found in endpoints}
+        assert types["rt/scan"] == "sensor_msgs::msg::dds_::LaserScan_"
+        assert types["ros_discovery_info"] == "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
+        assert data["rt/scan"] == f"typehash={type_hash('sensor_msgs/msg/LaserScan', 'jazzy')};".encode()
+        assert node._participant.get_qos()[Policy.Userdata].data == b"enclave=/;"
+    finally:
+        node.close()
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def test_a_zenoh_peer_drives_and_sees_the_tokens():
+    port = free_port()
+    options = lockstep(0, middleware="zenoh", port=port)
+    with client("zenoh", port, "forward", "0", stdout=subprocess.PIPE) as peer:
+        result = drive(options, seconds=1.0)
+        attachment, *tokens = peer.stdout.readline().split()
+    assert result.bridge.answered == result.bridge.published == 26
+    sequence, _, length, gid = struct.unpack("<qqB16s", bytes.fromhex(attachment))
+    assert (sequence, length) == (1, 16)
+    assert gid != bytes(16)
+    assert any(token.endswith("/NN/%/%/lirs_wct") for token in tokens)
+    assert sum("/MP/" in token for token in tokens) == 8
+    assert sum("/MS/" in token for token in tokens) == 6
