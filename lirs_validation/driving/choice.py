@@ -85,7 +85,7 @@ def plan_tour(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
 
 
 def start_pose(world: World, robot: Robot, config: RunConfig) -> Pose2:
-    """Return the start that the config asks for, or else the seed's spawn pose; world frame.
+    """Return the requested start, or else the seed's spawn pose, world frame.
 
     Raises:
         ConfigError: the robot fits nowhere in this world, or cannot drive from the requested start.

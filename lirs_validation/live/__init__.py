@@ -1,1 +1,4 @@
-"""Live topics: a ROS 2 system drives and maps in our worlds, without a ROS installation here."""
+"""Live drives: a ROS 2 system drives and maps in our worlds.
+
+No ROS installation is needed here.
+"""

@@ -1,4 +1,4 @@
-"""Exchange of a drive with its client: publish each scan, keep the pace, wait for answers."""
+"""Exchange of a drive with its client, scan by scan."""
 
 from __future__ import annotations
 
@@ -170,7 +170,7 @@ class Bridge:
 
 
 class ClientMapper(MapperUnderTest):
-    """The client as the mapper of a drive: its transforms are the poses, its /map is the map.
+    """The client as the mapper of a drive, by its transforms and its /map.
 
     Args:
         bridge: to the client.
@@ -267,7 +267,9 @@ class PublishedMapper(MapperUnderTest):
 
 
 class ClientDriver:
-    """Driver that follows /cmd_vel, or one of ours that ends when the client wants a new start.
+    """Driver that follows /cmd_vel, or one of ours.
+
+    A client that asks for a new start ends the drive.
 
     Args:
         start: pose in the world frame.

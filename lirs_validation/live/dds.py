@@ -86,7 +86,7 @@ class DdsNode:
         _write(self._writers[topic], bytes(message))
 
     def receive(self, seconds: float = 0.0) -> list[Received]:
-        """Return new messages; wait for the first one at most so long."""
+        """Return new messages. Wait for the first one at most so long."""
         if seconds > 0.0:
             self._waiting.wait(duration(nanoseconds=round(seconds * 1e9)))
         return [

@@ -27,7 +27,7 @@ class Middleware(Protocol):
         ...
 
     def receive(self, seconds: float = 0.0) -> list[Received]:
-        """Return new messages in the order of each topic; wait for the first one at most so long."""
+        """Return new messages. Wait for the first one at most so long."""
         ...
 
     def subscribers(self, topic: str) -> int:

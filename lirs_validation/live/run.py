@@ -62,7 +62,9 @@ def live(
     progress: Progress = no_progress,
     announce: Callable[[str], None] = lambda _: None,
 ) -> Iterator[LiveRun]:
-    """Drive with a client; yield the result of each drive, a new one after each request for a start.
+    """Drive with a client; yield the result of each drive.
+
+    A request for a new start ends a drive, and the next one begins.
 
     Args:
         config: of the run; its mapper is one of ours or the client's name, its driver `manual` for /cmd_vel.
@@ -90,7 +92,7 @@ def live(
 
 
 def _warm_up(scenario: Scenario, robot: Robot, start: Pose2) -> float:
-    """Compile the kernels of the simulation and of our mapper, if any; return the seconds it took."""
+    """Compile the kernels of a drive; return the seconds it took."""
     with compile_timer() as seconds:
         simulation = scenario.simulation(robot, inertial=True)
         simulation.reset(start)

@@ -55,7 +55,7 @@ class ZenohNode:
         self._publishers[topic].put(bytes(message), attachment=attachment)
 
     def receive(self, seconds: float = 0.0) -> list[Received]:
-        """Return new messages; wait for the first one at most so long."""
+        """Return new messages. Wait for the first one at most so long."""
         found = []
         try:
             if seconds > 0.0:

@@ -1,4 +1,4 @@
-"""The command `live`: a ROS 2 system drives and maps in a world, without a ROS installation here."""
+"""The command `live`: a ROS 2 system drives and maps in a world."""
 
 from __future__ import annotations
 
@@ -33,10 +33,9 @@ def live(
     live: LiveOptions,
     options: SourceOptions,
 ) -> None:
-    """Publish a drive on ROS 2 topics; a client maps or drives, and is evaluated like any mapper.
+    """Publish a drive on ROS 2 topics, for a client that maps or drives.
 
-    The client drives by /cmd_vel unless --driver names one of our drivers, and maps unless --mapper does.
-    No ROS installation is needed here.
+    It is evaluated like any mapper. It drives by /cmd_vel unless --driver names one of our drivers, and maps unless --mapper does.
     """
     from lirs_validation.live.run import live as drive_live
 
