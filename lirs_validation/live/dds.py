@@ -22,7 +22,7 @@ from lirs_validation.live.graph import (
     ENCLAVE,
     SUBSCRIBED,
     Distribution,
-    Topic,
+    LiveTopic,
     dds_type,
     discovery_message,
     typestore,
@@ -64,7 +64,7 @@ class DdsNode:
         ConfigError: domain or host cannot be used.
     """
 
-    def __init__(self, options: LiveOptions, topics: tuple[Topic, ...]) -> None:
+    def __init__(self, options: LiveOptions, topics: tuple[LiveTopic, ...]) -> None:
         self._ros = options.ros
         host = _address(options.host or LOOPBACK)
         config = CONFIG.format(host=host, multicast="false" if options.host is None else "spdp")
@@ -113,15 +113,17 @@ class DdsNode:
 
     def _announce(self) -> None:
         """Publish our node on `ros_discovery_info`, which `ros2 node list` reads."""
-        self._graph = self._writer(DISCOVERY_TOPIC, Topic(DISCOVERY_TOPIC, DISCOVERY_TYPE, 1, durable=True))
+        self._graph = self._writer(
+            DISCOVERY_TOPIC, LiveTopic(DISCOVERY_TOPIC, DISCOVERY_TYPE, 1, durable=True)
+        )
         readers = [reader.guid.bytes for _, reader in self._readers]
         writers = [writer.guid.bytes for writer in self._writers.values()]
         _write(self._graph, discovery_message(self._participant.guid.bytes, readers, writers, self._ros))
 
-    def _writer(self, name: str, topic: Topic) -> Any:
+    def _writer(self, name: str, topic: LiveTopic) -> Any:
         return DataWriter(self._participant, self._topic(name, topic.kind), self._quality(topic))
 
-    def _reader(self, topic: Topic) -> Any:
+    def _reader(self, topic: LiveTopic) -> Any:
         own_ones = Policy.IgnoreLocal.Participant
         quality = Qos(own_ones, base=self._quality(topic))
         return DataReader(self._participant, self._topic(f"rt{topic.name}", topic.kind), quality)
@@ -129,7 +131,7 @@ class DdsNode:
     def _topic(self, name: str, kind: str) -> Any:
         return DdsTopic(self._participant, name, _raw_type(kind, self._ros))
 
-    def _quality(self, topic: Topic) -> Any:
+    def _quality(self, topic: LiveTopic) -> Any:
         return Qos(
             Policy.Reliability.Reliable(duration(seconds=SLOWEST)),
             Policy.Durability.TransientLocal if topic.durable else Policy.Durability.Volatile,

@@ -40,7 +40,7 @@ ZENOH_DEPTH = 42
 
 
 @dataclass(frozen=True)
-class Topic:
+class LiveTopic:
     """A topic with type and quality of service; always reliable, keep last.
 
     Attributes:
@@ -57,19 +57,19 @@ class Topic:
 
 
 PUBLISHED = tuple(
-    Topic(
+    LiveTopic(
         name, kind, 1 if name in LATCHED else 100 if name in ("/tf", "/imu/data_raw") else 10, name in LATCHED
     )
     for name, kind in TOPICS.items()
 )
 """Topics that a drive can publish."""
 SUBSCRIBED = (
-    Topic("/cmd_vel", TWIST),
-    Topic("/cmd_vel", TWIST_STAMPED),
-    Topic("/map", MAP_TYPE, 1),
-    Topic("/tf", TRANSFORMS_TYPE, 100),
-    Topic("/initialpose", START_POSE),
-    Topic("/reset", EMPTY),
+    LiveTopic("/cmd_vel", TWIST),
+    LiveTopic("/cmd_vel", TWIST_STAMPED),
+    LiveTopic("/map", MAP_TYPE, 1),
+    LiveTopic("/tf", TRANSFORMS_TYPE, 100),
+    LiveTopic("/initialpose", START_POSE),
+    LiveTopic("/reset", EMPTY),
 )
 """Topics that a client may publish."""
 
@@ -128,16 +128,16 @@ def discovery_message(
     return bytes(store.serialize_cdr(types[DISCOVERY_TYPE](gid(participant), [node]), DISCOVERY_TYPE))
 
 
-def zenoh_key(topic: Topic, domain: int, distribution: Distribution) -> str:
+def zenoh_key(topic: LiveTopic, domain: int, distribution: Distribution) -> str:
     """Return the key expression of a topic's messages in rmw_zenoh."""
     hashed = type_hash(topic.kind, distribution) or NO_HASH
     return f"{domain}/{topic.name.strip('/')}/{dds_type(topic.kind)}/{hashed}"
 
 
-def zenoh_quality(topic: Topic) -> str:
+def zenoh_quality(topic: LiveTopic) -> str:
     """Return a topic's quality of service as in rmw_zenoh's tokens, without its default values.
 
-    >>> zenoh_quality(Topic("/scan", "sensor_msgs/msg/LaserScan"))
+    >>> zenoh_quality(LiveTopic("/scan", "sensor_msgs/msg/LaserScan"))
     '::,10:,:,:,,'
     """
     depth = "" if topic.depth == ZENOH_DEPTH else f"{topic.depth}"
@@ -149,7 +149,7 @@ def zenoh_token(
     entity: int,
     domain: int,
     distribution: Distribution,
-    topic: Topic | None = None,
+    topic: LiveTopic | None = None,
     kind: str = "NN",
 ) -> str:
     """Return the liveliness token of our node, or of a topic's publisher or subscription.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from lirs_validation.live.graph import Topic
+from lirs_validation.live.graph import LiveTopic
 
 
 class Received(NamedTuple):
@@ -15,7 +15,7 @@ class Received(NamedTuple):
         cdr: bytes of the message.
     """
 
-    topic: Topic
+    topic: LiveTopic
     cdr: bytes
 
 

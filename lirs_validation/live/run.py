@@ -27,7 +27,7 @@ from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude
 from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_validation.live.bridge import Bridge, ClientDriver, ClientMapper, PublishedMapper
-from lirs_validation.live.graph import PUBLISHED, Topic
+from lirs_validation.live.graph import PUBLISHED, LiveTopic
 from lirs_validation.live.middleware import Middleware
 from lirs_validation.live.options import LiveOptions
 from lirs_wct import ConfigError, Pose2, unknown_name
@@ -196,7 +196,7 @@ def _check(config: RunConfig, options: LiveOptions) -> None:
         raise ConfigError(f"a live drive has one thread, got --threads {config.threads}")
 
 
-def _topics(config: RunConfig, options: LiveOptions) -> tuple[Topic, ...]:
+def _topics(config: RunConfig, options: LiveOptions) -> tuple[LiveTopic, ...]:
     """Return the topics of a drive: /points with rings only, /map of our mappers only."""
     lidar = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
     absent = {"/points"} if lidar.rings == 1 else set()
@@ -205,7 +205,7 @@ def _topics(config: RunConfig, options: LiveOptions) -> tuple[Topic, ...]:
     return tuple(topic for topic in PUBLISHED if topic.name not in absent)
 
 
-def open_middleware(options: LiveOptions, topics: tuple[Topic, ...]) -> Middleware:
+def open_middleware(options: LiveOptions, topics: tuple[LiveTopic, ...]) -> Middleware:
     """Join a network.
 
     Args:

@@ -11,7 +11,7 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from lirs_validation.live.graph import SUBSCRIBED, Topic, zenoh_attachment, zenoh_key, zenoh_token
+from lirs_validation.live.graph import SUBSCRIBED, LiveTopic, zenoh_attachment, zenoh_key, zenoh_token
 from lirs_validation.live.middleware import Received
 from lirs_validation.live.options import LiveOptions
 from lirs_wct.errors import ConfigError
@@ -36,7 +36,7 @@ class ZenohNode:
         ConfigError: the host's port can neither be opened nor reached.
     """
 
-    def __init__(self, options: LiveOptions, topics: tuple[Topic, ...]) -> None:
+    def __init__(self, options: LiveOptions, topics: tuple[LiveTopic, ...]) -> None:
         zenoh.init_log_from_env_or("off")
         self._session, self.role = _open(options)
         self._arrived: queue.SimpleQueue[Received] = queue.SimpleQueue()
@@ -78,11 +78,11 @@ class ZenohNode:
         """Leave the network."""
         self._session.close()
 
-    def _token(self, topic: Topic | None = None, kind: str = "NN") -> None:
+    def _token(self, topic: LiveTopic | None = None, kind: str = "NN") -> None:
         token = zenoh_token(str(self._session.zid()), len(self._tokens), self._domain, self._ros, topic, kind)
         self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def _publisher(self, topic: Topic) -> Any:
+    def _publisher(self, topic: LiveTopic) -> Any:
         self._token(topic, "MP")
         key = zenoh_key(topic, self._domain, self._ros)
         quality: Any = {
@@ -100,7 +100,7 @@ class ZenohNode:
             **quality,
         )
 
-    def _subscription(self, topic: Topic) -> Any:
+    def _subscription(self, topic: LiveTopic) -> Any:
         self._token(topic, "MS")
         return self._session.declare_subscriber(
             zenoh_key(topic, self._domain, self._ros),

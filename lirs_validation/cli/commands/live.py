@@ -35,7 +35,8 @@ def live(
 ) -> None:
     """Publish a drive on ROS 2 topics, for a client that maps or drives.
 
-    It is evaluated like any mapper. It drives by /cmd_vel unless --driver names one of our drivers, and maps unless --mapper does.
+    It is evaluated like any mapper. It drives by /cmd_vel unless --driver names one of our drivers, and maps
+    unless --mapper does.
     """
     from lirs_validation.live.run import live as drive_live
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
-from lirs_validation.live.graph import PUBLISHED, SUBSCRIBED, TWIST_STAMPED, Topic, typestore, zenoh_key
+from lirs_validation.live.graph import PUBLISHED, SUBSCRIBED, TWIST_STAMPED, LiveTopic, typestore, zenoh_key
 from lirs_wct import Imu, LaserScan
 from lirs_wct.formats.rosbag.frames import pose_of, seconds
 from lirs_wct.formats.rosbag.messages import MAPPED, occupancy_grid, transforms
@@ -21,7 +21,7 @@ QUIET = 60.0
 
 
 class DdsClient:
-    def __init__(self, domain: int, reads: list[Topic], writes: list[Topic]) -> None:
+    def __init__(self, domain: int, reads: list[LiveTopic], writes: list[LiveTopic]) -> None:
         from cyclonedds.domain import Domain, DomainParticipant
         from cyclonedds.pub import DataWriter
         from cyclonedds.qos import Policy, Qos
@@ -60,7 +60,7 @@ class DdsClient:
 class ZenohClient:
     """A peer, as ROS nodes are with rmw_zenoh."""
 
-    def __init__(self, port: int, reads: list[Topic], writes: list[Topic]) -> None:
+    def __init__(self, port: int, reads: list[LiveTopic], writes: list[LiveTopic]) -> None:
         import queue
 
         import zenoh
@@ -97,7 +97,7 @@ class ZenohClient:
         self.writers[topic].put(bytes(message))
 
 
-def published(name: str) -> Topic:
+def published(name: str) -> LiveTopic:
     return next(topic for topic in PUBLISHED if topic.name == name)
 
 

@@ -4,14 +4,14 @@ from typing import Any
 
 import numpy as np
 
-from lirs_validation.live.graph import SUBSCRIBED, TWIST, TWIST_STAMPED, Topic, typestore
+from lirs_validation.live.graph import SUBSCRIBED, TWIST, TWIST_STAMPED, LiveTopic, typestore
 from lirs_validation.live.middleware import Received
 
 STORE: Any = typestore("jazzy")
 TYPES: Any = STORE.types
 
 
-def topic(name: str, kind: str | None = None) -> Topic:
+def topic(name: str, kind: str | None = None) -> LiveTopic:
     return next(t for t in SUBSCRIBED if t.name == name and kind in (None, t.kind))
 
 
@@ -24,7 +24,7 @@ def vector(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Any:
     return TYPES["geometry_msgs/msg/Vector3"](x, y, z)
 
 
-def received(to: Topic, message: Any) -> Received:
+def received(to: LiveTopic, message: Any) -> Received:
     return Received(to, bytes(STORE.serialize_cdr(message, to.kind)))
 
 

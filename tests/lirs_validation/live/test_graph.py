@@ -8,7 +8,7 @@ from lirs_validation.live.graph import (
     DISCOVERY_TYPE,
     PUBLISHED,
     SUBSCRIBED,
-    Topic,
+    LiveTopic,
     dds_type,
     discovery_message,
     type_hash,
@@ -20,7 +20,7 @@ from lirs_validation.live.graph import (
     zenoh_token,
 )
 
-SCAN = Topic("/scan", "sensor_msgs/msg/LaserScan")
+SCAN = LiveTopic("/scan", "sensor_msgs/msg/LaserScan")
 HASH = "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828"
 """Of sensor_msgs/msg/LaserScan in ROS 2's own interface packages, as ros-z quotes it."""
 
@@ -64,7 +64,7 @@ def test_zenoh_keys_are_rmw_zenohs():
     """rmw_zenoh_cpp/src/detail/liveliness_utils.cpp, TopicInfo::TopicInfo; Humble's branch has no hash."""
     assert zenoh_key(SCAN, 3, "jazzy") == f"3/scan/sensor_msgs::msg::dds_::LaserScan_/{HASH}"
     assert zenoh_key(SCAN, 0, "humble") == "0/scan/sensor_msgs::msg::dds_::LaserScan_/TypeHashNotSupported"
-    raw = Topic("/imu/data_raw", "sensor_msgs/msg/Imu")
+    raw = LiveTopic("/imu/data_raw", "sensor_msgs/msg/Imu")
     assert zenoh_key(raw, 0, "jazzy").startswith("0/imu/data_raw/sensor_msgs::msg::dds_::Imu_/RIHS01_")
 
 
@@ -80,8 +80,8 @@ def test_zenoh_tokens_are_rmw_zenohs():
 
 def test_zenoh_quality_leaves_out_rmw_zenohs_defaults():
     """qos_to_keyexpr of the same file; defaults in src/detail/qos.cpp: reliable, volatile, keep last 42."""
-    assert zenoh_quality(Topic("/a", SCAN.kind, 42)) == "::,:,:,:,,"
-    assert zenoh_quality(Topic("/a", SCAN.kind, 1, durable=True)) == ":1:,1:,:,:,,"
+    assert zenoh_quality(LiveTopic("/a", SCAN.kind, 42)) == "::,:,:,:,,"
+    assert zenoh_quality(LiveTopic("/a", SCAN.kind, 1, durable=True)) == ":1:,1:,:,:,,"
 
 
 def test_zenoh_attachment_has_33_bytes():
