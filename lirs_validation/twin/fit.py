@@ -25,6 +25,8 @@ LEAST = 200
 """Fewest residuals of a bin."""
 ROUNDS = 3
 """Simulations of the log with the noise fitted so far."""
+LEAST_SCANS, STRIDE = 1000, 1000
+"""Fewest simulated scans of a comparison: chance then decides little; and step of their seeds."""
 SAMPLES = 200
 """Bootstrap samples of the log's blocks, and of the segments."""
 JUMP, MARGIN = 0.6, 0.15
@@ -58,16 +60,18 @@ class Sample:
     counts: FloatArray
 
     @classmethod
-    def of(cls, comparison: LogComparison) -> Sample:
-        """Return the statistics of a comparison."""
-        residual, ranges, _, block = comparison.residuals()
-        blocks = int(comparison.scans.block.max()) + 1
-        order = np.argsort(block, kind="stable")
-        lost = comparison.compared & ~np.isfinite(comparison.residual)
-        mixed, edges = _mixed_pixels(comparison)
+    def of(cls, *comparisons: LogComparison) -> Sample:
+        """Return the statistics of comparisons of one log's blocks."""
+        blocks = int(comparisons[0].scans.block.max()) + 1
         counts = np.zeros((blocks, 4))
-        for column, values in enumerate((comparison.compared, lost, mixed, edges)):
-            np.add.at(counts[:, column], comparison.scans.block, values.sum(axis=1))
+        for comparison in comparisons:
+            lost = comparison.compared & ~np.isfinite(comparison.residual)
+            mixed, edges = _mixed_pixels(comparison)
+            for column, values in enumerate((comparison.compared, lost, mixed, edges)):
+                np.add.at(counts[:, column], comparison.scans.block, values.sum(axis=1))
+        found = [comparison.residuals() for comparison in comparisons]
+        residual, ranges, _, block = (np.concatenate(column) for column in zip(*found, strict=True))
+        order = np.argsort(block, kind="stable")
         first = np.searchsorted(block[order], np.arange(blocks + 1))
         return cls(residual[order], ranges[order], first, counts)
 
@@ -170,16 +174,25 @@ def fit_noise(real: LogComparison, start: FloatArray, seed: int) -> FittedNoise:
     width = float(np.nanmedian(sample.widths(sample.blocks)))
     noise = LidarNoise(sigma=width, quantization=step, dropout=float(lost), mixed_pixels=float(mixed))
     for k in range(ROUNDS):
-        control = Sample.of(compare(simulate_scans(real, start, noise, seed + k)))
+        control = Sample.of(*_compare_simulations(real, start, noise, seed + k))
         fitted, map_width = _correct(sample, control, sample.blocks, noise)
         if k < ROUNDS - 1:
             noise = fitted
     drawn = [fitted, *_bootstrap(sample, control, noise, seed)]
     low, high = (_quantile(drawn[1:], share) for share in (0.025, 0.975))
-    last = compare(simulate_scans(real, start, fitted, seed + ROUNDS))
-    final = Sample.of(last)
+    last = _compare_simulations(real, start, fitted, seed + ROUNDS)
+    final = Sample.of(*last)
     distance = residual_distance(sample, final)
-    return FittedNoise(fitted, low, high, map_width, distance, sample, final, last.scans.poses)
+    return FittedNoise(fitted, low, high, map_width, distance, sample, final, last[0].scans.poses)
+
+
+def _compare_simulations(
+    real: LogComparison, start: FloatArray, noise: LidarNoise, seed: int
+) -> list[LogComparison]:
+    """Return comparisons of simulated logs; a short log is simulated several times."""
+    repeats = -(-LEAST_SCANS // len(start))
+    seeds = (seed + STRIDE * k for k in range(repeats))
+    return [compare(simulate_scans(real, start, noise, each)) for each in seeds]
 
 
 def residual_distance(real: Sample, other: Sample) -> float:
