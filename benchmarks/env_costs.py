@@ -1,11 +1,11 @@
-"""Memory that environments grow by, and what a second process pays before its first step.
+"""Cost of a reset, memory that environments grow by, and what a second process pays before its first step.
 
     python benchmarks/env_costs.py [--quick] [--json FILE]
 
 Memory: what the process holds (resident) after 1,000 resets and 100,000 steps of an environment, less what
 it held before; statistics of the episodes are recorded. 20 MB are allowed. Start: processor time beyond the
 imports of a process of its own, from `make` through `reset` to the first step, where the world was built by
-a process before; 1 s is allowed.
+a process before; 1 s is allowed. Reset: processor time, mean over 100 resets; it exits 1 above the limits.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import json
 import resource
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ import numpy as np
 import lirs_envs  # noqa: F401  registers
 
 IDS = "LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1"
+RESET_MS = {"LIRS/Navigation-v1": 8.0, "LIRS/Traverse-v1": 10.0}
+"""Limits."""
 N = 16
 START = """
 import time
@@ -52,12 +55,25 @@ def main() -> None:
 
     for name in IDS:
         start_seconds(name)  # builds the world, and compiles
+        add(f"{name} reset_ms", reset_ms(name))
         add(f"{name} start_s", start_seconds(name))
         add(f"{name} grown_mb", grown(gym.make(name, time_limit=20.0), 1, resets, steps))
         vector = gym.make_vec(name, num_envs=N, vectorization_mode="vector_entry_point", time_limit=20.0)
         add(f"{name} x {N} grown_mb", grown(vector, N, resets, steps))
     if given.json:
         given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    sys.exit(any(found[f"{name} reset_ms"] > limit for name, limit in RESET_MS.items()))
+
+
+def reset_ms(name: str) -> float:
+    """Return the milliseconds of processor time of a reset."""
+    env = gym.make(name)
+    for seed in range(5):
+        env.reset(seed=seed)
+    begin = time.process_time()
+    for seed in range(100):
+        env.reset(seed=seed)
+    return (time.process_time() - begin) * 10
 
 
 def start_seconds(name: str) -> float:

@@ -12,7 +12,6 @@ import numpy as np
 from lirs_envs.robots.robot import Robot
 from lirs_wct import HeightField, OccupancyGrid, Pose2, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
-from lirs_wct.geometry.grid_search import search
 from lirs_wct.kernels import njit
 
 SEEN_CELL = 0.25
@@ -109,8 +108,11 @@ class Site:
 
         inf = there is none, or none up to the limit.
         """
-        weight, cell = np.where(self.areas > 0, 1.0, np.inf), self.grid.cells((x, y))
-        return search(weight, cell[None], self.grid.resolution, limit=limit).cost
+        row, col = self.grid.cells((x, y)).tolist()
+        resolution = self.grid.resolution
+        cost: FloatArray = _path_lengths(self.areas > 0, row, col, limit / resolution)
+        cost *= resolution
+        return cost
 
     def reachable(self, area: int) -> BoolArray:
         """Return (rows, cols) cells of `seen` that the robot's center can reach in an area."""
@@ -149,6 +151,46 @@ def _largest(areas: IntArray, driven: BoolArray) -> int:
     """Return the number of the area with most drivable cells."""
     sizes = np.bincount(areas[driven] if driven.any() else areas.ravel())
     return 1 + int(np.argmax(sizes[1:]))
+
+
+@njit(cache=True, nogil=True)
+def _path_lengths(free: BoolArray, row: int, col: int, limit: float) -> FloatArray:
+    """Return (rows, cols) shortest path lengths to a cell in cells, inf where beyond the limit.
+
+    Paths are those of `lirs_wct.geometry.grid_search.search`. No step is shorter than a cell, so that buckets
+    of one cell's length replace the heap (Dial 1969): a fifth of the time.
+    """
+    rows, cols = free.shape
+    cost = np.full((rows, cols), np.inf)
+    bucket, count = np.empty((3, 8 * rows * cols), np.int32), np.zeros(3, np.int64)
+    if free[row, col]:
+        cost[row, col], bucket[0, 0], count[0] = 0.0, row * cols + col, 1
+    length = 0
+    while count.any() and length <= limit:
+        now = length % 3
+        for k in range(count[now]):
+            r, c = bucket[now, k] // cols, bucket[now, k] % cols
+            here = cost[r, c]
+            # A cell whose cost has fallen since is in an earlier bucket, too.
+            if here < length:
+                continue
+            for i in range(max(r - 1, 0), min(r + 2, rows)):
+                for j in range(max(c - 1, 0), min(c + 2, cols)):
+                    if not (free[i, j] and free[r, j] and free[i, c]):
+                        continue
+                    there = here + (1.4142135623730951 if i != r and j != c else 1.0)
+                    if there < cost[i, j] and (i != r or j != c):
+                        cost[i, j] = there
+                        later = int(there) % 3
+                        bucket[later, count[later]] = i * cols + j
+                        count[later] += 1
+        count[now] = 0
+        length += 1
+    for r in range(rows):
+        for c in range(cols):
+            if cost[r, c] > limit:
+                cost[r, c] = np.inf
+    return cost
 
 
 @njit(cache=True, nogil=True)
