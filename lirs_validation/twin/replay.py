@@ -118,12 +118,13 @@ class Replay:
     @property
     def sentence(self) -> str:
         """The result in one sentence."""
-        if self.tau is None:
-            return "The mappers' errors on the log and on its simulation have no order to compare."
+        if not self.pairs:
+            return "No mapper could be compared on the log and on its simulation."
         agree = sum(m.agrees for m in self.pairs)
+        order = "" if self.tau is None else f"; Kendall's tau of their order is {self.tau:.2f}"
         return (
             f"Errors of {agree} of {len(self.pairs)} mappers on the log and on its simulation agree "
-            f"within a factor of {FACTOR:g}; Kendall's tau of their order is {self.tau:.2f}."
+            f"within a factor of {FACTOR:g}{order}."
         )
 
     def figures(self) -> dict[str, Any]:
