@@ -97,7 +97,9 @@ def scans_figure(result: TwinResult) -> Drawing:
             strict=False,
         ):
             for shown, size, shade in ((beams.ranges[k], 6, GRAY), (ranges, 3, color)):
-                x, y = shown * np.cos(scans.angles), shown * np.sin(scans.angles)
+                known = np.isfinite(shown)
+                x = shown[known] * np.cos(scans.angles[known])
+                y = shown[known] * np.sin(scans.angles[known])
                 # Forward is up.
                 ax.plot(-y, x, ".", color=shade, markersize=size)
             ax.plot(0, 0, "^", color="black", markersize=5)
