@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 
 from lirs_envs.episodes.episodes import TASKS as ENVIRONMENT_TASKS
+from lirs_envs.episodes.observations import GROUPS
 from lirs_validation.bench.episode import EpisodeLog, episode_metrics, run_episode
 from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.tasks import BenchTask
@@ -135,7 +136,9 @@ class BenchExperiment:
 
     def _write(self, folder: Path, outcome: Outcome, metrics: dict[str, Any], series: dict[str, Any]) -> None:
         entry = {"schema": SCHEMA} | self._identity()
-        entry |= {"observe": self.observe, "status": outcome.status, "reason": outcome.reason}
+        groups = [GROUPS[name] for name in self.observe if name in GROUPS]
+        entry |= {"observe": self.observe, "privileged": any(group.privileged for group in groups)}
+        entry |= {"status": outcome.status, "reason": outcome.reason}
         entry |= {"metrics": metrics, "trace": outcome.trace, "versions": versions()} | series
         text = json.dumps(entry, indent=1, default=plain)
         (folder / RECORD).write_text(text + "\n", encoding="utf-8")

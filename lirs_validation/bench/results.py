@@ -14,9 +14,6 @@ from lirs_validation.bench.tasks import BenchTask, TaskSet
 from lirs_validation.record.provenance import same_code
 from lirs_wct.errors import SourceError
 
-TRUE_GROUPS = {"height_map", "seen_map"}
-"""Groups of observations with simulator-only data."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyResult:
@@ -50,8 +47,7 @@ class PolicyResult:
     @property
     def privileged(self) -> bool:
         """Whether the policy gets simulator-only data."""
-        seen = {name for entry in self.episodes.values() for name in entry.get("observe") or ()}
-        return self.policy.name == UPPER_BOUND or bool(seen & TRUE_GROUPS)
+        return self.policy.name == UPPER_BOUND or any(e["privileged"] for e in self.episodes.values())
 
     def _share(self, name: str) -> float:
         return sum(bool(entry["metrics"][name]) for entry in self.episodes.values()) / len(self.episodes)

@@ -39,7 +39,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 
 IDS = ("LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1")
-ALL_GROUPS = ["scan", "odometry", "attitude", "seen_map", "height_map"]
+ALL_GROUPS = ["scan", "scans", "odometry", "attitude", "seen_map", "height_map"]
 
 
 def episode(env: gym.Env[Any, Any], seed: int, steps: int = 30) -> bytes:

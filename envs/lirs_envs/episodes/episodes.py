@@ -223,6 +223,7 @@ class Episodes:
             self.stage.seen.begin(i, *self.task.ground(i))
             self._see(np.array((i,)))
         self.task.begin(i)
+        self.observations.begin(i)
         self._ready[i] = True
 
     def _check_options(self, i: int, options: Mapping[str, Any]) -> None:
@@ -262,6 +263,7 @@ class Episodes:
         going = np.array([i for i in ids.tolist() if not errors[i]], np.int64)
         rewards = np.zeros(self.count)
         rewards[going] = self.task.step(going)
+        self.observations.step(ids)
         self._steps[ids] += 1
         self._end(ids)
         for i in ids.tolist():

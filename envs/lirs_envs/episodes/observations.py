@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
@@ -22,8 +22,23 @@ HEIGHT_CELLS, HEIGHT_CELL = 32, 0.2
 """Cells along a side of the height map, and their edge in meters."""
 SECTORS = 36
 """Sectors of equal width around the robot, the first from straight behind it to the right."""
+SCANS = 4
+"""Scans in a history."""
 GOAL_SCALE = 30.0
 """Goal distance that is scaled to 1, meters; larger distances are clipped to 1."""
+
+
+class Memory(Protocol):
+    """State of an observation group, row by row."""
+
+    def begin(self, i: int) -> None:
+        """Forget the last episode of robot `i`, which stands at its start."""
+
+    def step(self, ids: IntArray) -> None:
+        """Take in a step of robots `ids`."""
+
+    def read(self, ids: IntArray) -> Any:
+        """Return values (n, ...) in a new array; reading changes nothing."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +47,15 @@ class Group:
 
     Attributes:
         space: function that returns the space of one robot.
-        read: function that returns values (n, ...) of some robots in a new array.
+        read: function that returns values (n, ...) of some robots in a new array; None = `memory` does.
+        memory: function that returns the group's state for all robots; None = the group has none.
+        privileged: whether the values are simulator-only data; `bench` marks policies that get them.
     """
 
     space: Callable[[Stage], spaces.Box]
-    read: Callable[[Stage, Task, IntArray], Any]
+    read: Callable[[Stage, Task, IntArray], Any] | None = None
+    memory: Callable[[Stage, Task], Memory] | None = None
+    privileged: bool = False
 
 
 class Observations:
@@ -57,10 +76,26 @@ class Observations:
                 raise unknown_name("group of observations", name, GROUPS)
         self._names, self._stage, self._task = tuple(names), stage, task
         self.space = spaces.Dict({name: GROUPS[name].space(stage) for name in self._names})
+        made = {name: GROUPS[name].memory for name in self._names}
+        self._memories = {name: make(stage, task) for name, make in made.items() if make is not None}
+
+    def begin(self, i: int) -> None:
+        """Begin an episode of robot `i`."""
+        for memory in self._memories.values():
+            memory.begin(i)
+
+    def step(self, ids: IntArray) -> None:
+        """Take in a step of robots `ids`."""
+        for memory in self._memories.values():
+            memory.step(ids)
 
     def read(self, ids: IntArray) -> dict[str, Any]:
         """Return new (n, ...) arrays of the chosen groups."""
-        return {name: GROUPS[name].read(self._stage, self._task, ids) for name in self.space.spaces}
+        return {name: self._read_group(name, ids) for name in self.space.spaces}
+
+    def _read_group(self, name: str, ids: IntArray) -> Any:
+        read = GROUPS[name].read
+        return self._memories[name].read(ids) if read is None else read(self._stage, self._task, ids)
 
 
 def _scan_space(stage: Stage) -> spaces.Box:
@@ -83,6 +118,32 @@ def _make_finite(ranges: Float32Array, range_max: float) -> None:
                 ranges[i, k] = 0.0
             elif ranges[i, k] > range_max:
                 ranges[i, k] = range_max
+
+
+class ScanHistory:
+    """Scans of the last steps (N, SCANS, beams), the newest first."""
+
+    def __init__(self, stage: Stage, task: Task) -> None:
+        self._stage, self._task = stage, task
+        self._scans = np.zeros((stage.count, SCANS, stage.simulation.config.preset.beams), np.float32)
+
+    def begin(self, i: int) -> None:
+        """Fill the history of robot `i` with its first scan."""
+        self._scans[i] = _scan(self._stage, self._task, np.array((i,)))
+
+    def step(self, ids: IntArray) -> None:
+        """Add the present scans."""
+        self._scans[ids, 1:] = self._scans[ids, :-1]
+        self._scans[ids, 0] = _scan(self._stage, self._task, ids)
+
+    def read(self, ids: IntArray) -> Float32Array:
+        """Return (n, SCANS, beams) meters."""
+        return self._scans[ids]
+
+
+def _scans_space(stage: Stage) -> spaces.Box:
+    preset = stage.simulation.config.preset
+    return spaces.Box(0.0, np.float32(preset.range_max), (SCANS, preset.beams), np.float32)
 
 
 def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
@@ -190,6 +251,7 @@ def _local_heights(
 
 GROUPS: dict[str, Group] = {
     "scan": Group(_scan_space, _scan),
+    "scans": Group(_scans_space, memory=ScanHistory),
     "sectors": Group(
         lambda stage: spaces.Box(0.0, 1.0, (SECTORS,), np.float32),
         lambda stage, task, ids: scan_sectors(stage.simulation.ranges[ids], stage.simulation.config.preset),
@@ -210,14 +272,19 @@ GROUPS: dict[str, Group] = {
         lambda stage: spaces.Box(np.array((-1, -1, 0), np.float32), np.ones(3, np.float32), dtype=np.float32),
         lambda stage, task, ids: goal_direction(_goal(stage, task, ids)),
     ),
-    "seen_map": Group(lambda stage: spaces.Box(0, 255, (1, MAP_CELLS, MAP_CELLS), np.uint8), _seen_map),
+    "seen_map": Group(
+        lambda stage: spaces.Box(0, 255, (1, MAP_CELLS, MAP_CELLS), np.uint8), _seen_map, privileged=True
+    ),
     "height_map": Group(
-        lambda stage: spaces.Box(-np.inf, np.inf, (HEIGHT_CELLS, HEIGHT_CELLS), np.float32), _height_map
+        lambda stage: spaces.Box(-np.inf, np.inf, (HEIGHT_CELLS, HEIGHT_CELLS), np.float32),
+        _height_map,
+        privileged=True,
     ),
 }
-"""Groups by name.
+"""Groups by name; more may be added before an environment is made.
 
 scan: (beams,) meters; nothing in range is `range_max`, too near or lost is 0.
+scans: (4, beams) scans of the last four steps, the newest first; at the start all are the first scan.
 sectors: (36,) proximity 1 / (1 + r), r meters the least range in each of 36 sectors of 10 degrees around
     the robot, from straight behind over right, ahead and left; 1 = all its beams are too near or lost, 0 = no
     beam goes there. A scan for small networks, the same for every planar lidar.

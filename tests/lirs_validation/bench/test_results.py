@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from lirs_envs.episodes.observations import GROUPS
 from lirs_validation.bench.experiment import RECORD, BenchExperiment
 from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.results import read_results, share_of_bound
@@ -33,6 +34,9 @@ class Plain:
 
 class Modest(Plain):
     observe = ("scan", "goal")
+
+class Knowing(Plain):
+    observe = ("scan", "their_truth")
 """
 
 
@@ -82,9 +86,17 @@ def test_what_does_not_compare_is_left_out(changed: dict[str, Any], tmp_path: Pa
     assert results(tmp_path) == {}
 
 
-def test_who_is_given_the_truth_is_marked(tmp_path: Path) -> None:
+def test_who_is_given_the_truth_is_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(GROUPS, "their_truth", replace(GROUPS["height_map"]))
     # Crossing has heights from the truth among its own observations.
-    for policy in ("straight", "go_to_goal", "astar", "own_policies:Plain", "own_policies:Modest"):
+    for policy in (
+        "straight",
+        "go_to_goal",
+        "astar",
+        "own_policies:Plain",
+        "own_policies:Modest",
+        "own_policies:Knowing",
+    ):
         write(tmp_path, policy, {"a": 0.1})
     marked = {name for name, result in results(tmp_path).items() if result.privileged}
-    assert marked == {"astar", "own_policies:Plain"}
+    assert marked == {"astar", "own_policies:Plain", "own_policies:Knowing"}
