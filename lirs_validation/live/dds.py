@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import warnings
 from functools import cache
 from typing import Any
 
@@ -33,8 +34,8 @@ from lirs_validation.live.options import LiveOptions
 from lirs_wct.errors import ConfigError
 
 LOOPBACK = "127.0.0.1"
-SLOWEST = 10.0
-"""Seconds for which a write waits for a slow reliable subscriber."""
+PATIENT, BRIEF = 10.0, 0.1
+"""Seconds for which a message waits for a slow reliable subscriber, with lockstep and in real time."""
 CONFIG = """
 <CycloneDDS><Domain>
   <General>
@@ -43,13 +44,14 @@ CONFIG = """
     <MaxMessageSize>65500B</MaxMessageSize>
   </General>
   <Discovery>
+    <SPDPInterval>1s</SPDPInterval>
     <ParticipantIndex>auto</ParticipantIndex>
     <MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
     <Peers><Peer address="{host}"/></Peers>
   </Discovery>
 </Domain></CycloneDDS>
 """
-"""Configuration of a domain. Loopback needs no multicast: the ports of 33 participants are tried."""
+"""Configuration of a domain. Loopback needs no multicast: 33 participants' ports are tried each second."""
 ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 
 
@@ -65,7 +67,8 @@ class DdsNode:
     """
 
     def __init__(self, options: LiveOptions, topics: tuple[LiveTopic, ...]) -> None:
-        self._ros = options.ros
+        self._ros, self._warned = options.ros, set[str]()
+        self._patience = PATIENT if options.lockstep else BRIEF
         host = _address(options.host or LOOPBACK)
         config = CONFIG.format(host=host, multicast="false" if options.host is None else "spdp")
         try:
@@ -82,8 +85,15 @@ class DdsNode:
         self._announce()
 
     def publish(self, topic: str, message: bytes | bytearray) -> None:
-        """Send a message; wait for slow subscribers at most SLOWEST seconds."""
-        _write(self._writers[topic], bytes(message))
+        """Send a message; drop it with a warning if a reliable subscriber does not take it in time."""
+        try:
+            write_raw(self._writers[topic], bytes(message))
+        except DDSException as error:
+            if error.code != DDSException.DDS_RETCODE_TIMEOUT:
+                raise
+            if topic not in self._warned:
+                self._warned.add(topic)
+                warnings.warn(f"{topic}: a subscriber hangs, messages are dropped", stacklevel=2)
 
     def receive(self, seconds: float = 0.0) -> list[Received]:
         """Return new messages. Wait for the first one at most so long."""
@@ -118,7 +128,7 @@ class DdsNode:
         )
         readers = [reader.guid.bytes for _, reader in self._readers]
         writers = [writer.guid.bytes for writer in self._writers.values()]
-        _write(self._graph, discovery_message(self._participant.guid.bytes, readers, writers, self._ros))
+        write_raw(self._graph, discovery_message(self._participant.guid.bytes, readers, writers, self._ros))
 
     def _writer(self, name: str, topic: LiveTopic) -> Any:
         return DataWriter(self._participant, self._topic(name, topic.kind), self._quality(topic))
@@ -129,11 +139,11 @@ class DdsNode:
         return DataReader(self._participant, self._topic(f"rt{topic.name}", topic.kind), quality)
 
     def _topic(self, name: str, kind: str) -> Any:
-        return DdsTopic(self._participant, name, _raw_type(kind, self._ros))
+        return DdsTopic(self._participant, name, raw_type(kind, self._ros))
 
     def _quality(self, topic: LiveTopic) -> Any:
         return Qos(
-            Policy.Reliability.Reliable(duration(seconds=SLOWEST)),
+            Policy.Reliability.Reliable(duration(seconds=self._patience)),
             Policy.Durability.TransientLocal if topic.durable else Policy.Durability.Volatile,
             Policy.History.KeepLast(topic.depth),
             Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
@@ -141,14 +151,15 @@ class DdsNode:
         )
 
 
-def _write(writer: Any, message: bytes) -> None:
+def write_raw(writer: Any, message: bytes) -> None:
+    """Send CDR bytes on a writer of a `raw_type`."""
     sample = writer.data_type.__new__(writer.data_type)
     sample.cdr = message
     writer.write(sample)
 
 
 @cache
-def _raw_type(kind: str, distribution: Distribution) -> Any:
+def raw_type(kind: str, distribution: Distribution) -> Any:
     """Return a type whose samples hold CDR bytes and are not decoded.
 
     Its fields are declared all the same: DDS compares the types of both sides, and checks each message.

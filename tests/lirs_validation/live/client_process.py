@@ -29,7 +29,7 @@ class DdsClient:
         from cyclonedds.topic import Topic as DdsTopic
         from cyclonedds.util import duration
 
-        from lirs_validation.live.dds import CONFIG, _raw_type
+        from lirs_validation.live.dds import CONFIG, raw_type
 
         self.domain = Domain(domain, CONFIG.format(host="127.0.0.1", multicast="false"))
         self.participant = DomainParticipant(domain)
@@ -41,7 +41,7 @@ class DdsClient:
             return Qos(reliable, durable, plain, Policy.History.KeepLast(100))
 
         def made(topic):
-            return DdsTopic(self.participant, f"rt{topic.name}", _raw_type(topic.kind, "jazzy"))
+            return DdsTopic(self.participant, f"rt{topic.name}", raw_type(topic.kind, "jazzy"))
 
         self.writers = {t.name: DataWriter(self.participant, made(t), quality(t)) for t in writes}
         while not all(w.get_publication_matched_status().current_count for w in self.writers.values()):
@@ -52,9 +52,9 @@ class DdsClient:
         return [(topic, sample.cdr) for topic, reader in self.readers for sample in reader.take(100)]
 
     def publish(self, topic, message):
-        from lirs_validation.live.dds import _write
+        from lirs_validation.live.dds import write_raw
 
-        _write(self.writers[topic], bytes(message))
+        write_raw(self.writers[topic], bytes(message))
 
 
 class ZenohClient:

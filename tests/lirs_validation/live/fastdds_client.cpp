@@ -1,5 +1,7 @@
 // A client over Fast DDS, the default middleware of Humble and Jazzy: stores what it receives, answers scans.
 //   fastdds_client DOMAIN SCANS CLOUDS SPEED FILE [best_effort]
+// A record of the file is a letter (s scan, c cloud, d ros_discovery_info), the size, and the bytes.
+// Standard output has a line `TOPIC TYPE USER-DATA` for each publisher that was discovered.
 #include <chrono>
 #include <condition_variable>
 #include <cstdlib>
@@ -12,6 +14,7 @@
 
 #include <fastdds/dds/domain/DomainParticipant.hpp>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/domain/DomainParticipantListener.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
 #include <fastdds/dds/publisher/Publisher.hpp>
 #include <fastdds/dds/subscriber/DataReader.hpp>
@@ -90,7 +93,7 @@ class Listener : public DataReaderListener {
       uint32_t size = bytes.size();
       file_.put(kind_).write(reinterpret_cast<char*>(&size), 4);
       file_.write(reinterpret_cast<char*>(bytes.data()), size);
-      (kind_ == 's' ? counts_.scans : counts_.clouds)++;
+      if (kind_ != 'd') (kind_ == 's' ? counts_.scans : counts_.clouds)++;
       if (answers_) {
         Bytes answer = twist(bytes.data() + 4, speed_);
         answers_->write(&answer);
@@ -107,16 +110,30 @@ class Listener : public DataReaderListener {
   double speed_;
 };
 
+// Prints what `ros2 topic info -v` shows of publishers.
+class Discovery : public DomainParticipantListener {
+ public:
+  void on_publisher_discovery(DomainParticipant*, eprosima::fastrtps::rtps::WriterDiscoveryInfo&& found) override {
+    if (found.status != found.DISCOVERED_WRITER) return;
+    const auto& data = found.info.m_qos.m_userData.getValue();
+    std::cout << found.info.topicName() << " " << found.info.typeName() << " "
+              << std::string(data.begin(), data.end()) << std::endl;
+  }
+};
+
 int main(int argc, char** argv) {
   if (argc < 6) return 2;
   const int scans = std::atoi(argv[2]), clouds = std::atoi(argv[3]);
   const bool best_effort = argc > 6;
   std::ofstream file(argv[5], std::ios::binary);
-  auto participant = DomainParticipantFactory::get_instance()->create_participant(std::atoi(argv[1]), PARTICIPANT_QOS_DEFAULT);
+  Discovery discovery;
+  auto participant = DomainParticipantFactory::get_instance()->create_participant(
+      std::atoi(argv[1]), PARTICIPANT_QOS_DEFAULT, &discovery, StatusMask::none());
   TypeSupport twist_type(new Raw("geometry_msgs::msg::dds_::TwistStamped_"));
   TypeSupport scan_type(new Raw("sensor_msgs::msg::dds_::LaserScan_"));
   TypeSupport cloud_type(new Raw("sensor_msgs::msg::dds_::PointCloud2_"));
-  for (auto type : {&twist_type, &scan_type, &cloud_type}) type->register_type(participant);
+  TypeSupport graph_type(new Raw("rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"));
+  for (auto type : {&twist_type, &scan_type, &cloud_type, &graph_type}) type->register_type(participant);
   auto topic = [&](const char* name, TypeSupport& type) {
     return participant->create_topic(name, type.get_type_name(), TOPIC_QOS_DEFAULT);
   };
@@ -140,6 +157,11 @@ int main(int argc, char** argv) {
   Listener on_scan('s', counts, file, clouds ? nullptr : answers, speed);
   Listener on_cloud('c', counts, file, clouds ? answers : nullptr, speed);
   auto subscriber = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
+  DataReaderQos latched = read;
+  latched.reliability().kind = RELIABLE_RELIABILITY_QOS;
+  latched.durability().kind = TRANSIENT_LOCAL_DURABILITY_QOS;
+  Listener on_graph('d', counts, file, nullptr, 0);
+  subscriber->create_datareader(topic("ros_discovery_info", graph_type), latched, &on_graph);
   if (clouds) subscriber->create_datareader(topic("rt/points", cloud_type), read, &on_cloud);
   subscriber->create_datareader(topic("rt/scan", scan_type), read, &on_scan);
   std::unique_lock<std::mutex> lock(counts.mutex);
