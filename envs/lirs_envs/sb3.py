@@ -24,6 +24,9 @@ def as_vec_env(*vectors: RobotVectorEnv) -> Any:
         *vectors: with autoreset mode `SameStep`, as Stable-Baselines3 resets; several of them (say, each in a
             world of its own) have the same spaces, and their environments are numbered one after the other.
 
+    At the end of an episode `info["episode"]` has its return `r`, steps `l` and simulated seconds `t`, which
+    Stable-Baselines3 logs; a `VecMonitor` around it puts its own there.
+
     A vector with render mode `map` shows as one with `rgb_array`, the one kind of picture that
     Stable-Baselines3 knows.
 
@@ -85,12 +88,14 @@ class _RobotVecEnv:
         self._views = [view for one in vectors for view in one.views]
         self._ends = np.cumsum([one.num_envs for one in vectors])[:-1].tolist()
         self._actions: Any = None
+        self._returns, self._lengths = np.zeros(len(self._views)), np.zeros(len(self._views), np.int64)
         spaces = vectors[0].single_observation_space, vectors[0].single_action_space
         super().__init__(len(self._views), *spaces)  # type: ignore[call-arg]
 
     def reset(self) -> Any:
         observed = []
         self.reset_infos = []
+        self._returns[:], self._lengths[:] = 0.0, 0
         for one, rows in zip(self.vectors, self._split(np.arange(self.num_envs)), strict=True):
             seeds = [self._seeds[i] for i in rows]
             known = any(seed is not None for seed in seeds)
@@ -125,10 +130,18 @@ class _RobotVecEnv:
             for row in split_infos(found, one.num_envs)
         ]
         done, late = np.concatenate(terminated), np.concatenate(truncated)
+        self._returns += np.concatenate(rewards)
+        self._lengths += 1
         for i, row in enumerate(rows):
             if done[i] or late[i]:
                 self.reset_infos[i] = {k: value for k, value in row.items() if not k.startswith("final_")}
                 rows[i] = row["final_info"] | {"terminal_observation": row["final_obs"]}
+                rows[i]["episode"] = {
+                    "r": float(self._returns[i]),
+                    "l": int(self._lengths[i]),
+                    "t": float(rows[i]["time"]),
+                }
+                self._returns[i], self._lengths[i] = 0.0, 0
             rows[i]["TimeLimit.truncated"] = bool(late[i] and not done[i])
         return _join(observed), np.concatenate(rewards).astype(np.float32), done | late, rows
 

@@ -19,6 +19,7 @@ from lirs_wct.world import World
 REASON = "Stable-Baselines3 is not installed (extra [rl])"
 EVERYTHING = [
     "scan",
+    "scans",
     "sectors",
     "body",
     "odometry",
@@ -76,7 +77,7 @@ def test_steps_are_those_of_the_vector() -> None:
     first, (second, infos) = adapted.reset(), plain.reset(seed=5)
     assert first["scan"].tobytes() == second["scan"].tobytes()
     assert adapted.reset_infos[1]["goal"].tolist() == infos["goal"][1].tolist()
-    rng = np.random.default_rng(0)
+    rng, earned = np.random.default_rng(0), np.zeros(3)
     for step in range(1, 12):
         actions = rng.uniform(-1, 1, (3, 2)).astype(np.float32)
         observation, rewards, done, rows = adapted.step(actions)
@@ -97,6 +98,15 @@ def test_steps_are_those_of_the_vector() -> None:
             assert final["scan"].tobytes() == expected[4]["final_obs"][i]["scan"].tobytes()
             assert final["scan"].tobytes() != observation["scan"][i].tobytes()
             assert adapted.reset_infos[i]["time"] == 0.0
+        earned += expected[1]
+        if done.all():
+            told = [row["episode"] for row in rows]
+            assert [one["r"] for one in told] == pytest.approx(earned.tolist())
+            assert [(one["l"], one["t"]) for one in told] == [(5, pytest.approx(0.5))] * 3
+            earned[:] = 0
+        else:
+            assert not done.any()
+            assert all("episode" not in row for row in rows)
 
 
 def test_attributes_and_methods_of_chosen_environments() -> None:
@@ -192,6 +202,8 @@ def test_its_own_vector_says_the_same() -> None:
         assert same(one[1], two[1])
         assert same(one[2], two[2])
         for i in range(4):
+            assert ("episode" in two[3][i]) == two[2][i]
+            two[3][i].pop("episode", None)
             assert same(one[3][i], two[3][i]), i
             assert same(theirs.reset_infos[i], ours.reset_infos[i])
             ends |= {(row["reason"], row["TimeLimit.truncated"]) for row in [two[3][i]] if two[2][i]}
