@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,19 +12,20 @@ import numpy as np
 
 from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder
+from lirs_validation.analysis.time_alignment import find_time_offset, interpolate_poses
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.reference import read_trajectory
 from lirs_validation.metrics import StartAlignment, map_scores, start_alignment, trajectory_errors
 from lirs_validation.metrics.agreement import agreement, decided, sampled
-from lirs_validation.metrics.alignment import MAX_GAP, associated
+from lirs_validation.metrics.alignment import MAX_GAP, associated, rigid_alignment
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.verdict import Verdict, judge
-from lirs_wct import OccupancyGrid, Pose2, SourceError, Trajectory, unknown_name, wrap_angle
+from lirs_wct import ConfigError, OccupancyGrid, Pose2, SourceError, Trajectory, unknown_name, wrap_angle
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
 
-Frame = Literal["auto", "map", "world"]
-FRAMES: tuple[Frame, ...] = ("auto", "map", "world")
+Frame = Literal["auto", "map", "world", "align"]
+FRAMES: tuple[Frame, ...] = ("auto", "map", "world", "align")
 NEAR, NEAR_SHARE, NEAR_YAW = 0.5, 0.1, math.radians(20)
 """Tolerances of a trajectory's first pose: meters, share of the path driven until then, and angle. Beyond
 them, the trajectory is in another frame."""
@@ -43,6 +44,7 @@ class Score:
         reason: number of missing scans; empty if the status is `ok`.
         frame: frame of the result.
         given: number of poses of the trajectory; 0 without one.
+        time_offset: seconds that were added to the trajectory's stamps.
         trajectory: as in a record; empty without a trajectory.
         map: as in a record; empty without a map.
     """
@@ -50,8 +52,9 @@ class Score:
     run: str
     status: Literal["ok", "incomplete"]
     reason: str
-    frame: Literal["map", "world"]
+    frame: Literal["map", "world", "align"]
     given: int
+    time_offset: float
     trajectory: dict[str, Any]
     map: dict[str, Any]
 
@@ -78,29 +81,36 @@ def score(
     topic: str | None = None,
     map_yaml: Path | None = None,
     frame: Frame = "auto",
+    time_offset: float | Literal["auto"] = 0.0,
 ) -> Score:
     """Score a trajectory and a map that were made from a run's `scans.clf.gz` or bag.
 
     Args:
         run: the run.
-        trajectory: TUM file or ROS bag, poses of base_link at stamps of the run.
+        trajectory: TUM file or ROS bag, poses of base_link. Poses of another rate are interpolated at the
+            scans.
         topic: of a bag: where its poses are; None = transforms from map to base_link, else the only topic.
         map_yaml: ROS map.
         frame: of both: `map`, whose origin is the first base pose; `world`, as the run's own files; `auto`:
-            found by where the trajectory begins; without one, by the true-pose map.
+            found by where the trajectory begins; without one, by the true-pose map; `align`: any, moved to
+            the best fit of the trajectory.
+        time_offset: seconds to add to the trajectory's stamps; `auto`: found by its motion.
 
     Raises:
         SourceError: a file cannot be read, or does not fit the run: stamps, frame, place.
-        ConfigError: a topic is given, and the trajectory is no bag.
+        ConfigError: a topic is given, and the trajectory is no bag; or `align` without a trajectory.
     """
     truth = recorded_truth(run.folder)
-    estimate = None if trajectory is None else read_trajectory(trajectory, topic)
-    if estimate is not None and trajectory is not None:
+    estimate, given, offset = None, 0, 0.0
+    if trajectory is not None:
+        read = read_trajectory(trajectory, topic)
+        given, offset = len(read), _offset(trajectory, truth, read, time_offset)
+        estimate = interpolate_poses(replace(read, stamps=read.stamps + offset), truth.stamps)
         _check_stamps(trajectory, estimate, truth)
         frame = frame_of(trajectory, estimate, truth, frame)
     if frame == "auto":
         frame = "map" if map_yaml is None else frame_of_map(run, map_yaml, truth)
-    T_world_frame = truth.pose2(0) if frame == "map" else Pose2()
+    T_world_frame = _place(truth, estimate, frame)
     errors, alignment, lacking = dict[str, Any](), None, None
     if estimate is not None:
         errors = _score_trajectory(run, truth, estimate, T_world_frame)
@@ -111,10 +121,41 @@ def score(
         status="ok" if lacking is None else "incomplete",
         reason=lacking or "",
         frame=frame,
-        given=0 if estimate is None else len(estimate),
+        given=given,
+        time_offset=offset,
         trajectory=errors,
         map={} if map_yaml is None else _score_map(run, map_yaml, T_world_frame, alignment),
     )
+
+
+def _offset(
+    path: Path, truth: Trajectory, estimate: Trajectory, time_offset: float | Literal["auto"]
+) -> float:
+    """Return the offset of an estimate's clock, seconds.
+
+    Raises:
+        SourceError: it is not found.
+    """
+    if time_offset != "auto":
+        return time_offset
+    try:
+        return find_time_offset(truth, estimate)
+    except SourceError as error:
+        raise SourceError(f"{path}: {error}") from error
+
+
+def _place(truth: Trajectory, estimate: Trajectory | None, frame: Frame) -> Pose2:
+    """Return where the origin of a frame lies in the world.
+
+    Raises:
+        ConfigError: there is no trajectory to align.
+    """
+    if frame != "align":
+        return truth.pose2(0) if frame == "map" else Pose2()
+    if estimate is None:
+        raise ConfigError("--frame align needs a trajectory to align, give --trajectory")
+    i, j = associated(truth.stamps, estimate.stamps)
+    return rigid_alignment(estimate.xy[j], truth.xy[i])
 
 
 def check_frame(frame: str) -> Frame:
@@ -129,12 +170,16 @@ def check_frame(frame: str) -> Frame:
     raise unknown_name("frame", frame, FRAMES)
 
 
-def frame_of(path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame) -> Literal["map", "world"]:
-    """Return the frame in which a trajectory begins where the run was.
+def frame_of(
+    path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame
+) -> Literal["map", "world", "align"]:
+    """Return the frame in which a trajectory begins where the run was; `align` if that was named.
 
     Raises:
         SourceError: it does in none, or not in the one that was named.
     """
+    if frame == "align":
+        return frame
     i, j = associated(truth.stamps, estimate.stamps)
     true, first = truth.pose2(int(i[0])), estimate.pose2(int(j[0]))
     driven = float(np.linalg.norm(np.diff(truth.xy[: int(i[0]) + 1], axis=0), axis=1).sum())
@@ -145,10 +190,11 @@ def frame_of(path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame) 
     places = " or ".join(
         f"{_pose_text(pose)} in the {name} frame" for name, pose in there.items() if frame in ("auto", name)
     )
-    hint = f"; it fits the {fits[0]} frame: --frame {fits[0]}" if fits else ""
+    hint = "--frame align moves it to the best fit"
+    hint = f"it fits the {fits[0]} frame: --frame {fits[0]}" if fits else hint
     raise SourceError(
         f"{path}: another frame: at {estimate.stamps[j[0]]:.2f} s it begins at {_pose_text(first)}, where "
-        f"the run was at {places}; the map frame's origin is the first base pose{hint}"
+        f"the run was at {places}; the map frame's origin is the first base pose; {hint}"
     )
 
 
@@ -195,7 +241,7 @@ def _check_stamps(path: Path, estimate: Trajectory, truth: Trajectory) -> None:
     raise SourceError(
         f"{path}: other stamps: {len(i)} of its {len(estimate)} poses lie within {MAX_GAP} s of one of the "
         f"run's {len(truth)}, at least 2 must; its stamps are {spans[0]}, the run's {spans[1]} (seconds "
-        "since the start, as in scans.clf.gz)"
+        "since the start, as in scans.clf.gz); --time-offset auto finds a constant difference"
     )
 
 

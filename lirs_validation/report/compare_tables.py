@@ -157,9 +157,11 @@ def _failures(comparison: Comparison) -> list[str]:
 def score_table(score: Score, record: Mapping[str, Any]) -> ReportTable:
     """Return the metrics of the score and of the run's own mapper."""
     lines = [f"{score.status}: {score.reason}"] if score.reason else []
-    lines.append(f"read in the {score.frame} frame")
+    lines.append("moved to the best fit" if score.frame == "align" else f"read in the {score.frame} frame")
+    if score.time_offset:
+        lines.append(f"time offset {score.time_offset:.3f} s")
     if score.trajectory:
-        lines.append(f"{score.trajectory['poses']} of {score.given} poses lie at stamps of the run's scans")
+        lines.append(f"{score.trajectory['poses']} scans have a pose, {score.given} poses were given")
     mapper = str(record["config"]["mapper"])
     entries = {"scored": asdict(score), mapper: record}
     worse = [f"{name}: {WORSE}" for name, entry in entries.items() if worse_than_odometry(entry)]

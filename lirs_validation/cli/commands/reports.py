@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -126,11 +127,18 @@ def score(
     frame: Annotated[
         str,
         typer.Option(
-            metavar="auto|map|world",
+            metavar="auto|map|world|align",
             help="Frame of both: map, whose origin is the first base pose; world, as the run's own files; "
-            "auto: by where the trajectory begins; of a map alone, by where it fits.",
+            "auto: by where the trajectory begins; of a map alone, by where it fits; align: any, moved to "
+            "the best fit.",
         ),
     ] = "auto",
+    time_offset: Annotated[
+        str,
+        typer.Option(
+            metavar="SECONDS|auto", help="Added to the trajectory's stamps; auto: found by its motion."
+        ),
+    ] = "0",
     output: Annotated[Path, typer.Option("-o", "--output", help="JSON to write.")] = Path("score.json"),
 ) -> None:
     """Score another program's results from a run's recorded scans (scans.clf.gz or bag)."""
@@ -145,7 +153,10 @@ def score(
         raise ConfigError("--topic is of a bag that --trajectory names, which is not given")
     recorded = read_run(run)
     named = check_frame(frame)
-    result = scored(recorded, trajectory=trajectory, topic=topic, map_yaml=map_yaml, frame=named)
+    offset = _read_offset(time_offset)
+    result = scored(
+        recorded, trajectory=trajectory, topic=topic, map_yaml=map_yaml, frame=named, time_offset=offset
+    )
     out.print(score_table(result, recorded.entry))
     verdict = result.verdict(recorded.entry)
     write_score(output, result, verdict, trajectory, map_yaml)
@@ -154,6 +165,23 @@ def score(
         out.print(f"verdict: {verdict}", soft_wrap=True, highlight=False, markup=False)
     if result.status != "ok":
         raise typer.Exit(RUN_FAILED)
+
+
+def _read_offset(text: str) -> float | Literal["auto"]:
+    """Return a time offset, seconds.
+
+    Raises:
+        ConfigError: the text is no finite number and not `auto`.
+    """
+    if text == "auto":
+        return "auto"
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        raise ConfigError(f"--time-offset must be a number of seconds or auto, got {text!r}")
+    return seconds
 
 
 def _result_name(folder: Path, only: str | None) -> str:

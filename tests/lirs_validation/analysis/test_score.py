@@ -152,7 +152,7 @@ def test_another_frame_is_said(
     run: RunFolder, foreign: tuple[Path, Path], tmp_path: Path, turn: Pose2
 ) -> None:
     write_tum(tmp_path / "odd.tum", read_tum(foreign[0]).moved(turn))
-    with pytest.raises(SourceError, match=r"odd\.tum: another frame: .* first base pose$"):
+    with pytest.raises(SourceError, match=r"odd\.tum: another frame: .* first base pose; --frame align"):
         score(run, trajectory=tmp_path / "odd.tum")
     with pytest.raises(SourceError, match="it fits the map frame: --frame map"):
         score(run, trajectory=foreign[0], frame="world")
@@ -179,7 +179,7 @@ def test_the_command(
     assert document["files"]["map"] == str(foreign[1])
     assert np.isfinite(document["trajectory"]["ate_rmse"])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "126 of 126 poses" in shown
+    assert "126 scans have a pose, 126 poses were given" in shown
     assert "33.5 % of the scans" in shown
     for wrong in (words[:3], [*words, "--frame", "moon"]):
         monkeypatch.setattr("sys.argv", wrong)
