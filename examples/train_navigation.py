@@ -4,7 +4,7 @@ python examples/train_navigation.py [--steps 400000] [--seed 0] [--data FOLDER] 
 lirs-wct bench straight random go_to_goal examples.train_navigation:LearnedPolicy --set lirs --task navigation
     --split validation -o out/bench
 
-Needs Stable-Baselines3 (`pip install 'lirs-wct[rl]'`). FOLDER gets `policy.zip` and `curve.csv`.
+Needs Stable-Baselines3 (`pip install '.[rl]'`). FOLDER gets `policy.zip` and `curve.csv`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, default=FOLDER)
     given = parser.parse_args()
     if find_spec("stable_baselines3") is None:
-        parser.error("needs Stable-Baselines3: pip install 'lirs-wct[rl]'")
+        parser.error("needs Stable-Baselines3: pip install '.[rl]'")
     given.out.mkdir(parents=True, exist_ok=True)
     train(training_places(given.data), given.steps, given.seed, given.out)
 

@@ -93,12 +93,26 @@ def _checks() -> Iterator[InstallationCheck]:
     yield from _opengl()
     yield _numba_cache()
     yield _world_cache()
+    yield from _ray_token()
     for extra, packages in EXTRAS.items():
         found = {name: _version(name) for name in packages}
         text = ", ".join(f"{name} {version or '-'}" for name, version in found.items())
         yield InstallationCheck(
             f"[{extra}]", text, "" if all(found.values()) else f"pip install 'lirs-wct[{extra}]'"
         )
+
+
+def _ray_token() -> Iterator[InstallationCheck]:
+    """Check the token by which machines of a Ray cluster know each other."""
+    if _version("ray") is None:
+        return
+    mode = os.environ.get("RAY_AUTH_MODE", "")
+    path = Path(os.environ.get("RAY_AUTH_TOKEN_PATH") or Path.home() / ".ray" / "auth_token")
+    given = bool(os.environ.get("RAY_AUTH_TOKEN")) or path.is_file()
+    found = f"RAY_AUTH_MODE={mode or '(not set)'}, {'a token' if given else 'no token'}"
+    missing = [] if mode == "token" else ["export RAY_AUTH_MODE=token"]
+    missing += [] if given else ["ray get-auth-token --generate, the same file on each machine"]
+    yield InstallationCheck("Ray cluster", found, "; ".join(missing))
 
 
 def _version(package: str) -> str | None:

@@ -59,6 +59,25 @@ def test_caches_that_cannot_be_written_are_said(
     assert "switched off" in wct("doctor")[1]
 
 
+def test_a_machine_of_a_ray_cluster_needs_mode_and_token(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(doctor, "_version", lambda package: "2.60")
+    monkeypatch.setenv("RAY_AUTH_TOKEN_PATH", str(tmp_path / "token"))
+    for name in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN"):
+        monkeypatch.delenv(name, raising=False)
+    (check,) = doctor._ray_token()
+    assert "RAY_AUTH_MODE=(not set), no token" in check.found
+    assert "export RAY_AUTH_MODE=token" in check.mend
+    assert "ray get-auth-token" in check.mend
+    monkeypatch.setenv("RAY_AUTH_MODE", "token")
+    (tmp_path / "token").write_text("secret")
+    (check,) = doctor._ray_token()
+    assert (check.found, check.mend) == ("RAY_AUTH_MODE=token, a token", "")
+    monkeypatch.setattr(doctor, "_version", lambda package: None)
+    assert not list(doctor._ray_token())
+
+
 @pytest.mark.render
 def test_a_backend_that_draws_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     assert doctor._draws("egl")
