@@ -79,7 +79,21 @@ TASKS: dict[str, type[Task]] = {
     "navigation": NavigationTask,
     "traverse": TraverseTask,
 }
-"""Tasks by name."""
+"""Tasks by name (see `register_task`)."""
+
+
+def register_task(name: str, task: type[Task]) -> None:
+    """Register a task under a name, which environments then take as `task`.
+
+    Raises:
+        ConfigError: it is no task, or the name belongs to another one.
+    """
+    if not (isinstance(task, type) and issubclass(task, Task)):
+        raise ConfigError(f"a task must be a subclass of lirs_envs.tasks.task.Task, got {task!r}")
+    if TASKS.setdefault(name, task) is not task:
+        raise ConfigError(f"the name {name!r} belongs to another task, {TASKS[name].__qualname__}")
+
+
 ERROR, TIPPED, LEFT = "error", "tipped over", "left the world"
 """Accidents: reasons for the end of an episode of any task."""
 CLIMB_RATE = 1.0
@@ -140,7 +154,7 @@ class Episodes:
             height_range=scaled_height_range(*scale) if crossing else None,
         )
         names = TASKS[task].observe if config.observe is None else config.observe
-        self.stage = self._make_stage(factors, sees=task == "mapping" or "seen_map" in names)
+        self.stage = self._make_stage(factors, sees=TASKS[task].needs_seen or "seen_map" in names)
         self.task = (
             TraverseTask(self.stage, MIXED if kind is None else kind, scale)
             if crossing

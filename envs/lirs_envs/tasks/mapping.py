@@ -26,6 +26,7 @@ class MappingTask(Task):
     time_limit: ClassVar = 120.0
     option_names: ClassVar = ("start",)
     has_goal: ClassVar = False
+    needs_seen: ClassVar = True
 
     def __init__(self, stage: Stage) -> None:
         super().__init__(stage)

@@ -110,6 +110,7 @@ class Task(ABC):
         time_limit: seconds, where the user gives none.
         option_names: names of the options of `reset(options=...)`.
         has_goal: whether there is a goal to observe.
+        needs_seen: whether the task reads the ground that the robots have seen (`stage.seen`).
         ends_at_contact: whether a collision ends the episode; else each second of contact costs.
         stage: state on which the task acts.
     """
@@ -118,6 +119,7 @@ class Task(ABC):
     time_limit: ClassVar[float]
     option_names: ClassVar[tuple[str, ...]]
     has_goal: ClassVar[bool] = True
+    needs_seen: ClassVar[bool] = False
     ends_at_contact: ClassVar[bool] = False
 
     def __init__(self, stage: Stage) -> None:
