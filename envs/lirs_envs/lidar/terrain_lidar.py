@@ -1,7 +1,7 @@
 """Lidar for any MuJoCo model, with height fields traced through their maximum mipmaps.
 
-MuJoCo's own ray tests every cell of a height field below it, and meets wrong side walls where the field is
-not square. Here each height field is a closed solid: triangles of its cells, four side walls and a bottom.
+MuJoCo's own ray tests every cell of a height field below it, and from within a field it meets an inner plane.
+Here each height field is a closed solid: triangles of its cells, four side walls and a bottom.
 `mj_multiRay` meets all other geoms, in a copy of the model that hides the height fields.
 """
 
