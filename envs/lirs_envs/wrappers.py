@@ -12,8 +12,46 @@ import numpy as np
 from gymnasium import spaces
 
 from lirs_envs.sensing.sensors import Observation
+from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2
 from lirs_wct.arrays import ByteArray
+
+
+class DifficultyPace:
+    """Difficulty that follows the recent success rate (see `Curriculum`).
+
+    Attributes:
+        difficulty: difficulty of the next episode, 0 to 1.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    def __init__(
+        self, difficulty: float, step: float, episodes: int, raise_at: float, lower_at: float
+    ) -> None:
+        if not (0 <= difficulty <= 1 and 0 < step <= 1 and episodes >= 1 and 0 <= lower_at < raise_at <= 1):
+            raise ConfigError(
+                "a curriculum needs 0 <= difficulty <= 1, 0 < step <= 1, episodes >= 1 and "
+                f"0 <= lower_at < raise_at <= 1, got {difficulty}, {step}, {episodes}, {lower_at}, {raise_at}"
+            )
+        self.difficulty = difficulty
+        self._step, self._limits = step, (lower_at, raise_at)
+        self._outcomes: deque[bool] = deque(maxlen=episodes)
+
+    def add(self, success: bool) -> None:
+        """Take in the outcome of an episode."""
+        self._outcomes.append(success)
+        if len(self._outcomes) < (self._outcomes.maxlen or 0):
+            return
+        share, (low, high) = sum(self._outcomes) / len(self._outcomes), self._limits
+        if share >= high:
+            self.difficulty = min(1.0, self.difficulty + self._step)
+        elif share <= low:
+            self.difficulty = max(0.0, self.difficulty - self._step)
+        else:
+            return
+        self._outcomes.clear()
 
 
 class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -55,14 +93,12 @@ class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArg
         super().__init__(env)
         if not env.has_wrapper_attr("difficulty"):
             raise ConfigError("a curriculum needs an environment with a difficulty")
-        if not (0 <= difficulty <= 1 and 0 < step <= 1 and episodes >= 1 and 0 <= lower_at < raise_at <= 1):
-            raise ConfigError(
-                "a curriculum needs 0 <= difficulty <= 1, 0 < step <= 1, episodes >= 1 and "
-                f"0 <= lower_at < raise_at <= 1, got {difficulty}, {step}, {episodes}, {lower_at}, {raise_at}"
-            )
-        self.difficulty = difficulty
-        self._step, self._limits = step, (lower_at, raise_at)
-        self._outcomes: deque[bool] = deque(maxlen=episodes)
+        self._pace = DifficultyPace(difficulty, step, episodes, raise_at, lower_at)
+
+    @property
+    def difficulty(self) -> float:
+        """Difficulty of the next episode, 0 to 1."""
+        return self._pace.difficulty
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -76,21 +112,55 @@ class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArg
         """Step, and count the outcome of an episode that ends."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if terminated or truncated:
-            self._outcomes.append(bool(info.get("success", False)))
-            self._adapt()
+            self._pace.add(bool(info.get("success", False)))
         return observation, reward, terminated, truncated, info
 
-    def _adapt(self) -> None:
-        if len(self._outcomes) < (self._outcomes.maxlen or 0):
-            return
-        share, (low, high) = sum(self._outcomes) / len(self._outcomes), self._limits
-        if share >= high:
-            self.difficulty = min(1.0, self.difficulty + self._step)
-        elif share <= low:
-            self.difficulty = max(0.0, self.difficulty - self._step)
-        else:
-            return
-        self._outcomes.clear()
+
+class VectorCurriculum(gym.vector.VectorWrapper):
+    """Curriculum of a vector: one difficulty for all robots, by the success rate of all their episodes.
+
+    A new difficulty takes effect in the resets after it. `lirs_envs.sb3.as_vec_env` takes it like a vector.
+
+    Args:
+        env: vector environment.
+        difficulty: as all others, see `Curriculum`; an outcome in `episodes` may be any robot's.
+        step: change of the difficulty.
+        episodes: number of episodes in the success rate.
+        raise_at: least success rate at which the difficulty rises.
+        lower_at: largest success rate at which the difficulty falls.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    def __init__(
+        self,
+        env: RobotVectorEnv,
+        *,
+        difficulty: float = 0.0,
+        step: float = 0.05,
+        episodes: int = 10,
+        raise_at: float = 0.8,
+        lower_at: float = 0.3,
+    ) -> None:
+        super().__init__(env)
+        self._pace = DifficultyPace(difficulty, step, episodes, raise_at, lower_at)
+        self._vector, self.views = env, env.views
+        env.set_attr("difficulty", difficulty)
+
+    @property
+    def difficulty(self) -> float:
+        """Difficulty of the next episodes, 0 to 1."""
+        return self._pace.difficulty
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step, and count the outcomes of episodes that end."""
+        observations, rewards, terminated, truncated, infos = self.env.step(actions)
+        success = infos.get("final_info", infos).get("success")
+        for i in np.flatnonzero(terminated | truncated).tolist():
+            self._pace.add(success is not None and bool(success[i]))
+        self._vector.set_attr("difficulty", self.difficulty)
+        return observations, rewards, terminated, truncated, infos
 
 
 UNKNOWN, FREE, OCCUPIED = 0, 127, 255

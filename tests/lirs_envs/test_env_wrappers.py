@@ -9,12 +9,23 @@ import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.wrappers import FREE, OCCUPIED, UNKNOWN, Curriculum, MapObservation, local_map
+from lirs_envs.sb3 import _adapter
+from lirs_envs.vector_env import RobotVectorEnv
+from lirs_envs.wrappers import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    Curriculum,
+    MapObservation,
+    VectorCurriculum,
+    local_map,
+)
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World
+from tests.lirs_envs.test_sb3 import VecEnvInterface
 
 
 class Scripted(gym.Env[Any, Any]):
@@ -51,6 +62,47 @@ def test_curriculum_on_an_environment() -> None:
         Curriculum(gym.make("CartPole-v1"))
     with pytest.raises(ConfigError, match="0 <= lower_at < raise_at <= 1"):
         Curriculum(Scripted(), raise_at=0.2)
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_curriculum_of_a_vector(mode: str, plane: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Robot 0 always succeeds, the others never; then all do."""
+    vector = RobotVectorEnv(
+        4, "navigation", world=plane, time_limit=0.2, autoreset_mode=mode, observe=["attitude"]
+    )
+    good, infos = np.array((True, False, False, False)), vector.episodes.infos
+    monkeypatch.setattr(vector.episodes, "infos", lambda: infos() | {"success": good.copy()})
+    env = VectorCurriculum(vector, difficulty=0.5, step=0.1, episodes=8, raise_at=0.75, lower_at=0.25)
+    env.reset(seed=0)
+    seen = [0.5]
+
+    def drive(ends: int) -> None:
+        count = 0
+        while count < ends:
+            *_, terminated, truncated, _ = env.step(np.zeros((4, 2), np.float32))
+            count += int((terminated | truncated).sum())
+            if env.difficulty != seen[-1]:
+                seen.append(env.difficulty)
+
+    drive(16)
+    assert seen == pytest.approx([0.5, 0.4, 0.3])
+    good[:] = True
+    drive(8)
+    assert seen == pytest.approx([0.5, 0.4, 0.3, 0.4])
+    assert vector.get_attr("difficulty") == pytest.approx((0.4,) * 4)
+
+
+def test_a_vector_with_a_curriculum_is_one_for_stable_baselines(plane: World) -> None:
+    options: dict[str, Any] = {"world": plane, "time_limit": 0.2, "autoreset_mode": "SameStep"}
+    vector = VectorCurriculum(RobotVectorEnv(2, "navigation", **options), episodes=2, difficulty=0.3)
+    adapted = _adapter(VecEnvInterface)([vector])
+    adapted.reset()
+    for _ in range(2):
+        _, _, done, _ = adapted.step(np.zeros((2, 2), np.float32))
+    assert done.all()
+    assert adapted.get_attr("difficulty") == pytest.approx([0.25, 0.25])
+    with pytest.raises(ConfigError, match="0 < step <= 1"):
+        VectorCurriculum(RobotVectorEnv(1, "navigation", **options), step=0)
 
 
 class Corner:
