@@ -1,4 +1,4 @@
-"""Live topics over DDS: jitter of 50 Hz scans, and the processor time that 10 Hz clouds take.
+"""Live topics over DDS: jitter of 50 Hz scans, processor time of 10 Hz clouds, shares that arrive.
 
     python benchmarks/live.py [--seconds 30] [--domain 42]
 
@@ -27,11 +27,14 @@ from rich.console import Console
 
 from lirs_validation.config import MANUAL, RunConfig
 from lirs_validation.live import run as live_run
-from lirs_validation.live.dds import CONFIG, LOOPBACK, DdsNode, raw_type
+from lirs_validation.live.dds import CONFIG, DdsNode, raw_type
 from lirs_validation.live.graph import PUBLISHED
+from lirs_validation.live.middleware import LOOPBACK
 from lirs_validation.live.options import LiveOptions
 from lirs_validation.live.run import LiveRun, live
 
+COUNTED, QUIET, START = ("/scan", "/points"), 3.0, 120.0
+"""Topics of the client, and seconds without a message after which it ends: later, and at first."""
 SIZE, LIDAR_50_HZ, LIDAR_CLOUDS = 2**20, "lms1xx", "vlp16"
 """Bytes in a mebibyte, and presets of the lidars."""
 
@@ -39,7 +42,7 @@ SIZE, LIDAR_50_HZ, LIDAR_CLOUDS = 2**20, "lms1xx", "vlp16"
 class MeteredNode(DdsNode):
     """Node that adds up the processor time and the bytes of published messages."""
 
-    seconds, sent = 0.0, 0
+    seconds, sent, messages = 0.0, 0, 0
 
     def publish(self, topic: str, message: bytes | bytearray) -> None:
         """Send a message."""
@@ -47,6 +50,7 @@ class MeteredNode(DdsNode):
         super().publish(topic, message)
         MeteredNode.seconds += time.thread_time() - begun
         MeteredNode.sent += len(message)
+        MeteredNode.messages += topic in COUNTED
 
 
 def main() -> None:
@@ -54,54 +58,61 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--domain", type=int, default=42)
-    parser.add_argument("--client", action="store_true", help="only receive, as the other process does")
+    parser.add_argument("--client", choices=("reliable", "best effort"), help="only receive and count")
     given = parser.parse_args()
     if given.client:
-        receive(given.domain)
+        print(receive(given.domain, given.client))
+        return
     console = Console(width=120)
     console.print(f"load average: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     for lidar in (LIDAR_50_HZ, LIDAR_CLOUDS):
-        MeteredNode.seconds, MeteredNode.sent = 0.0, 0
-        result = driven(lidar, given.seconds, given.domain)
-        console.print(line(lidar, result, given.seconds))
+        for reliability in ("reliable", "best effort"):
+            MeteredNode.seconds, MeteredNode.sent, MeteredNode.messages = 0.0, 0, 0
+            result, received = driven(lidar, reliability, given.seconds, given.domain)
+            console.print(f"{lidar}, {reliability}: {line(result, received, given.seconds)}")
 
 
-def driven(lidar: str, seconds: float, domain: int) -> LiveRun:
-    """Return a live drive with a client in another process."""
+def driven(lidar: str, reliability: str, seconds: float, domain: int) -> tuple[LiveRun, int]:
+    """Return a live drive, and the number of messages that a client in another process received."""
     config: dict[str, Any] = {"lidar": lidar, "seconds": seconds, "driver": MANUAL, "mapper": "client"}
-    client = subprocess.Popen([sys.executable, __file__, "--client", "--domain", str(domain)])
+    command = [sys.executable, __file__, "--client", reliability, "--domain", str(domain)]
+    client = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         with patch.object(live_run, "open_middleware", MeteredNode):
             (result,) = live(RunConfig(source="simple", **config), LiveOptions(domain=domain))
+        received = int(client.communicate(timeout=60)[0])
     finally:
         client.kill()
-        client.wait()
-    return result
+    return result, received
 
 
-def receive(domain: int) -> None:
-    """Receive scans and clouds until the process is killed."""
+def receive(domain: int, reliability: str) -> int:
+    """Return the number of received scans and clouds, once no more come."""
     _domain = Domain(domain, CONFIG.format(host=LOOPBACK, multicast="false"))
     participant = DomainParticipant(domain)
-    reliable = Policy.Reliability.Reliable(duration(seconds=1))
-    quality = Qos(reliable, Policy.History.KeepLast(10))
-    wanted = [topic for topic in PUBLISHED if topic.name in ("/scan", "/points")]
+    kinds = Policy.Reliability.Reliable(duration(seconds=1)), Policy.Reliability.BestEffort
+    quality = Qos(kinds[reliability == "best effort"], Policy.History.KeepLast(10))
+    wanted = [topic for topic in PUBLISHED if topic.name in COUNTED]
     topics = [Topic(participant, f"rt{topic.name}", raw_type(topic.kind, "jazzy")) for topic in wanted]
     readers = [DataReader(participant, topic, quality) for topic in topics]
-    while True:
-        for reader in readers:
-            reader.take(10)
+    received, last = 0, time.monotonic()
+    while time.monotonic() - last < (QUIET if received else START):
+        found = sum(hasattr(sample, "cdr") for reader in readers for sample in reader.take(10))
+        if found:
+            received, last = received + found, time.monotonic()
         time.sleep(0.002)
+    return received
 
 
-def line(lidar: str, result: LiveRun, seconds: float) -> str:
+def line(result: LiveRun, received: int, seconds: float) -> str:
     """Return the figures of a drive in one line."""
     jitter = 1e3 * np.array(result.bridge.jitter)
     return (
-        f"{lidar}: {len(jitter) / seconds:.0f} scans a second, jitter p50 {np.median(jitter):.2f} ms, "
+        f"{len(jitter) / seconds:.0f} scans a second, jitter p50 {np.median(jitter):.2f} ms, "
         f"p99 {np.percentile(jitter, 99):.2f} ms, longest {jitter.max():.1f} ms; "
         f"{MeteredNode.sent / SIZE / seconds:.1f} MiB a second, publishing took "
-        f"{MeteredNode.seconds / seconds:.1%} of a core"
+        f"{MeteredNode.seconds / seconds:.1%} of a core; "
+        f"{received} of {MeteredNode.messages} scans and clouds received"
     )
 
 

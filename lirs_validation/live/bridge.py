@@ -31,6 +31,8 @@ from slam_baselines.mapper import MapperStats
 
 MAP_PERIOD = 2.0
 """Simulated seconds between two maps of our mapper."""
+LOOK = 0.5
+"""Seconds between two looks whether the user ended the drive."""
 NO_ANSWER = "no answer within the limit"
 
 
@@ -122,11 +124,11 @@ class Bridge:
     def _await(self, stamp: int) -> None:
         """Wait until a scan is answered, at most the limit."""
         end = time.perf_counter() + self._options.limit
-        while stamp in self._unanswered and not self.client.reset:
+        while stamp in self._unanswered and not (self.client.reset or self.client.ended):
             left = end - time.perf_counter()
             if left <= 0.0:
                 return
-            self._receive(left)
+            self._receive(min(left, LOOK))
 
     def _receive(self, seconds: float) -> None:
         """Take in messages, and count the scans that they answer."""
@@ -293,6 +295,8 @@ class ClientDriver:
     @property
     def finished(self) -> str:
         """Reason for the end of the drive; empty before the end."""
+        if self._client.ended:
+            return "ended by Ctrl-C"
         if self._client.reset:
             return "the client asked for a new start"
         return "" if self._driver is None else self._driver.finished

@@ -32,6 +32,7 @@ class Client:
         grid: last map, in the client's map frame; None = none.
         start: pose of a requested new start in the client's map frame; None = no new pose was requested.
         reset: whether a new start was requested.
+        ended: whether the user ended the drive.
         messages: number of messages received.
 
     Args:
@@ -52,7 +53,7 @@ class Client:
         self._warned: set[str] = set()
         self.grid: OccupancyGrid | None = None
         self.start: Pose2 | None = None
-        self.reset, self.messages = False, 0
+        self.reset, self.ended, self.messages = False, False, 0
 
     def take(self, received: Sequence[Received], time: float) -> int:
         """Take in messages; return the latest stamp that answers a scan, nanoseconds; 0 = none.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import warnings
 from functools import cache
 from typing import Any
@@ -29,11 +28,10 @@ from lirs_validation.live.graph import (
     typestore,
     user_data,
 )
-from lirs_validation.live.middleware import Received
+from lirs_validation.live.middleware import Received, own_address
 from lirs_validation.live.options import LiveOptions
 from lirs_wct.errors import ConfigError
 
-LOOPBACK = "127.0.0.1"
 PATIENT, BRIEF = 10.0, 0.1
 """Seconds for which a message waits for a slow reliable subscriber, with lockstep and in real time."""
 CONFIG = """
@@ -69,7 +67,7 @@ class DdsNode:
     def __init__(self, options: LiveOptions, topics: tuple[LiveTopic, ...]) -> None:
         self._ros, self._warned = options.ros, set[str]()
         self._patience = PATIENT if options.lockstep else BRIEF
-        host = _address(options.host or LOOPBACK)
+        host = own_address(options.host)
         config = CONFIG.format(host=host, multicast="false" if options.host is None else "spdp")
         try:
             self._domain = Domain(options.domain, config)
@@ -201,15 +199,3 @@ def _field(node: Nodetype, value: Any, distribution: Distribution) -> Any:
     if node == Nodetype.ARRAY:
         return types.array[element, length]
     return types.sequence[element, length] if length else types.sequence[element]
-
-
-def _address(host: str) -> str:
-    """Return the IPv4 address of a host's name.
-
-    Raises:
-        ConfigError: it has none.
-    """
-    try:
-        return socket.gethostbyname(host)
-    except OSError as error:
-        raise ConfigError(f"--host {host}: no address of this machine: {error.strerror}") from error

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import socket
 from typing import NamedTuple, Protocol
 
 from lirs_validation.live.graph import LiveTopic
+from lirs_wct.errors import ConfigError
+
+LOOPBACK = "127.0.0.1"
 
 
 class Received(NamedTuple):
@@ -41,3 +45,20 @@ class Middleware(Protocol):
     def close(self) -> None:
         """Leave the network."""
         ...
+
+
+def own_address(host: str | None) -> str:
+    """Return the IPv4 address of one of this machine's interfaces; None = loopback.
+
+    Raises:
+        ConfigError: the host is no address of this machine.
+    """
+    if host is None:
+        return LOOPBACK
+    try:
+        address = socket.gethostbyname(host)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind((address, 0))
+    except OSError as error:
+        raise ConfigError(f"--host {host}: no address of this machine: {error.strerror}") from error
+    return address

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -27,6 +29,7 @@ from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude
 from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_validation.live.bridge import Bridge, ClientDriver, ClientMapper, PublishedMapper
+from lirs_validation.live.client import Client
 from lirs_validation.live.graph import PUBLISHED, LiveTopic
 from lirs_validation.live.middleware import Middleware
 from lirs_validation.live.options import LiveOptions
@@ -133,10 +136,11 @@ class _Session:
             count += 1
             ready, bridge = self._ready(T_map_start, left)
             name = run_name(config, self._scenario.world.name)
-            run = drive_and_conclude(ready, out, progress, name if count == 1 else f"{name}-{count}")
+            with _ended_by_interrupt(bridge.client):
+                run = drive_and_conclude(ready, out, progress, name if count == 1 else f"{name}-{count}")
             yield LiveRun(run, bridge)
             left -= len(run.log.walls) * ready.simulation.period
-            if not bridge.client.reset or left < ready.simulation.period:
+            if bridge.client.ended or not bridge.client.reset or left < ready.simulation.period:
                 return
             T_map_start = self._requested(bridge.client.start)
 
@@ -172,6 +176,24 @@ class _Session:
             f"/initialpose: {self._robot.name} cannot stand at {where}; starts at (0, 0)", stacklevel=2
         )
         return Pose2()
+
+
+@contextmanager
+def _ended_by_interrupt(client: Client) -> Iterator[None]:
+    """End the drive at the first Ctrl-C, so that it is evaluated; the second one interrupts."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        client.ended = True
+        signal.signal(signal.SIGINT, former)
+
+    former = signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
 
 
 def _check(config: RunConfig, options: LiveOptions) -> None:

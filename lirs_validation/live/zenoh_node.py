@@ -12,11 +12,12 @@ import zenoh
 from zenoh import ext
 
 from lirs_validation.live.graph import SUBSCRIBED, LiveTopic, zenoh_attachment, zenoh_key, zenoh_token
-from lirs_validation.live.middleware import Received
+from lirs_validation.live.middleware import Received, own_address
 from lirs_validation.live.options import LiveOptions
 from lirs_wct.errors import ConfigError
 
-LOOPBACK = "127.0.0.1"
+PATIENCE = 2.0
+"""Seconds that a router has to answer."""
 
 
 class ZenohNode:
@@ -115,15 +116,15 @@ def _open(options: LiveOptions) -> tuple[Any, str]:
     Raises:
         ConfigError: neither works.
     """
-    endpoint = f"tcp/{options.host or LOOPBACK}:{options.port}"
-    reason = ""
+    endpoint = f"tcp/{own_address(options.host)}:{options.port}"
     for role, link in (("router", "listen"), ("client", "connect")):
         config = zenoh.Config()
         config.insert_json5("mode", json.dumps(role))
         config.insert_json5(f"{link}/endpoints", json.dumps([endpoint]))
         config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("transport/unicast/open_timeout", f"{1e3 * PATIENCE:.0f}")
         try:
             return zenoh.open(config), role
-        except zenoh.ZError as error:
-            reason = reason or str(error).splitlines()[0]
-    raise ConfigError(f"{endpoint}: can neither be opened nor reached: {reason}")
+        except zenoh.ZError:
+            continue
+    raise ConfigError(f"{endpoint}: in use by a program that is no Zenoh router; choose another --port")

@@ -73,5 +73,8 @@ def _show(result: LiveRun) -> None:
         f"were answered in time, {bridge.late} late, {missed} not at all",
         highlight=False,
     )
+    if bridge.jitter:
+        late = 1e3 * sorted(bridge.jitter)[int(0.99 * len(bridge.jitter))]
+        out.print(f"99 % of the scans came at most {late:.1f} ms late", highlight=False)
     out.print(f"{run.folder}", soft_wrap=True, highlight=False)
     out.print(f"verdict: {run.verdict}", soft_wrap=True, highlight=False, markup=False)

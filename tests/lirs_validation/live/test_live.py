@@ -1,6 +1,7 @@
 """Live drives without a network: messages, answers, new starts, records."""
 
 import functools
+import signal
 from collections import Counter
 from dataclasses import replace
 
@@ -13,6 +14,7 @@ from lirs_validation.live.graph import PUBLISHED
 from lirs_validation.live.options import LiveOptions
 from lirs_validation.live.run import live
 from lirs_validation.record.run_record import read_record
+from lirs_validation.record.schema import schema_error
 from lirs_wct import ConfigError
 from tests.command_line import run_command
 from tests.lirs_validation.live import fake_network as net
@@ -177,6 +179,19 @@ def test_a_start_where_the_robot_cannot_stand_is_refused_in_one_line(monkeypatch
     with pytest.warns(UserWarning, match="/initialpose: husky cannot stand"):
         first, second = drive(net.FakeNetwork(client), monkeypatch)
     assert first.run.log.start == second.run.log.start
+
+
+def test_ctrl_c_ends_a_drive_and_evaluates_it(monkeypatch, tmp_path):
+    def client(topic, message):
+        if topic == "/scan" and net.stamp_of(message) == 4 * 10**8:
+            signal.raise_signal(signal.SIGINT)
+        return forward(topic, message)
+
+    former = signal.getsignal(signal.SIGINT)
+    (result,) = drive(net.FakeNetwork(client), monkeypatch, out=tmp_path, seconds=100.0)
+    assert signal.getsignal(signal.SIGINT) is former
+    assert result.run.record.reason == "ended by Ctrl-C at 0.4 s"
+    assert schema_error(read_record(result.run.folder)) is None
 
 
 @pytest.mark.parametrize(

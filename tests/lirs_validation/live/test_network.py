@@ -5,6 +5,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,9 +19,11 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run as run_offline
 from lirs_validation.live import run as live_run
 from lirs_validation.live.dds import DdsNode
-from lirs_validation.live.graph import type_hash
+from lirs_validation.live.graph import PUBLISHED, type_hash
 from lirs_validation.live.options import LiveOptions
 from lirs_validation.live.run import live
+from lirs_validation.live.zenoh_node import ZenohNode
+from lirs_wct import ConfigError
 from tests.lirs_validation.live import client_process
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -131,3 +134,37 @@ def test_a_zenoh_peer_drives_and_sees_the_tokens():
     assert any(token.endswith("/NN/%/%/lirs_wct") for token in tokens)
     assert sum("/MP/" in token for token in tokens) == 8
     assert sum("/MS/" in token for token in tokens) == 6
+
+
+def test_a_second_zenoh_node_is_a_client_of_the_first():
+    """Two peers would not see each other through a router (rmw_zenoh's issue 929); a client sees all."""
+    options = LiveOptions(middleware="zenoh", port=free_port())
+    first = ZenohNode(options, PUBLISHED)
+    second = ZenohNode(options, PUBLISHED)
+    try:
+        assert (first.role, second.role) == ("router", "client")
+        for sender, receiver in ((second, first), (first, second)):
+            end = time.monotonic() + 30.0
+            while not sender.subscribers("/tf") and time.monotonic() < end:
+                time.sleep(0.01)
+            sender.publish("/tf", b"abc")
+            (message,) = receiver.receive(30.0)
+            assert (message.topic.name, message.cdr) == ("/tf", b"abc")
+    finally:
+        second.close()
+        first.close()
+
+
+def test_a_port_of_another_program_is_one_line():
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(ConfigError, match=f"tcp/127.0.0.1:{port}: in use by a program"):
+            ZenohNode(LiveOptions(middleware="zenoh", port=port), PUBLISHED)
+
+
+@pytest.mark.parametrize("node", [DdsNode, ZenohNode])
+def test_a_host_elsewhere_is_one_line(node):
+    with pytest.raises(ConfigError, match="--host 192\\.0\\.2\\.77: no address of this machine"):
+        node(LiveOptions(host="192.0.2.77"), PUBLISHED)
