@@ -11,10 +11,12 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from lirs_envs.episodes.observations import Group
 from lirs_envs.sensing.sensors import Observation
+from lirs_envs.tasks.task import Stage
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2
-from lirs_wct.arrays import ByteArray
+from lirs_wct.arrays import ByteArray, IntArray
 
 
 class DifficultyPace:
@@ -238,6 +240,71 @@ class MapObservation(gym.Wrapper[Any, Any, Any, Any]):
             self._stamp = reading.scan.stamp
         local = local_map(self.mapper.map(), self._pose, self._cells, self._cell)
         return observation | {"map_pose": self._pose.as_array(), "local_map": local}
+
+
+class MapMemory:
+    """Mappers of N robots: each receives a robot's new scans, its odometry and attitude.
+
+    Args:
+        stage: the robots.
+        make_mapper: returns a new mapper for each episode.
+        cells: along a side of the local map.
+        cell: edge of its cells, meters.
+    """
+
+    def __init__(self, stage: Stage, make_mapper: Callable[[], ScanMapper], cells: int, cell: float) -> None:
+        self._stage, self._make_mapper, self._size = stage, make_mapper, (cells, cell)
+        self._mappers: list[ScanMapper | None] = [None] * stage.count
+        self._poses, self._stamps = [Pose2()] * stage.count, np.full(stage.count, -math.inf)
+
+    def begin(self, i: int) -> None:
+        """Give robot `i` a new mapper and its first scan."""
+        self._mappers[i], self._stamps[i] = self._make_mapper(), -math.inf
+        self._update(i)
+
+    def step(self, ids: IntArray) -> None:
+        """Update the mappers of robots with a new scan."""
+        for i in ids.tolist():
+            self._update(i)
+
+    def _update(self, i: int) -> None:
+        mapper, reading = self._mappers[i], self._stage.simulation.reading(i)
+        assert mapper is not None, "begin comes first"
+        if reading.scan.stamp > self._stamps[i]:
+            self._poses[i] = mapper.update(reading.scan, reading.odometry, reading.imu)
+            self._stamps[i] = reading.scan.stamp
+
+    def read(self, ids: IntArray) -> ByteArray:
+        """Return (n, 1, cells, cells) local maps (see `MapObservation`)."""
+        maps = []
+        for i in ids.tolist():
+            mapper = self._mappers[i]
+            assert mapper is not None, "begin comes first"
+            maps.append(local_map(mapper.map(), self._poses[i], *self._size))
+        return np.array(maps)
+
+
+def map_group(make_mapper: Callable[[], ScanMapper], *, cells: int = 64, cell: float = 0.25) -> Group:
+    """Return a group of observations with a mapper's local map, for vectors too.
+
+    It goes into `lirs_envs.episodes.observations.GROUPS` under a name of yours. The map is the mapper's and
+    around its own pose, not the truth (see `MapObservation`). Pickled environments need a `make_mapper` that
+    can be pickled.
+
+    Args:
+        make_mapper: returns a new mapper for each episode, such as `partial(make_mapper, "hector")`.
+        cells: along a side of the local map.
+        cell: edge of its cells, meters.
+
+    Raises:
+        ConfigError: a size is not above 0.
+    """
+    if cells < 1 or not 0 < cell < math.inf:
+        raise ConfigError(f"a local map needs cells of a size above 0, got {cells} of {cell} m")
+    return Group(
+        lambda stage: spaces.Box(0, 255, (1, cells, cells), np.uint8),
+        memory=lambda stage, task: MapMemory(stage, make_mapper, cells, cell),
+    )
 
 
 def local_map(grid: OccupancyGrid, T_map_base: Pose2, cells: int, cell: float) -> ByteArray:

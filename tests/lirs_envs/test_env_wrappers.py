@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
+from lirs_envs.episodes.observations import GROUPS
 from lirs_envs.sb3 import _adapter
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_envs.wrappers import (
@@ -19,12 +21,14 @@ from lirs_envs.wrappers import (
     MapObservation,
     VectorCurriculum,
     local_map,
+    map_group,
 )
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World
+from slam_baselines.mapper import make_mapper
 from tests.lirs_envs.test_sb3 import VecEnvInterface
 
 
@@ -122,6 +126,33 @@ class Corner:
         p[24:] = 0.98
         p[:, :4] = np.nan
         return OccupancyGrid.from_probability(p, 0.25, Pose2(-5.0, -5.0))
+
+
+def test_a_group_with_maps_is_the_wrapper_for_vectors(rough: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Row by row the wrapper's maps of single environments, also those of an episode's end."""
+    mapper = partial(make_mapper, "hector")
+    monkeypatch.setitem(GROUPS, "my_map", map_group(mapper, cells=32))
+    options: dict[str, Any] = {"world": rough, "time_limit": 0.8}
+    vector = RobotVectorEnv(2, "mapping", observe=["my_map"], autoreset_mode="SameStep", **options)
+    singles = [
+        MapObservation(RobotEnv("mapping", observe=["scan"], **options), mapper, cells=32) for _ in "ab"
+    ]
+    together, _ = vector.reset(seed=3)
+    alone = [env.reset(seed=3 + i)[0] for i, env in enumerate(singles)]
+    actions, ends = np.array(((1.0, 0.3), (-0.8, 0.5)), np.float32), 0
+    for _ in range(12):
+        for i in range(2):
+            np.testing.assert_array_equal(together["my_map"][i], alone[i]["local_map"])
+        together, *_, infos = vector.step(actions)
+        for i, env in enumerate(singles):
+            alone[i], _, _, over, _ = env.step(actions[i])
+            if over:
+                np.testing.assert_array_equal(infos["final_obs"][i]["my_map"], alone[i]["local_map"])
+                alone[i], ends = env.reset()[0], ends + 1
+    assert ends == 2
+    assert {UNKNOWN, FREE} <= set(np.unique(together["my_map"]).tolist())
+    with pytest.raises(ConfigError, match="size above 0"):
+        map_group(mapper, cells=0)
 
 
 def test_local_map_around_a_pose() -> None:
