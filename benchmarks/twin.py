@@ -136,6 +136,10 @@ def show_logs(console: Console, logs: Sequence[str], draws: int, out: Path) -> N
         noise.add_row(*log_row(Path(path).name, result.figures()), f"{time.process_time() - begun:.0f}")
         if result.replay is not None:
             replays.append(result.replay)
+            for name, both in result.replay.figures()["odometry"].items():
+                if both["real"] is not None:
+                    values = (both["real"], both["simulated"], both["simulated"] / both["real"])
+                    errors.add_row(Path(path).name, f"odometry, {name}", *(f"{v:.3f}" for v in values))
             for row in replay_rows(Path(path).name, result.replay):
                 errors.add_row(*row)
     console.print(noise, errors, summary(replays))

@@ -321,6 +321,23 @@ def fit_odometry(
     return FittedOdometry(n, float(np.median(found[:, 0])), scale, rate, bias)
 
 
+def odometry_deviations(odometry: FloatArray, poses: FloatArray) -> tuple[float, float] | None:
+    """Return deviations of distance, relative, and turn, radians, over segments of 5 m.
+
+    Args:
+        odometry: (n, 3) poses by odometry, in any frame.
+        poses: (n, 3) true or matched poses.
+
+    Returns:
+        None if the path has too few segments.
+    """
+    keys, ends = _segments(poses)
+    if len(ends) <= SEGMENTS:
+        return None
+    distance, turn = _errors(odometry[keys], poses[keys], ends)
+    return math.sqrt(_variance(distance)), math.sqrt(_variance(turn))
+
+
 def _segments(poses: FloatArray) -> tuple[IntArray, IntArray]:
     """Return poses at least a step apart, and those of them at which segments end."""
     keys, ends, along = [0], [0], 0.0

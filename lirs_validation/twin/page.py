@@ -226,6 +226,10 @@ def odometry_table(result: TwinResult) -> ReportTable:
     ]
     rows.append(("mean turn rate, deg/s", f"{math.degrees(wheels.rate_bias):.3f}", NOTHING))
     rows.append(("mean distance, %", f"{100 * wheels.scale:.2f}", NOTHING))
+    if result.replay is not None and result.replay.odometry is not None:
+        scales = (("distance over 5 m, %", 100), ("turn over 5 m, deg", math.degrees(1)))
+        for (name, scale), real, drawn in zip(scales, *result.replay.odometry, strict=True):
+            rows.append((f"{name}: log, simulated", f"{scale * real:.2f}", f"{scale * drawn:.2f}"))
     return ReportTable("odometry", "Odometry", caption, headings, tuple(rows))
 
 

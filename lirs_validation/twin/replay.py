@@ -22,6 +22,7 @@ from lirs_validation.logs.reference import read_truth, reference_in_time, relati
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint
 from lirs_validation.twin.compare import GATE, LOCALIZED, WIDTH, LogComparison, noisy_ranges, scan_arrays
+from lirs_validation.twin.fit import odometry_deviations
 from lirs_validation.twin.surface import align, expected_beams, fit_surfaces, map_of
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError, unknown_name
@@ -96,10 +97,13 @@ class Replay:
     Attributes:
         metric: name of the error.
         mappers: a result for each mapper.
+        odometry: deviations of distance, relative, and turn, radians, over 5 m by the log's odometry, and
+            their medians by the simulated ones; None without odometry, or where the path is too short.
     """
 
     metric: str
     mappers: tuple[ReplayedMapper, ...]
+    odometry: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     @property
     def pairs(self) -> tuple[ReplayedMapper, ...]:
@@ -134,7 +138,10 @@ class Replay:
              "status": list(m.status), "reason": m.reason}
             for m in self.mappers
         ]  # fmt: skip
-        return {"metric": self.metric, "tau": self.tau, "mappers": rows}
+        names = ("distance", "turn")
+        both = self.odometry or ((None, None), (None, None))
+        deviations = {n: {"real": a, "simulated": b} for n, a, b in zip(names, *both, strict=True)}
+        return {"metric": self.metric, "tau": self.tau, "mappers": rows, "odometry": deviations}
 
 
 @dataclass(frozen=True)
@@ -147,14 +154,14 @@ class TwinPath:
         exact: (n, beams) ranges to the map's walls, meters; inf = no wall.
         objects: (n, beams) ranges as the log has them where it saw what the map lacks, such as people or an
             open door, meters; NaN elsewhere.
-        has_odometry: whether the log holds odometry.
+        odometry: (n, 3) poses of the base by the log's odometry; None where it holds none.
     """
 
     scans: tuple[LaserScan, ...]
     truth: Trajectory
     exact: FloatArray
     objects: FloatArray
-    has_odometry: bool
+    odometry: FloatArray | None
 
     def simulate_log(self, noise: SensorNoise, seed: int) -> list[tuple[LaserScan, Pose2]]:
         """Return the scans and the odometry that simulated sensors record; odometry may be constant."""
@@ -163,7 +170,7 @@ class TwinPath:
         ranges = np.where(np.isnan(self.objects), drawn, self.objects).astype(np.float32)
         scans = [replace(scan, ranges=row) for scan, row in zip(self.scans, ranges, strict=True)]
         odometry = [Pose2()] * len(scans)
-        if self.has_odometry:
+        if self.odometry is not None:
             odometry = simulate_odometry(self.truth, noise, seed)
         return list(zip(scans, odometry, strict=True))
 
@@ -198,8 +205,14 @@ def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> T
         Trajectory.from_poses(stamps, truth),
         exact,
         np.where(lacking, log.ranges, np.nan),
-        all(pose is not None for pose in odometry),
+        _pose_rows(odometry),
     )
+
+
+def _pose_rows(poses: Sequence[Pose2 | None]) -> FloatArray | None:
+    """Return (n, 3) x, y, yaw; None if a pose is missing."""
+    rows = [pose.as_array() for pose in poses if pose is not None]
+    return np.array(rows) if len(rows) == len(poses) else None
 
 
 def simulate_odometry(truth: Trajectory, noise: SensorNoise, seed: int) -> list[Pose2]:
@@ -242,8 +255,9 @@ def replay_log(
     """
     write_tum(folder / "truth.tum", path.truth)
     paths = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(draws)]
-    for k, written in enumerate(paths):
-        write_log(written, path.simulate_log(noise, config.seed + k))
+    logs = [path.simulate_log(noise, config.seed + k) for k in range(draws)]
+    for written, log in zip(paths, logs, strict=True):
+        write_log(written, log)
     relations, reference = read_truth(config)
     metric = "ATE" if reference else f"ATE to the path of {config.mapper}"
     metric = "mean error of the relations" if relations else metric
@@ -265,7 +279,20 @@ def replay_log(
         errors = tuple(_error(twin, on_path, path.truth) for twin in twins)
         status = (real.record.status, *(twin.record.status for twin in twins))
         rows.append(ReplayedMapper(name, _error(real, given, true), errors, status))
-    return Replay(metric, tuple(rows))
+    return Replay(metric, tuple(rows), _compare_odometry(path, logs))
+
+
+def _compare_odometry(
+    path: TwinPath, logs: Sequence[Sequence[tuple[LaserScan, Pose2]]]
+) -> tuple[tuple[float, float], tuple[float, float]] | None:
+    """Return the deviations of the log's odometry and the medians of the simulated ones."""
+    poses = path.truth.planar_at(path.truth.stamps)
+    real = None if path.odometry is None else odometry_deviations(path.odometry, poses)
+    if real is None:
+        return None
+    drawn = (odometry_deviations(np.array([pose.as_array() for _, pose in log]), poses) for log in logs)
+    distance, turn = zip(*(found for found in drawn if found is not None), strict=True)
+    return real, (median(distance), median(turn))
 
 
 def _relations_on(

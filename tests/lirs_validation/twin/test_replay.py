@@ -8,7 +8,7 @@ from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
-from lirs_validation.twin.fit import fit_odometry
+from lirs_validation.twin.fit import fit_odometry, odometry_deviations
 from lirs_validation.twin.replay import (
     REPLAYED,
     Replay,
@@ -56,13 +56,28 @@ def test_without_noise_the_simulated_log_is_exact() -> None:
     exactly = SensorNoise(
         lidar=LidarNoise(), odometry=OdometryConfig(scale_sigma=0), imu=ImuConfig(rate_sigma=0, rate_bias=0)
     )
-    log = TwinPath(scans, path, exact, objects, has_odometry=True).simulate_log(exactly, seed=1)
+    log = TwinPath(scans, path, exact, objects, path.planar_at(path.stamps)).simulate_log(exactly, seed=1)
     exact[3, 2] = 0.5
     np.testing.assert_allclose([scan.ranges for scan, _ in log], exact, rtol=1e-6)
     T_odom_map = path.pose2(0).inverse()
     for k, (scan, odometry) in enumerate(log):
         assert scan.stamp == path.stamps[k]
         np.testing.assert_allclose(odometry.as_array(), (T_odom_map @ path.pose2(k)).as_array(), atol=1e-9)
+
+
+def test_odometry_errors_of_log_and_simulation_are_compared() -> None:
+    noise = SensorNoise(odometry=OdometryConfig(scale_sigma=0.04), imu=ImuConfig(rate_sigma=0.05))
+    path = turning_path(600.0)
+    poses = path.planar_at(path.stamps)
+    found = [
+        odometry_deviations(np.array([p.as_array() for p in simulate_odometry(path, noise, seed)]), poses)
+        for seed in (1, 2)
+    ]
+    assert None not in found
+    np.testing.assert_allclose(*found, rtol=0.25)
+    exact = odometry_deviations(poses, poses)
+    assert exact == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert odometry_deviations(poses[:200], poses[:200]) is None
 
 
 @given(st.lists(st.tuples(ERRORS, ERRORS), min_size=3, max_size=8))
