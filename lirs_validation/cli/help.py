@@ -24,7 +24,7 @@ COMMON: Mapping[str, tuple[str, ...]] = {
     "view": ("-o", "--oblique", *_SOURCE),
     "collide": ("--robot", "--seconds", "--seeds", "-o", "--terrain", *_SOURCE),
     "live": ("--robot", "--lidar", "--seconds", "-o", "--middleware", "--domain", "--ros", "--lockstep",
-             "--every", "--answer", "--rate", "--client", "--mapper", "--driver"),
+             "--every", "--rate", "--client", "--mapper", "--driver"),
     "record": (*_DRIVE, "--actors", "--size", "--height"),
 }  # fmt: skip
 """Options in the help of commands that have more than `MOST`, in order of use."""
