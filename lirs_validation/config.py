@@ -211,6 +211,39 @@ class RunConfig(Options):
         names=(TOUR, FRONTIER),
         shown="driver: {}",
     )
+    speed: float = option(
+        1.0,
+        "Factors of the driver's speed.",
+        axis=read_factors,
+        metavar="X,X,...",
+        panel=AXES,
+        check=within("[0.1, 2]"),
+        shown="speed x {:g}",
+        hidden=True,
+        on_page=False,
+    )
+    turn_rate: float = option(
+        1.0,
+        "Factors of the driver's turn rate.",
+        axis=read_factors,
+        metavar="X,X,...",
+        panel=AXES,
+        check=within("[0.1, 2]"),
+        shown="turn rate x {:g}",
+        hidden=True,
+        on_page=False,
+    )
+    reversing: float = option(
+        0.0,
+        "Shares of the time in which the robot drives backwards along its path.",
+        axis=read_factors,
+        metavar="X,X,...",
+        panel=AXES,
+        check=within("[0, 1]"),
+        shown="reversing {:g}",
+        hidden=True,
+        on_page=False,
+    )
     actors: int = option(
         0,
         "Walkers on seeded paths: the lidar sees them, the robot touches them.",

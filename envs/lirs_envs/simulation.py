@@ -17,7 +17,7 @@ from lirs_envs.lidar.ray_casting import WalkerCaster, make_caster
 from lirs_envs.placement import check_fit, resolve_start
 from lirs_envs.robots.command import Twist, Waypoint, check_command
 from lirs_envs.sensing.inertial import InertialUnit
-from lirs_envs.sensing.sensors import INERTIAL_STREAM, Observation, sensor_streams
+from lirs_envs.sensing.sensors import INERTIAL_STREAM, FaultInjector, Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct import ConfigError, HeightField, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
@@ -121,6 +121,9 @@ class Simulation:
         noise = config.noise.of_lidar(preset)
         rolling_scan = config.noise.rolls(preset)
         mount = self.robot.T_base_laser
+        self._faults = None
+        if config.noise.faults.any:
+            self._faults = FaultInjector(config.noise.faults, self.period, preset.rings, self._seed)
         self._lidar = Lidar(preset, self.caster, mount, lidar, noise, rolling_scan=rolling_scan)
         self._row.begin(0, odometry, imu, self.period)
         filtered = self.robot.flies or config.noise.odometry.method == "ekf"
@@ -209,6 +212,10 @@ class Simulation:
             scan, cloud = lidar.scan(self.T_world_base, stamp, velocity), None
         else:
             scan, cloud = lidar.sweep(self.T_world_base, stamp, velocity)
+        if self._faults is not None:
+            scan, cloud = self._faults.scan(scan, cloud)
+            odometry = self._faults.odometry(odometry, imu)
+            track = () if self._faults.faults.slip else track
         return Observation(scan, odometry, imu, cloud, inertial, track)
 
     def _odometry_track(self, stamp: float) -> tuple[tuple[float, Pose2], ...]:

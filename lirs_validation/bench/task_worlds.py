@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lirs_envs.episodes.world_cache import cached_world
+from lirs_envs.generators.arena import ArenaConfig, arena
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES, fractal, with_rocks
 from lirs_envs.generators.terrain import KINDS, generate
@@ -143,12 +144,17 @@ def _floor_plan(name: str, *, seed: int) -> World:
     return World(name, floor_plan(np.random.default_rng(seed)), scale="generated")
 
 
+def _arena(name: str, **parameters: Any) -> World:
+    return arena(name, ArenaConfig(**parameters))
+
+
 MAKERS: Mapping[str, Callable[..., World]] = {
     "bundled": _bundled_world,
     "natural": _natural,
     "boulders": _boulders,
     "course": _course,
     "floor plan": _floor_plan,
+    "arena": _arena,
 }
 """Makers of worlds without external files, by name."""
 

@@ -39,6 +39,11 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
     "verdict": (
         "lirs-wct verdict medium --robot jackal --mapper hector,gmapping --budget 10min -o verdict/",
     ),
+    "falsify": (
+        "lirs-wct falsify --mapper hector --drives 150 --jobs 2 -o failures/",
+        "lirs-wct falsify --policy go_to_goal --drives 60 -o failures/",
+        "lirs-wct validate --suite failures/cases.yaml -o out/",
+    ),
     "record": ("lirs-wct record simple --seconds 60 -o run",),
     "live": (
         "lirs-wct live simple --robot husky --lockstep --seconds 60 -o out/",

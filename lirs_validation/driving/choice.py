@@ -16,8 +16,9 @@ from lirs_validation.config import MANUAL, TOUR, RunConfig, driver_parts
 from lirs_validation.driving.coverage import CoverageDriver, plan_coverage
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.frontier_route import FrontierRoute
-from lirs_validation.driving.path_driver import PathDriver, driver_config
+from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
+from lirs_validation.driving.standing import ReversingDriver
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, World
 from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
@@ -48,12 +49,20 @@ def make_driver(
         ConfigError: the robot fits nowhere in this world, or a replay is of another world, robot or lidar.
         SourceError: waypoints or recorded commands cannot be used.
     """
+    if driver_parts(config.driver)[0] == "replay":
+        return replay(Path(driver_parts(config.driver)[1]), config, world.name)
+    driver = _path_driver(world, robot, config, mapper_map)
+    return ReversingDriver(driver, config.reversing) if config.reversing else driver
+
+
+def _path_driver(
+    world: World, robot: Robot, config: RunConfig, mapper_map: Callable[[], OccupancyGrid]
+) -> PathDriver:
+    """Return the config's driver along paths, always forwards."""
     kind, path = _automatic(config)
-    if kind == "replay":
-        return replay(Path(path), config, world.name)
     if kind == TOUR:
         return plan_tour(world, robot, config)
-    free, pace = _drivable(world, robot), driver_config(robot)
+    free, pace = _drivable(world, robot), _pace(robot, config)
     waypoints: tuple[RoutePoint, ...] = ()
     if kind == "waypoints":
         waypoints = read_waypoints(Path(path))
@@ -78,7 +87,7 @@ def plan_tour(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
     Raises:
         ConfigError: the robot fits nowhere in this world.
     """
-    free, pace = _drivable(world, robot), driver_config(robot)
+    free, pace = _drivable(world, robot), _pace(robot, config)
     start = _start(world, free, robot, config)
     rng = np.random.default_rng((config.seed, PLAN_STREAM))
     return plan_coverage(free, start, seconds=config.seconds, rng=rng, config=pace, surface=world.surface)
@@ -91,6 +100,17 @@ def start_pose(world: World, robot: Robot, config: RunConfig) -> Pose2:
         ConfigError: the robot fits nowhere in this world, or cannot drive from the requested start.
     """
     return _start(world, _drivable(world, robot), robot, config)
+
+
+def _pace(robot: Robot, config: RunConfig) -> DriverConfig:
+    """Return the driver's speeds for a robot, with the factors of the config."""
+    usual = driver_config(robot)
+    pursuit = replace(
+        usual.pursuit,
+        speed=config.speed * usual.pursuit.speed,
+        turn_rate=config.turn_rate * usual.pursuit.turn_rate,
+    )
+    return replace(usual, pursuit=pursuit, patience=usual.patience / min(config.speed, config.turn_rate, 1.0))
 
 
 def _drivable(world: World, robot: Robot) -> OccupancyGrid:

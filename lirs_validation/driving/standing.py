@@ -1,6 +1,8 @@
-"""Standing still before a drive, as inertial systems need it to find gravity and biases."""
+"""Drivers around another one: standing still before the drive, and driving backwards."""
 
 from __future__ import annotations
+
+import math
 
 from lirs_envs.robots.command import Twist
 from lirs_validation.driving.driver import Driver, Frame
@@ -44,3 +46,47 @@ class StandingDriver:
         if time < self._seconds - 5e-7:
             return Twist()
         return self._driver.command(pose, time - self._seconds)
+
+
+CYCLE = 20.0
+"""Seconds of one turn of forward and backward driving."""
+BACK = Pose2(0.0, 0.0, math.pi)
+
+
+class ReversingDriver:
+    """Driver that follows the path of another one backwards for part of the time.
+
+    Args:
+        driver: plans and follows the path.
+        share: share of the time in which it drives backwards.
+    """
+
+    def __init__(self, driver: Driver, share: float) -> None:
+        self._driver, self._share = driver, share
+
+    @property
+    def start(self) -> Pose2:
+        """Start pose of the robot."""
+        return self._driver.start
+
+    @property
+    def frame(self) -> Frame:
+        """Frame of the poses that the driver gets."""
+        return self._driver.frame
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the driver gave up."""
+        return self._driver.stuck
+
+    @property
+    def finished(self) -> str:
+        """Reason for the end of the drive; empty before the end."""
+        return self._driver.finished
+
+    def command(self, pose: Pose2, time: float) -> Twist:
+        """Return the driver's command, or the reversed one for a robot that faces backwards."""
+        if time % CYCLE < (1.0 - self._share) * CYCLE:
+            return self._driver.command(pose, time)
+        wanted = self._driver.command(pose @ BACK, time)
+        return Twist(-wanted.v, wanted.omega)

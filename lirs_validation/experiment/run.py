@@ -16,7 +16,14 @@ from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.standing import StandingDriver
 from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
-from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_maps
+from lirs_validation.experiment.evaluation import (
+    Maps,
+    evaluate,
+    evaluate_maps,
+    evaluate_scans,
+    evaluate_status,
+    evaluate_trajectory,
+)
 from lirs_validation.experiment.loop import Recorder, drive
 from lirs_validation.experiment.mapper_loading import warm_up_mapper
 from lirs_validation.experiment.mapper_process import MapperProcess, start_mapper
@@ -128,6 +135,22 @@ def run(
     return drive_and_conclude(
         prepare(config, progress, scenarios), out, progress, name, concurrent=concurrent
     )
+
+
+def run_without_maps(config: RunConfig) -> dict[str, Any]:
+    """Drive; return `status`, `reason`, `trajectory` and `scans` of a run's record, sooner than `run`.
+
+    Raises:
+        WctError: see `validate`; the mapper failed, or nothing was driven.
+    """
+    ready = prepare(config)
+    with closing(ready.mapper):
+        log = drive(ready.simulation, ready.driver, ready.mapper, ready.seconds)
+        log.final = ready.mapper.trajectory()
+    trajectory = evaluate_trajectory(log, ready.simulation)
+    status, reason = evaluate_status(log, trajectory["scan_coverage"])
+    scans = evaluate_scans(ready.scenario.world, log)
+    return {"status": status, "reason": reason, "trajectory": trajectory, "scans": scans}
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,20 @@
-"""Suites: published experiments. A new one is a function and a row of SUITES."""
+"""Suites: published experiments (a function and a row of SUITES), and files with cases."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
-from lirs_validation.config import RunConfig
+from lirs_validation.config import NOISE_FILES, RUN_AXES, RunConfig
 from lirs_validation.sweep.collision_experiment import CollisionExperiment
 from lirs_validation.sweep.experiment import Experiment
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct import BuildOptions, unknown_name
+from lirs_wct.errors import SourceError, reason_of
+from lirs_wct.formats.yaml_text import load_yaml
 
 
 def cross(
@@ -90,3 +93,53 @@ def make_suite(name: str, **options: Any) -> tuple[Experiment, ...]:
     if name not in SUITES:
         raise unknown_name("suite", name, SUITES)
     return SUITES[name](**options)
+
+
+CASE = "case.yaml"
+"""File with the options of a run, in the folder of its world."""
+SUITE_FILES = (".yaml", ".yml")
+CASE_OPTIONS = (*RUN_AXES, "seconds", "stand")
+
+
+def case_options(source: str | Path) -> dict[str, Any]:
+    """Return the options of a case's run; empty if the source is no case.
+
+    Raises:
+        SourceError: the file cannot be used; the message begins with its path.
+    """
+    path = Path(source) / CASE
+    if not path.is_file():
+        return {}
+    options = _read(path).get("run")
+    if not isinstance(options, dict) or not set(options) <= set(CASE_OPTIONS):
+        raise SourceError(
+            f"{path}: `run` must hold options of a run ({', '.join(CASE_OPTIONS)}), got {options!r}"
+        )
+    if str(options.get("noise", "")).endswith(NOISE_FILES):
+        options["noise"] = str(path.parent / options["noise"])
+    return options
+
+
+def suite_folders(path: Path) -> tuple[str, ...]:
+    """Return the folders of a suite: the list `cases` of a YAML file.
+
+    Raises:
+        SourceError: the file or a case cannot be used; the message begins with its path.
+    """
+    names = _read(path).get("cases")
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise SourceError(f"{path}: `cases` must be a list of folders, got {names!r}")
+    for name in names:
+        if not (path.parent / name / CASE).is_file():
+            raise SourceError(f"{path}: {name} is no case: it has no {CASE}")
+    return tuple(str(path.parent / name) for name in names)
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    try:
+        entry = load_yaml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path}: {reason_of(error)}") from error
+    if not isinstance(entry, dict):
+        raise SourceError(f"{path}: must hold names and values, got {entry!r:.40}")
+    return entry

@@ -64,6 +64,7 @@ def test_every_axis_distinguishes_groups_of_runs() -> None:
     }
     changed |= {"attitude": "none", "driver": "frontier", "actors": 3, "threads": 2, "odometry_noise": 0.5}
     changed |= {"scan_time": "rolling", "noise": "datasheet"}
+    changed |= {"speed": 0.5, "turn_rate": 0.5, "reversing": 0.5}
     assert set(changed) == set(RUN_AXES) - {"seed"}
     for name, value in changed.items():
         config = entry("simple")["config"] | {name: value}

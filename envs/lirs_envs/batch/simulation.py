@@ -55,6 +55,9 @@ class BatchSimulation:
         threads: number of threads.
         own_models: whether each robot has a MuJoCo model of its own (see `Bodies`).
         height_range: lowest and highest height of replacement terrains, meters; None = no replacement.
+
+    Raises:
+        ConfigError: the noise has faults, which only a single simulation has.
     """
 
     def __init__(
@@ -68,6 +71,8 @@ class BatchSimulation:
         own_models: bool = False,
         height_range: tuple[float, float] | None = None,
     ) -> None:
+        if config.noise.faults.any:
+            raise ConfigError("faults of sensors are for one simulation, not for a batch of them")
         self.config, self.period, self.threads = config, period, threads
         self.worlds = [world] * count
         self.body = make_body(world, config, period, height_range=height_range, contact_sensors=True)

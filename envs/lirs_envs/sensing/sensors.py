@@ -1,7 +1,9 @@
-"""Sensor readings, their noise and its YAML file, and odometry with one object per robot."""
+"""Sensor readings, their noise and faults with its YAML file, odometry objects of single robots."""
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
@@ -18,10 +20,105 @@ from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
-from lirs_wct.field_validators import require_type
+from lirs_wct.field_validators import require_type, require_within
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.geometry import Imu, ImuReadings, LaserScan, PointCloud, Pose2, Pose3
+
+FAULT_STREAM = 16
+"""Random stream of the faults."""
+DUST_RANGES = (0.3, 2.0)
+"""Nearest and farthest return of a dust particle, meters."""
+LONGEST_LAG = 1.0
+"""Seconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorFaults:
+    """Faults of a robot's sensors; all are off by default.
+
+    Attributes:
+        lag: time by which a scan is older than its stamp, seconds; rounded to whole scans.
+        field_of_view: angle around straight ahead in which beams measure, degrees; others are invalid.
+        dust: share of beams that a particle nearer than 2 m returns.
+        slip: excess of the measured distance, as a share, per unit sine of the slope uphill. On a cross slope
+            it is the sideways motion that the wheels do not measure.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    lag: float = 0.0
+    field_of_view: float = 360.0
+    dust: float = 0.0
+    slip: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_within(self, f"[0, {LONGEST_LAG:g}]", "lag", of="the sensor faults", unit="s")
+        require_within(self, "(0, 360]", "field_of_view", of="the sensor faults", unit="deg")
+        require_within(self, "[0, 1]", "dust", "slip", of="the sensor faults")
+
+    @property
+    def any(self) -> bool:
+        """Whether a fault is on."""
+        return self != SensorFaults()
+
+
+class FaultInjector:
+    """Applies faults to the readings of one robot, in the order of the scans.
+
+    Args:
+        faults: of its sensors.
+        period: time between two scans, seconds.
+        rings: number of the lidar's rings.
+        seed: of the random numbers.
+
+    Raises:
+        ConfigError: a fault of planar lidars is on, and the lidar has several rings.
+    """
+
+    def __init__(self, faults: SensorFaults, period: float, rings: int, seed: int) -> None:
+        if rings > 1 and (faults.dust or faults.field_of_view < 360.0):
+            raise ConfigError("field_of_view and dust are faults of planar lidars; this one has rings")
+        self.faults = faults
+        self._rng = np.random.default_rng((seed, FAULT_STREAM))
+        self._late: deque[tuple[LaserScan, PointCloud | None]] = deque(maxlen=1 + round(faults.lag / period))
+        self._true, self._measured = Pose2(), Pose2()
+
+    def scan(self, scan: LaserScan, cloud: PointCloud | None) -> tuple[LaserScan, PointCloud | None]:
+        """Return the scan and cloud that arrive now, with the stamps of the present ones."""
+        self._late.append((self._cover(scan), cloud))
+        old_scan, old_cloud = self._late[0]
+        late_cloud = None if old_cloud is None or cloud is None else replace(old_cloud, stamp=cloud.stamp)
+        return replace(old_scan, stamp=scan.stamp), late_cloud
+
+    def _cover(self, scan: LaserScan) -> LaserScan:
+        """Return a scan with dust, and without the beams outside the field of view."""
+        ranges, faults = scan.ranges.copy(), self.faults
+        if faults.dust:
+            draws = self._rng.random((len(ranges), 2))
+            near = DUST_RANGES[0] + (DUST_RANGES[1] - DUST_RANGES[0]) * draws[:, 1]
+            hit = (draws[:, 0] < faults.dust) & ~(ranges < near)
+            ranges[hit] = near[hit]
+        half = math.radians(faults.field_of_view) / 2
+        ranges[np.abs(scan.angles) > half + 1e-9] = np.nan
+        return replace(scan, ranges=ranges)
+
+    def odometry(self, odometry: Pose2, imu: Imu) -> Pose2:
+        """Return `T_odom_base` with the slip since the last call.
+
+        Args:
+            odometry: `T_odom_base` of the wheels without slip.
+            imu: attitude of the robot.
+        """
+        if not self.faults.slip:
+            return odometry
+        step, slip = self._true.inverse() @ odometry, self.faults.slip
+        forward = step.x * (1 - slip * math.sin(imu.pitch))
+        sideways = step.y + slip * abs(step.x) * math.sin(imu.roll)
+        self._true, self._measured = odometry, self._measured @ Pose2(forward, sideways, step.yaw)
+        return self._measured
+
 
 LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM, INERTIAL_STREAM = 11, 12, 13, 14
 """Random stream of each sensor: with one each, another lidar leaves the noise of the others as it was."""
@@ -59,6 +156,7 @@ class SensorNoise:
         lidar: a noise level (`none`, `simulated`, `datasheet`), or noise of your own.
         rolling_scan: whether the beams of a scan are cast one after the other over its time; None = those of
             lidars with rings.
+        faults: late scans, covered beams, dust and slip; of a single simulation alone.
 
     Raises:
         ConfigError: one is of the wrong type.
@@ -68,12 +166,14 @@ class SensorNoise:
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     lidar: LidarNoise | NoiseLevel = "simulated"
     rolling_scan: bool | None = None
+    faults: SensorFaults = field(default_factory=SensorFaults)
 
     def __post_init__(self) -> None:
         require_type(self, ImuConfig, "imu", of="the sensor noise")
         require_type(self, OdometryConfig, "odometry", of="the sensor noise")
         require_type(self, LidarNoise | str, "lidar", of="the sensor noise")
         require_type(self, bool | None, "rolling_scan", of="the sensor noise")
+        require_type(self, SensorFaults, "faults", of="the sensor noise")
 
     def with_odometry_noise(self, factor: float) -> SensorNoise:
         """Return the noise with that of wheels and gyro multiplied by a factor."""
@@ -96,7 +196,12 @@ def sensor_streams(seed: int) -> tuple[np.random.Generator, ...]:
     return tuple(np.random.default_rng((seed, k)) for k in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM))
 
 
-SECTIONS: dict[str, type[Any]] = {"lidar": LidarNoise, "odometry": OdometryConfig, "imu": ImuConfig}
+SECTIONS: dict[str, type[Any]] = {
+    "lidar": LidarNoise,
+    "odometry": OdometryConfig,
+    "imu": ImuConfig,
+    "faults": SensorFaults,
+}
 """Classes of the sections."""
 
 
@@ -159,7 +264,7 @@ def _section(name: str, given: object) -> Any:
 
 
 def write_noise(path: Path, noise: SensorNoise, comment: str) -> None:
-    """Write the noise as a YAML file that begins with a comment.
+    """Write the noise, and faults if any, as a YAML file that begins with a comment.
 
     Raises:
         OutputError: the file cannot be written.
@@ -167,7 +272,8 @@ def write_noise(path: Path, noise: SensorNoise, comment: str) -> None:
     """
     if not isinstance(noise.lidar, LidarNoise):
         raise ConfigError(f"a noise file needs the lidar's own figures, got level {noise.lidar!r}")
-    entries = {name: asdict(getattr(noise, name)) for name in SECTIONS}
+    written = [name for name in SECTIONS if name != "faults" or noise.faults.any]
+    entries = {name: asdict(getattr(noise, name)) for name in written}
     text = "".join(f"# {line}\n" for line in comment.splitlines())
     with atomic_write(path) as temporary:
         temporary.write_text(text + yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")

@@ -35,6 +35,7 @@ EXTRAS = {
     "live": ("cyclonedds", "eclipse-zenoh"),
     "rl": ("stable-baselines3",),
     "dist": ("ray",),
+    "search": ("cma",),
     "notebooks": ("ipykernel", "nbclient"),
     "usd": ("usd-core",),
 }

@@ -31,7 +31,11 @@ OF_A_SUITE = ("seed", "threads")
 Sources = Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP, autocompletion=complete_source)]
 SuiteName = Annotated[
     str | None,
-    typer.Option("--suite", metavar="paper", help="A published experiment, instead of sources and axes."),
+    typer.Option(
+        "--suite",
+        metavar="paper|FILE.yaml",
+        help="A published experiment, or a file with cases, instead of sources and axes.",
+    ),
 ]
 
 
@@ -113,12 +117,15 @@ def read_experiments(
         ConfigError: neither or both of sources and suite are given, or an option is not legal.
     """
     from lirs_validation.sweep.slam_experiment import SlamExperiment
-    from lirs_validation.sweep.suites import cross, make_suite
+    from lirs_validation.sweep.suites import SUITE_FILES, case_options, cross, make_suite, suite_folders
 
+    if suite is not None and suite.endswith(SUITE_FILES) and not sources:
+        sources, suite = list(suite_folders(Path(suite))), None
     if suite is None:
         if not sources:
             raise ConfigError("nothing to validate: name a source (simple, an image, ...) or a --suite")
-        return tuple(SlamExperiment(config) for config in cross(tuple(sources), build=build, **run))
+        crossed = [cross(source, build=build, **(case_options(source) | run)) for source in sources]
+        return tuple(SlamExperiment(config) for configs in crossed for config in configs)
     clash = [f"--{name}" for name in RUN_AXES if name in run and name not in OF_A_SUITE]
     clash += ["sources"] * bool(sources) + ["options of build"] * (build != SourceOptions())
     if clash:

@@ -1,4 +1,4 @@
-"""`lirs-wct verdict`: drive until it is decided whether methods work on a terrain."""
+"""`lirs-wct verdict` and `falsify`: decide whether methods work, and search where they fail."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from lirs_validation.cli.arguments import Sources
 from lirs_validation.cli.console import GATE_FAILED, err, out
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import EngineOptions, RunConfig, SourceOptions
+from lirs_validation.falsify import FalsifyOptions
 from lirs_wct import ConfigError
 
 if TYPE_CHECKING:
@@ -112,3 +113,32 @@ def _print_state(trial: Trial) -> None:
     decided = "" if trial.decision == "undecided" else f": {trial.decision}"
     counts = f"{test.successes} of {test.successes + test.failures} worked{decided}"
     err.print(f"{drive.folder}: {drive.kind}; {counts}", soft_wrap=True, highlight=False, markup=False)
+
+
+Failures = Annotated[Path, typer.Option("-o", "--output", help="Folder for cases, page and archive.")]
+
+
+@with_options
+def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> None:
+    """Search for the easiest terrain, drive and sensor degradation on which a method fails.
+
+    Each case fails with at least 4 of 5 new seeds and is reduced to its cause. The same command resumes.
+    """
+    from lirs_validation.falsify import search
+    from lirs_validation.falsify.cases import require_cma, search_limits
+    from lirs_validation.falsify.drives import CaseDrives, check_methods, process_pool
+    from lirs_validation.falsify.results import conclusion, write_results
+
+    limits = search_limits(options)
+    check_methods(options)
+    if options.search == "cma":
+        require_cma()
+    output.mkdir(parents=True, exist_ok=True)
+    with process_pool(options.jobs) as pool:
+        drives = CaseDrives(options, limits, output, pool)
+        found = search.falsify(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))
+    page = write_results(output, drives, found, shlex.join(["lirs-wct", *sys.argv[1:]]))
+    for name in (page, *sorted(output.glob("case-*"))):
+        out.print(f"{name}", soft_wrap=True, highlight=False)
+    for sentence in conclusion(drives, found):
+        out.print(sentence, soft_wrap=True, highlight=False, markup=False)

@@ -1,0 +1,91 @@
+"""Falsification: search for the easiest terrain, drive and degradation on which a method fails."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lirs_validation.config import RunConfig
+from lirs_wct.errors import ConfigError
+from lirs_wct.option import Options, declared, documented, one_of, option, positive, within
+
+SEARCHES = ("cma", "random")
+UPPER_BOUND = "astar"
+"""Policy that must succeed where another one counts as failed."""
+_RUN = dict(declared(RunConfig))
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class FalsifyOptions(Options):
+    """Search for the failures of one mapper or policy.
+
+    Raises:
+        ConfigError: a value is not legal, or two options contradict.
+    """
+
+    mapper: str = option(
+        "hector",
+        "SLAM method under test; module:Class for your own.",
+        metavar="NAME|module:Class",
+        names=_RUN["mapper"].names,
+    )
+    policy: str | None = option(
+        None, "Policy under test, in place of a mapper (see `bench`).", metavar="NAME|module:Class"
+    )
+    task: Literal["navigation"] = option(
+        "navigation", "Task of the policy.", metavar="navigation", check=one_of(("navigation",))
+    )
+    reference: str | None = option(
+        None,
+        "A case counts only if this mapper keeps its way there; for a policy, if this policy succeeds "
+        f"(default: {UPPER_BOUND}).",
+        metavar="NAME|module:Class",
+    )
+    robot: str = option("husky", "Robot.", metavar="NAME", names=_RUN["robot"].names)
+    drives: int = option(150, "Drives of the search, confirmations included.", check=within("[1, 100000]"))
+    cases: int = option(3, "Cases after which the search ends.", check=within("[1, 20]"))
+    seconds: float = option(60.0, "Simulated seconds of a drive.", check=positive)
+    factor: float = option(
+        3.0,
+        "A mapper fails if its path error exceeds the limit of `loses its way` by this factor.",
+        check=within("[1, 100]"),
+    )
+    search: Literal["cma", "random"] = option(
+        "cma",
+        "CMA-ES (extra `search`), or random parameters for comparison.",
+        metavar="cma|random",
+        check=one_of(SEARCHES),
+    )
+    limits: str | None = option(
+        None,
+        "YAML file with narrower or wider limits of the parameters, such as `slope: [0, 8]`.",
+        flags=("--within",),
+        metavar="FILE.yaml",
+    )
+    jobs: int = option(
+        1, "Concurrent drives, each in its own process.", metavar="N", check=within("[1, 256]")
+    )
+    seed: int = option(1, "Seed of the search, the layout and the first drive.", check=within("[0, inf)"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.method == self.compared_with:
+            raise ConfigError(f"--reference must be another method than {self.method}, which is under test")
+
+    @property
+    def decisive(self) -> dict[str, Any]:
+        """Options that decide the results."""
+        return {n: getattr(self, n) for n, _ in declared(type(self)) if n not in ("limits", "jobs")}
+
+    @property
+    def method(self) -> str:
+        """Name of the mapper or policy under test."""
+        return self.policy or self.mapper
+
+    @property
+    def compared_with(self) -> str | None:
+        """Name of the method that must succeed; None = none."""
+        if self.policy is None:
+            return self.reference
+        return self.reference or UPPER_BOUND

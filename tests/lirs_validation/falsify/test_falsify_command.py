@@ -1,0 +1,125 @@
+"""The command on real drives: a failure from the search to its replay."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tests.command_line import run_command
+
+MAPPER = '''
+from examples.your_own_mapper import DeadReckoning
+
+
+class HalfWay(DeadReckoning):
+    """Takes every distance for half of what it is."""
+
+    def update(self, scan, odometry, imu):
+        return super().update(scan, type(odometry)(odometry.x / 2, odometry.y / 2, odometry.yaw), imu)
+'''
+SEARCH = ("--mapper", "half_way:HalfWay", "--seconds", "16", "--drives", "20", "--cases", "1", "-o", "out")
+DRIVEN = ("truth.tum", "estimate.tum", "odometry.tum", "commands.csv", "map.pgm")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "half_way.py").write_text(MAPPER)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_failure_is_found_written_and_replayed_byte_for_byte(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command("falsify", *SEARCH) == 0
+    assert "HalfWay on husky fails on the easiest ground already." in capsys.readouterr().out
+    case = folder / "out" / "case-1"
+    first = contents(case / "run", DRIVEN)
+    (found,) = json.loads((folder / "out" / "falsify.json").read_text())["cases"]
+    assert found["drives"] == 6
+    assert (case / "case.png").stat().st_size > 10_000
+    assert "case-1" in (folder / "out" / "falsify.html").read_text()
+    assert run_command("validate", "--suite", "out/cases.yaml", "-o", "again", "--gate") == 4
+    (replayed,) = (folder / "again").glob("case-1-*")
+    assert contents(replayed, DRIVEN) == first
+
+
+def contents(folder: Path, names: tuple[str, ...]) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in names}
+
+
+@pytest.mark.slow
+def test_the_same_command_writes_the_same_and_another_mapper_takes_the_suite(folder: Path) -> None:
+    assert run_command("falsify", *SEARCH) == 0
+    kept = ("drives.jsonl", "falsify.json", "cases.md", "cases.yaml")
+    first, driven = contents(folder / "out", kept), contents(folder / "out" / "case-1" / "run", DRIVEN)
+    assert run_command("falsify", *SEARCH, "--jobs", "2") == 0
+    assert contents(folder / "out", kept) == first
+    assert contents(folder / "out" / "case-1" / "run", DRIVEN) == driven
+    assert run_command("validate", "out/case-1", "--mapper", "hector", "-o", "other", "--gate") == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--within", "within.yaml"), "within.yaml: slope must be a number or [low, high]"),
+        (("--within", "none.yaml"), "none.yaml: cannot be read"),
+        (("--mapper", "hectr"), "did you mean hector"),
+        (("--robot", "huskie"), "did you mean husky"),
+        (("--policy", "astra"), "did you mean astar"),
+        (("--policy", "astar"), "--reference must be another method than astar"),
+        (("--drives", "0"), "drives must be within [1, 100000], got 0"),
+        (("--search", "grid"), "'grid' is not one of 'cma', 'random'"),
+    ],
+)
+def test_bad_input_is_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], message: str
+) -> None:
+    (folder / "within.yaml").write_text("slope: [9, 1]\n")
+    assert run_command("falsify", *arguments, "-o", "out") == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("cases: []", "`cases` must be a list of folders"),
+        ("cases: [none]", "none is no case"),
+        ("3", "must hold names and values"),
+        ("a: [", "line"),
+    ],
+)
+def test_a_bad_suite_is_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], text: str, message: str
+) -> None:
+    (folder / "cases.yaml").write_text(text)
+    assert run_command("validate", "--suite", "cases.yaml", "-o", "out") == 2
+    error = capsys.readouterr().err
+    assert error.startswith("lirs-wct: cases.yaml: ")
+    assert message in error
+
+
+def test_a_case_with_an_unknown_option_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "case").mkdir()
+    (folder / "case" / "case.yaml").write_text(yaml.safe_dump({"run": {"mappr": "hector"}}))
+    assert run_command("validate", "case", "-o", "out") == 2
+    assert "case/case.yaml: `run` must hold options of a run" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_policy_fails_where_the_upper_bound_succeeds(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "within.yaml").write_text("obstacles: [40, 60]\nslope: 0\nrelief: 0\nroughness: 0\n")
+    options = ("--policy", "straight", "--drives", "30", "--cases", "1", "--within", "within.yaml")
+    assert run_command("falsify", *options, "-o", "out") == 0
+    assert "straight on husky fails" in capsys.readouterr().out
+    suite = ("--set", "out/cases.json", "--task", "navigation", "-o", "bench")
+    assert run_command("bench", "straight", "astar", *suite) == 0
+    scores = json.loads((folder / "bench" / "scores-cases-navigation-test.json").read_text())
+    assert scores
