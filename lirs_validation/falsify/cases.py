@@ -16,10 +16,9 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
 from lirs_validation.config import RunConfig
 from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.sweep.suites import CASE, case_options
+from lirs_validation.sweep.suites import CASE, case_options, read_yaml_fields
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, reason_of, unknown_name
-from lirs_wct.formats.yaml_text import load_yaml
+from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import short_name
 
 Group = Literal["ground", "obstacles", "drive", "sensors"]
@@ -182,15 +181,10 @@ def read_search_limits(path: Path) -> SearchLimits:
     Parameters that are left out keep their limits.
 
     Raises:
-        ConfigError: the file cannot be read, or a name or value is not legal; the message begins with its
-            path.
+        SourceError: the file cannot be read; the message begins with its path.
+        ConfigError: a name or value is not legal; the same.
     """
-    try:
-        entry = load_yaml(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: {reason_of(error)}") from error
-    if not isinstance(entry, dict) or not entry:
-        raise ConfigError(f"{path}: must have lines such as `slope: [0, 10]`, got {entry!r:.40}")
+    entry = read_yaml_fields(path)
     names = {p.name: p for p in PARAMETERS}
     limits = SearchLimits()
     for name, given in entry.items():

@@ -15,7 +15,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from lirs_envs.robots.catalog import make_robot
 from lirs_validation.bench.episode import EpisodeLog, episode_metrics, run_episode
 from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.task_worlds import WorldSpec
@@ -62,7 +61,8 @@ def check_methods(options: FalsifyOptions) -> None:
     Raises:
         WctError: one does not, or cannot run.
     """
-    make_robot(options.robot)
+    if options.policy is not None:
+        policy_task(options, SearchLimits().easiest, options.seed)  # checks the robot
     for method in filter(None, (options.method, options.compared_with)):
         if options.policy is not None:
             PolicyChoice(method).check(options.task)

@@ -20,7 +20,6 @@ from lirs_validation.experiment.run import run
 from lirs_validation.falsify.cases import CaseParameter, sentence, write_case
 from lirs_validation.falsify.drives import WORST, CaseDrives, policy_episode, policy_suite, policy_task
 from lirs_validation.falsify.search import LEAST, NEW_SEEDS, FoundCase
-from lirs_validation.metrics.alignment import associated
 from lirs_validation.report.page import render
 from lirs_validation.report.table import ReportTable
 from lirs_wct import Pose2, Trajectory, World
@@ -64,8 +63,9 @@ class CasePaths:
     def errors(self) -> tuple[Any, Any]:
         """Stamps and distances between estimate and truth, both (n,), seconds and meters."""
         assert self.estimate is not None, "a policy has no estimate"
-        i, j = associated(self.truth.stamps, self.estimate.stamps)
-        return self.truth.stamps[i], np.hypot(*(self.estimate.xy[j] - self.truth.xy[i]).T)
+        stamps, found = self.truth.stamps, self.estimate
+        nearest = np.stack([np.interp(stamps, found.stamps, found.xy[:, k]) for k in (0, 1)], axis=1)
+        return stamps, np.hypot(*(nearest - self.truth.xy).T)
 
     @property
     def failure(self) -> float | None:

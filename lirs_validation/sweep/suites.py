@@ -110,7 +110,7 @@ def case_options(source: str | Path) -> dict[str, Any]:
     path = Path(source) / CASE
     if not path.is_file():
         return {}
-    options = _read(path).get("run")
+    options = read_yaml_fields(path).get("run")
     if not isinstance(options, dict) or not set(options) <= set(CASE_OPTIONS):
         raise SourceError(
             f"{path}: `run` must hold options of a run ({', '.join(CASE_OPTIONS)}), got {options!r}"
@@ -126,7 +126,7 @@ def suite_folders(path: Path) -> tuple[str, ...]:
     Raises:
         SourceError: the file or a case cannot be used; the message begins with its path.
     """
-    names = _read(path).get("cases")
+    names = read_yaml_fields(path).get("cases")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise SourceError(f"{path}: `cases` must be a list of folders, got {names!r}")
     for name in names:
@@ -135,11 +135,16 @@ def suite_folders(path: Path) -> tuple[str, ...]:
     return tuple(str(path.parent / name) for name in names)
 
 
-def _read(path: Path) -> Mapping[str, Any]:
+def read_yaml_fields(path: Path) -> Mapping[str, Any]:
+    """Return the names and values of a YAML file.
+
+    Raises:
+        SourceError: it cannot be read, or holds anything else or nothing; the message begins with its path.
+    """
     try:
         entry = load_yaml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise SourceError(f"{path}: {reason_of(error)}") from error
-    if not isinstance(entry, dict):
+    if not isinstance(entry, dict) or not entry:
         raise SourceError(f"{path}: must hold names and values, got {entry!r:.40}")
     return entry

@@ -23,7 +23,7 @@ from lirs_validation.falsify.cases import (
     sentence,
     write_case,
 )
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import WctError
 
 LIMITS = SearchLimits()
 
@@ -75,22 +75,22 @@ def test_limits_of_a_file_replace_the_usual_ones(tmp_path: Path) -> None:
         ("dropout: 2", "within [0, 1]"),
         ("slope: [0, .nan]", "slope must be"),
         ("slope: true", "got True"),
-        ("- 3", "must have lines such as"),
-        ("", "must have lines such as"),
+        ("- 3", "must hold names and values"),
+        ("", "must hold names and values"),
         ("a: [", "line"),
     ],
 )
 def test_a_bad_limits_file_is_one_line_with_its_path(tmp_path: Path, text: str, expected: str) -> None:
     path = tmp_path / "within.yaml"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=r"within\.yaml") as caught:
+    with pytest.raises(WctError, match=r"within\.yaml") as caught:
         read_search_limits(path)
     assert expected in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
 def test_a_missing_limits_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.yaml.*cannot be read"):
+    with pytest.raises(WctError, match=r"none\.yaml.*cannot be read"):
         read_search_limits(tmp_path / "none.yaml")
 
 

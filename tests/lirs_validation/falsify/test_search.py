@@ -20,7 +20,6 @@ from lirs_validation.falsify.search import (
     falsify,
     loss,
     make_proposer,
-    require_cma,
 )
 from lirs_wct.errors import ConfigError, OutputError
 
