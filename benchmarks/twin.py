@@ -142,7 +142,7 @@ def show_logs(console: Console, logs: Sequence[str], draws: int, out: Path) -> N
                     errors.add_row(Path(path).name, f"odometry, {name}", *(f"{v:.3f}" for v in values))
             for row in replay_rows(Path(path).name, result.replay):
                 errors.add_row(*row)
-    console.print(noise, errors, summary(replays))
+    console.print(noise, *((errors, summary(replays)) if replays else ()))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
