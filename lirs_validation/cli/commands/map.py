@@ -12,7 +12,7 @@ from rich.table import Table
 
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_validation.cli.progress import progress_bar
-from lirs_validation.cli.typer_options import typer_option, with_options
+from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import MapConfig
 
 if TYPE_CHECKING:
@@ -64,43 +64,26 @@ Draws = Annotated[
 TwinOutput = Annotated[Path, typer.Option("-o", "--output", help="Folder for the result's folder.")]
 
 
+@with_options
 def twin(
     log: Log,
     output: TwinOutput = Path("out"),
     lidar: Lidar = "lms200",
-    mapper: Annotated[str, typer_option(MapConfig, "mapper")] = "cartographer",
-    seed: Annotated[int, typer_option(MapConfig, "seed")] = 1,
-    fov: Annotated[float | None, typer_option(MapConfig, "fov")] = None,
-    range_max: Annotated[float | None, typer_option(MapConfig, "range_max")] = None,
-    scan_topic: Annotated[str | None, typer_option(MapConfig, "scan_topic")] = None,
-    odom_topic: Annotated[str | None, typer_option(MapConfig, "odom_topic")] = None,
-    relations: Annotated[str | None, typer_option(MapConfig, "relations")] = None,
-    reference: Annotated[str | None, typer_option(MapConfig, "reference")] = None,
-    reference_topic: Annotated[str | None, typer_option(MapConfig, "reference_topic")] = None,
     replay: Replayed = "all",
     draws: Draws = 1,
+    *,
+    given: Annotated[dict[str, Any], MapConfig],
 ) -> None:
     """Compare a log with its simulation: twin.html, and fitted noise.yaml for --noise."""
     from lirs_validation.twin.replay import parse_mappers
     from lirs_validation.twin.twin import run_twin
 
-    config = MapConfig(
-        log=log,
-        mapper=mapper,
-        seed=seed,
-        fov=fov,
-        range_max=range_max,
-        scan_topic=scan_topic,
-        odom_topic=odom_topic,
-        relations=relations,
-        reference=reference,
-        reference_topic=reference_topic,
-    )
+    config = MapConfig(log=log, **given)
     with progress_bar(log, err) as progress:
         result, folder = run_twin(
             config,
             lidar=lidar,
-            seed=seed,
+            seed=config.seed,
             out=output,
             replayed=parse_mappers(replay),
             draws=draws,
