@@ -117,5 +117,5 @@ def test_train_navigation_without_stable_baselines(
     with pytest.raises(SystemExit) as stopped:
         runpy.run_path(str(EXAMPLES / "train_navigation.py"), run_name="__main__")
     assert stopped.value.code == 2
-    assert "needs Stable-Baselines3: pip install 'lirs-wct[rl]'" in capsys.readouterr().err
+    assert "needs Stable-Baselines3: pip install '.[rl]'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

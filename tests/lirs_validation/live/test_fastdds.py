@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("cyclonedds")
-
 from lirs_validation.config import RunConfig
 from lirs_validation.live import run as live_run
 from lirs_validation.live.dds import DdsNode

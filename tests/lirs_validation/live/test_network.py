@@ -1,6 +1,7 @@
 """Live drives over DDS and Zenoh, with clients in other processes."""
 
 import os
+import queue
 import socket
 import struct
 import subprocess
@@ -11,20 +12,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("cyclonedds")
-pytest.importorskip("zenoh")
+import zenoh
+from zenoh import ext
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run as run_offline
 from lirs_validation.live import run as live_run
-from lirs_validation.live.dds import DdsNode
-from lirs_validation.live.graph import PUBLISHED, type_hash
+from lirs_validation.live.dds import DdsNode, raw_type, write_raw
+from lirs_validation.live.graph import PUBLISHED, TWIST, type_hash, zenoh_key
 from lirs_validation.live.options import LiveOptions
 from lirs_validation.live.run import live
 from lirs_validation.live.zenoh_node import ZenohNode
 from lirs_wct import ConfigError
 from tests.lirs_validation.live import client_process
+from tests.lirs_validation.live import fake_network as net
 
 ROOT = Path(__file__).resolve().parents[3]
 LIMIT = 60.0
@@ -168,3 +169,52 @@ def test_a_port_of_another_program_is_one_line():
 def test_a_host_elsewhere_is_one_line(node):
     with pytest.raises(ConfigError, match="--host 192\\.0\\.2\\.77: no address of this machine"):
         node(LiveOptions(host="192.0.2.77"), PUBLISHED)
+
+
+def test_both_kinds_of_commands_arrive(domain):
+    """ROS nodes publish Twist or TwistStamped under the same name."""
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.qos import Policy, Qos
+    from cyclonedds.topic import Topic
+    from cyclonedds.util import duration
+
+    node = DdsNode(LiveOptions(domain=domain), PUBLISHED)
+    other = DomainParticipant(domain)
+    quality = Qos(
+        Policy.Reliability.Reliable(duration(seconds=1)),
+        Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False),
+    )
+    plain = net.received(net.topic("/cmd_vel", TWIST), net.twist(0.3, 0.1))
+    try:
+        for sent in (plain, net.stamped(7, 0.5)):
+            topic = Topic(other, "rt/cmd_vel", raw_type(sent.topic.kind, "jazzy"))
+            writer = DataWriter(other, topic, quality)
+            while not writer.get_publication_matched_status().current_count:
+                time.sleep(0.01)
+            write_raw(writer, sent.cdr)
+            assert node.receive(30.0) == [sent]
+    finally:
+        node.close()
+
+
+def test_a_late_zenoh_subscriber_gets_the_static_frames():
+    """As rmw_zenoh subscribes to transient-local topics: with a query of the publisher's history."""
+    node = ZenohNode(LiveOptions(middleware="zenoh", port=(port := free_port())), PUBLISHED)
+    peer = None
+    try:
+        node.publish("/tf_static", b"static")
+        config = zenoh.Config()
+        config.insert_json5("mode", '"peer"')
+        config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
+        config.insert_json5("scouting/multicast/enabled", "false")
+        peer = zenoh.open(config)
+        key = zenoh_key(client_process.published("/tf_static"), 0, "jazzy")
+        arrived = queue.SimpleQueue()
+        history = ext.HistoryConfig(detect_late_publishers=True)
+        _held = ext.declare_advanced_subscriber(peer, key, arrived.put, history=history)
+        assert arrived.get(timeout=30.0).payload.to_bytes() == b"static"
+    finally:
+        if peer is not None:
+            peer.close()
+        node.close()
