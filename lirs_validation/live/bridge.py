@@ -135,8 +135,10 @@ class Bridge:
         received = self._middleware.receive(seconds)
         if not received:
             return
-        now, last = time.perf_counter(), max(self._unanswered, default=0)
+        now, last = time.perf_counter(), next(reversed(self._unanswered), 0)
         stamp = self.client.take(received, self._simulation.time)
+        if not stamp:
+            return
         for scan in [scan for scan in self._unanswered if scan <= stamp]:
             self.delays.append(now - self._unanswered.pop(scan))
             if scan == last:
