@@ -23,6 +23,7 @@
 #include <fastdds/dds/subscriber/Subscriber.hpp>
 #include <fastdds/dds/topic/TopicDataType.hpp>
 #include <fastdds/dds/topic/TypeSupport.hpp>
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 
 using namespace eprosima::fastdds::dds;
 using eprosima::fastrtps::rtps::InstanceHandle_t;
@@ -127,8 +128,12 @@ int main(int argc, char** argv) {
   const bool best_effort = argc > 6;
   std::ofstream file(argv[5], std::ios::binary);
   Discovery discovery;
+  // Without shared memory, of which a killed process would leave files behind.
+  DomainParticipantQos quality;
+  quality.transport().use_builtin_transports = false;
+  quality.transport().user_transports.push_back(std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>());
   auto participant = DomainParticipantFactory::get_instance()->create_participant(
-      std::atoi(argv[1]), PARTICIPANT_QOS_DEFAULT, &discovery, StatusMask::none());
+      std::atoi(argv[1]), quality, &discovery, StatusMask::none());
   TypeSupport twist_type(new Raw("geometry_msgs::msg::dds_::TwistStamped_"));
   TypeSupport scan_type(new Raw("sensor_msgs::msg::dds_::LaserScan_"));
   TypeSupport cloud_type(new Raw("sensor_msgs::msg::dds_::PointCloud2_"));
