@@ -49,7 +49,8 @@ class DdsClient:
         self.readers = [(t, DataReader(self.participant, made(t), quality(t))) for t in reads]
 
     def receive(self):
-        return [(topic, sample.cdr) for topic, reader in self.readers for sample in reader.take(100)]
+        found = [(topic, sample) for topic, reader in self.readers for sample in reader.take(100)]
+        return [(topic, sample.cdr) for topic, sample in found if hasattr(sample, "cdr")]
 
     def publish(self, topic, message):
         from lirs_validation.live.dds import write_raw
