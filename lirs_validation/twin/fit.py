@@ -271,7 +271,7 @@ class FittedOdometry:
         scale: constant part of the distance's scale error.
         scale_sigma: deviation of the scale error, and interval.
         rate_sigma: white noise of the turn rate in each update of a simulation, rad/s, and interval.
-        rate_bias: absolute mean error of the turn rate, rad/s.
+        rate_bias: absolute mean error of the turn rate while the robot moves, rad/s.
     """
 
     segments: int
@@ -305,7 +305,10 @@ def fit_odometry(
     keys, ends = _segments(poses)
     if len(ends) <= SEGMENTS:
         return None
-    times = np.diff(stamps[keys][ends])
+    # Wheels at rest have no error.
+    moving = np.any(np.diff(odometry, axis=0) != 0, axis=1)
+    clock = np.concatenate(([0.0], np.cumsum(np.diff(stamps) * moving)))
+    times = np.diff(clock[keys][ends])
     found = np.column_stack((*_errors(odometry[keys], poses[keys], ends), times))
     matching = np.column_stack((*_errors(control[keys], poses[keys], ends), times))
     ratio = SEGMENT / scale_length
@@ -375,8 +378,13 @@ def _spread(found: FloatArray, matching: FloatArray, mean: float) -> tuple[float
     rates = []
     for errors in (found, matching):
         turn, seconds = errors[:, 1], errors[:, 2]
-        drift = turn - turn.sum() / seconds.sum() * seconds
-        rates.append(_variance(drift / np.sqrt(CONTROL_PERIOD * seconds)))
+        rate = turn.sum() / seconds.sum()
+        variance, plain = _variance(turn - rate * seconds), _variance(turn)
+        if plain < variance:
+            # These errors grow with the distance. A simulated constant rate spreads the turns of segments of
+            # different times; noise has the rest.
+            variance = max(plain - rate**2 * float(np.var(seconds, ddof=1)), 0.0)
+        rates.append(variance / (CONTROL_PERIOD * float(seconds.mean())))
     return math.sqrt(scale), math.sqrt(max(rates[0] - rates[1], 0.0))
 
 

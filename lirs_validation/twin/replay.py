@@ -216,13 +216,17 @@ def _pose_rows(poses: Sequence[Pose2 | None]) -> FloatArray | None:
 
 
 def simulate_odometry(truth: Trajectory, noise: SensorNoise, seed: int) -> list[Pose2]:
-    """Return `T_odom_base` by wheels and gyro with `noise` on a path."""
+    """Return `T_odom_base` by wheels and gyro with `noise` on a path; it rests where the path does."""
     rng = np.random.default_rng(seed)
     wheels, imu = DistanceNoise(noise.odometry, rng), noise.imu
     bias = imu.rate_bias * rng.standard_normal()
     poses = [Pose2()]
     for k, dt in enumerate(np.diff(truth.stamps).tolist(), start=1):
-        step = truth.pose2(k - 1).inverse() @ truth.pose2(k)
+        before, after = truth.pose2(k - 1), truth.pose2(k)
+        if before == after:
+            poses.append(poses[-1])
+            continue
+        step = before.inverse() @ after
         distance = float(np.hypot(step.x, step.y))
         scale = wheels.measure(distance) / distance if distance > 0 else 1.0
         # White noise of each update adds up to that of the whole step.

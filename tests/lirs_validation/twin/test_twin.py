@@ -152,6 +152,22 @@ def test_planted_odometry_errors_are_recovered() -> None:
     assert fit_odometry(measured[:200], truth[:200], stamps[:200], truth[:200], 5.0, seed=5) is None
 
 
+def test_times_at_rest_say_nothing_about_wheels() -> None:
+    """Wheels that stand have no error, however long they do."""
+    rng = np.random.default_rng(5)
+    truth = turning_path(1500.0)
+    yaw = truth[:, 2] + np.cumsum(rng.normal(0, 0.01 * math.sqrt(CONTROL_PERIOD * 0.1), len(truth)))
+    measured = np.column_stack((np.cumsum(0.05 * np.cos(yaw)), np.cumsum(0.05 * np.sin(yaw)), yaw))
+    stamps = 0.1 * np.arange(len(truth))
+    fitted = fit_odometry(measured, truth, stamps, truth, 5.0, seed=5)
+    k = np.sort(np.concatenate((np.arange(len(truth)), rng.integers(len(truth), size=300).repeat(200))))
+    resting = fit_odometry(measured[k], truth[k], 0.1 * np.arange(len(k)), truth[k], 5.0, seed=5)
+    assert fitted is not None
+    assert resting is not None
+    assert resting.rate_sigma[0] == pytest.approx(fitted.rate_sigma[0], rel=0.05)
+    assert resting.rate_bias == pytest.approx(fitted.rate_bias, rel=0.05)
+
+
 def test_steps_of_ranges_are_found() -> None:
     ranges = np.random.default_rng(6).uniform(1, 20, 5000)
     assert [resolution_of(np.round(ranges / step) * step) for step in (0.05, 0.01, 0.001)] == [
