@@ -169,12 +169,14 @@ class WrittenCase:
     Attributes:
         name: of its folder.
         found: the case.
+        failures: number of new seeds with which it fails.
         sentence: on the failure.
         picture: PNG of its world, path and failure.
     """
 
     name: str
     found: FoundCase
+    failures: int
     sentence: str
     picture: bytes
 
@@ -205,7 +207,7 @@ def write_results(out: Path, drives: CaseDrives, cases: Sequence[FoundCase], com
     sentences = conclusion(drives, cases)
     write_json(out / "falsify.json", _summary(drives, written, sentences))
     _write_text(out / "cases.md", table.as_markdown())
-    chart = _png(search_figure(drives, [c.found.drives for c in written]))
+    chart = _png(search_figure(drives, [c.found.position for c in written]))
     (out / "search.png").write_bytes(chart)
     html = render(
         "falsify.html.j2",
@@ -225,7 +227,7 @@ def cases_table(cases: Sequence[WrittenCase]) -> ReportTable:
         (
             case.name,
             str(case.found.drives),
-            f"{sum(1 for s in case.found.scores if s.counted and s.ratio > 1)} of {NEW_SEEDS}",
+            f"{case.failures} of {NEW_SEEDS}",
             f"{median(s.ratio for s in case.found.scores):.1f}",
             str(case.found.shrinking),
             case.sentence,
@@ -262,7 +264,8 @@ def _write_case(out: Path, drives: CaseDrives, number: int, found: FoundCase) ->
         paths = _policy_paths(drives, found)
     picture = _png(case_figure(World.load(folder), paths, name))
     (folder / "case.png").write_bytes(picture)
-    return WrittenCase(name, found, text, picture)
+    failures = sum(map(drives.fails, found.scores))
+    return WrittenCase(name, found, failures, text, picture)
 
 
 def _policy_paths(drives: CaseDrives, found: FoundCase) -> CasePaths:

@@ -217,6 +217,7 @@ class FoundCase:
         case: its simplest form.
         found: the case as the search found it.
         drives: drives of the search up to its confirmation.
+        position: number of the last of them in the history.
         seed: of a drive that fails.
         scores: of the simplest form with new seeds.
         shrinking: drives that shrinking took.
@@ -225,6 +226,7 @@ class FoundCase:
     case: Case
     found: Case
     drives: int
+    position: int
     seed: int
     scores: tuple[DriveScore, ...]
     shrinking: int
@@ -307,7 +309,7 @@ def confirmation(drives: CaseDrives, case: Case, offset: int) -> list[DriveScore
 
 def _simplest(drives: CaseDrives, case: Case, used: int) -> FoundCase:
     """Return the simplest form of a confirmed case that new seeds confirm, too."""
-    begun, seed = drives.count, drives.options.seed
+    begun, position, seed = drives.count, len(drives.history), drives.options.seed
     drives.stage = "shrinking"
 
     def fails(tried: Case) -> bool:
@@ -327,4 +329,4 @@ def _simplest(drives: CaseDrives, case: Case, used: int) -> FoundCase:
             break
     first = seed + offset + min(failed)
     drives.stage = "search"
-    return FoundCase(chosen, case, used, first, tuple(scores), drives.count - begun)
+    return FoundCase(chosen, case, used, position, first, tuple(scores), drives.count - begun)

@@ -1,0 +1,126 @@
+"""Drives until the first confirmed failure of each method, by CMA-ES and by random search.
+
+    python benchmarks/falsify.py [--methods hector,...] [--searches cma,random] [--seeds 1-5] [--minutes 60]
+
+Methods are mappers, `policy:NAME`, and `planted`, the mappers of planted_mappers.py with hector as reference.
+Each search has 150 drives of 60 s and ends with its first case. No search begins after `--minutes`; the same
+command continues, also within a search. Finished searches are rows of benchmarks/falsify.csv; one without a
+case counts as 150 drives. Asked are a case in at least 4 of 5 seeds, and at most 4 changed parameters for a
+planted defect.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+
+from planted_mappers import DEFECTS
+from rich.console import Console
+from rich.table import Table
+
+from lirs_validation.falsify import FalsifyOptions
+from lirs_validation.falsify.cases import search_limits, sentence
+from lirs_validation.falsify.drives import CaseDrives, process_pool
+from lirs_validation.falsify.search import falsify
+from lirs_wct.option import read_numbers
+
+HERE = Path(__file__).resolve().parent
+OUTCOME = HERE / "falsify.csv"
+METHODS = ("hector", "planted", "policy:go_to_goal", "gmapping", "cartographer", "hector_original")
+DRIVES = 150
+COLUMNS = ("method", "search", "seed", "first case", "shrinking", "changed", "ratio", "largest ratio", "case")
+
+
+def searches(methods: list[str], kinds: list[str], seeds: list[int], jobs: int) -> Iterator[FalsifyOptions]:
+    """Yield the options of each search, seed by seed."""
+    for method in methods:
+        for kind in kinds:
+            for seed in seeds:
+                shared = {"search": kind, "seed": seed, "drives": DRIVES, "cases": 1, "jobs": jobs}
+                if method == "planted":
+                    for defect in DEFECTS.values():
+                        name = f"planted_mappers:{defect.__name__}"
+                        yield FalsifyOptions(mapper=name, reference="hector", **shared)
+                elif method.startswith("policy:"):
+                    yield FalsifyOptions(policy=method.partition(":")[2], **shared)
+                else:
+                    yield FalsifyOptions(mapper=method, **shared)
+
+
+def row_of(options: FalsifyOptions, out: Path) -> dict[str, str]:
+    """Search, and return the row of the table."""
+    folder = out / f"{options.method.replace(':', '-')}-{options.search}-s{options.seed}"
+    folder.mkdir(parents=True, exist_ok=True)
+    limits = search_limits(options)
+    with process_pool(options.jobs) as pool:
+        drives = CaseDrives(options, limits, folder, pool)
+        found = falsify(drives, print)
+    largest = max((s.ratio for *_, s in drives.history if s.counted), default=0.0)
+    row = {"method": options.method, "search": options.search, "seed": str(options.seed)}
+    row |= {"largest ratio": f"{largest:.2f}", "first case": "", "case": "none found"}
+    if found:
+        first = found[0]
+        changed = [p.name for p in limits.difference(first.case)]
+        row |= {"first case": str(first.drives), "shrinking": str(first.shrinking)}
+        row |= {"changed": str(len(changed)), "ratio": f"{median(s.ratio for s in first.scores):.1f}"}
+        row["case"] = sentence(options, first.case, limits)
+    return row
+
+
+def read_rows() -> list[dict[str, str]]:
+    if not OUTCOME.exists():
+        return []
+    with OUTCOME.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_rows(rows: list[dict[str, str]]) -> None:
+    with OUTCOME.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(sorted(rows, key=lambda row: (row["method"], row["search"], int(row["seed"]))))
+
+
+def summary(rows: list[dict[str, str]]) -> Table:
+    """Return drives until the first case by method and search."""
+    table = Table("method", "search", "found", "drives until the first case (none = 150)", "median")
+    for method, search in sorted({(row["method"], row["search"]) for row in rows}):
+        of = [row for row in rows if (row["method"], row["search"]) == (method, search)]
+        counts = [int(row["first case"] or DRIVES) for row in of]
+        found = sum(bool(row["first case"]) for row in of)
+        table.add_row(
+            method, search, f"{found} of {len(of)}", ", ".join(map(str, counts)), f"{median(counts):g}"
+        )
+    return table
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--methods", default=",".join(METHODS))
+    parser.add_argument("--searches", default="cma,random")
+    parser.add_argument("--seeds", default="1-5")
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("-o", "--out", type=Path, default=Path("out/falsify"))
+    given = parser.parse_args()
+    sys.path.insert(0, str(HERE))  # of the planted mappers
+    end, rows = time.monotonic() + 60 * given.minutes, read_rows()
+    done = {(row["method"], row["search"], row["seed"]) for row in rows}
+    seeds = list(read_numbers(given.seeds, "--seeds"))
+    for options in searches(given.methods.split(","), given.searches.split(","), seeds, given.jobs):
+        if (options.method, options.search, str(options.seed)) in done:
+            continue
+        if time.monotonic() > end:
+            break
+        rows.append(row_of(options, given.out))
+        write_rows(rows)
+    Console(width=140).print(summary(rows))
+
+
+if __name__ == "__main__":
+    main()
