@@ -71,6 +71,7 @@ DATASHEET: dict[str, LidarNoise] = {
     "lms1xx": LidarNoise(sigma=0.012, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
     "lms111": LidarNoise(sigma=0.012, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
     "lms200": LidarNoise(sigma=0.005, quantization=0.01, dropout=0.001, mixed_pixels=0.5),
+    "pls": LidarNoise(sigma=0.05, quantization=0.01, dropout=0.001, mixed_pixels=0.5),
     "utm30lx": LidarNoise(sigma=0.03, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
     "urg04lx": LidarNoise(sigma_relative=0.01, quantization=0.001, dropout=0.002, mixed_pixels=0.5),
     "rplidar_a1": LidarNoise(sigma_relative=0.01, quantization=0.0005, dropout=0.01, mixed_pixels=0.3),
@@ -78,10 +79,10 @@ DATASHEET: dict[str, LidarNoise] = {
     "vlp16": LidarNoise(sigma=0.03, quantization=0.002, dropout=0.001, mixed_pixels=0.5),
     "os1_32": LidarNoise(sigma=0.03, quantization=0.001, dropout=0.001, mixed_pixels=0.5),
 }
-"""Deviation and quantization are the makers'. No data sheet says how many beams are lost or mixed: both are
-assumed, from nearly none for SICK, Velodyne and Ouster to one in a hundred for the cheap ones; a beam as wide
-as the gap to the next one lies on an edge whenever there is one, half of them on enough of both sides to be
-mixed."""
+"""Deviation and quantization are the makers', of `pls` see the presets. No data sheet says how many beams are
+lost or mixed: both are assumed, from nearly none for SICK, Velodyne and Ouster to one in a hundred for the
+cheap ones; a beam as wide as the gap to the next one lies on an edge whenever there is one, half of them on
+enough of both sides to be mixed."""
 
 
 def lidar_noise(preset: LidarPreset, level: NoiseLevel = "simulated") -> LidarNoise:
