@@ -112,15 +112,21 @@ def test_best_effort_scans_arrive_unchanged(program, domain, tmp_path, monkeypat
 
 
 def test_50_clients_that_are_killed_do_no_harm(program, domain, tmp_path):
+    """The 51st drives the robot, on a slow machine too: it has 30 s to be discovered."""
     options = LiveOptions(domain=domain, rate=1.0)
-    config = RunConfig(source="simple", driver="manual", mapper="client", seconds=36.0, lidar="vlp16")
+    config = RunConfig(source="simple", driver="manual", mapper="client", seconds=45.0, lidar="vlp16")
     command = [program, domain, 10**6, 10**6, 0.3, tmp_path / "received"]
-    script = 'for k in $(seq 50); do timeout -s KILL 0.6 "$@" >/dev/null; done; sleep 60'
-    killer = subprocess.Popen(["bash", "-c", script, "-", *map(str, command)], stderr=subprocess.DEVNULL)
+    script = 'for k in $(seq 50); do timeout -s KILL 0.$((k % 5 + 1)) "$@"; done; exec "$@"'
+    clients = subprocess.Popen(
+        ["bash", "-c", script, "-", *map(str, command)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         (result,) = live(config, options)
     finally:
-        killer.kill()
+        clients.kill()
     assert result.run.record.status == "ok"
-    assert result.bridge.published == 361
+    assert result.bridge.published == 451
     assert result.bridge.client.messages > 0
+    assert result.run.record.trajectory["length"] > 0.3
