@@ -201,9 +201,9 @@ def _field_ranges(
 def _unit_vectors(pattern: ArrayLike) -> FloatArray:
     """Return a checked pattern (n, 3), normalized to rounding."""
     beams = np.array(pattern, dtype=np.float64)
-    lengths = np.linalg.norm(beams, axis=-1)
     if beams.ndim != 2 or beams.shape[1:] != (3,) or not len(beams):
         raise ConfigError(f"pattern must be a device or unit vectors (n, 3), got shape {beams.shape}")
+    lengths = np.linalg.norm(beams, axis=-1)
     # float32 vectors are this exact.
     if not (np.abs(lengths - 1) < 1e-6).all():
         worst = lengths[np.argmax(np.abs(lengths - 1))]

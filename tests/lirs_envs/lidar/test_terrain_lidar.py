@@ -176,6 +176,7 @@ def test_a_lidar_on_the_world_sees_the_world() -> None:
         ({"pattern": "vlp17"}, "did you mean vlp16"),
         ({"pattern": np.zeros((0, 3))}, "unit vectors"),
         ({"pattern": [1.0, 0.0, 0.0]}, "unit vectors"),
+        ({"pattern": 1.0}, "unit vectors"),
         ({"pattern": [(2.0, 0.0, 0.0)]}, "length 1, got 2"),
         ({"pattern": [(np.nan, 0.0, 0.0)]}, "length 1, got nan"),
         ({"noise": "datasheet"}, "needs rng"),
