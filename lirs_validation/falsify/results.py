@@ -22,6 +22,7 @@ from lirs_validation.falsify.drives import WORST, CaseDrives, policy_episode, po
 from lirs_validation.falsify.search import LEAST, NEW_SEEDS, FoundCase
 from lirs_validation.report.page import render
 from lirs_validation.report.table import ReportTable
+from lirs_validation.sweep.suites import CASE
 from lirs_wct import Pose2, Trajectory, World
 from lirs_wct.drawing.canvas import Canvas, shaded_heights
 from lirs_wct.drawing.style import (
@@ -38,6 +39,7 @@ from lirs_wct.drawing.style import (
     plain_axes,
     title,
 )
+from lirs_wct.errors import MapperError
 from lirs_wct.files import atomic_write, write_json
 from slam_baselines.mapper import short_name
 
@@ -63,9 +65,8 @@ class CasePaths:
     def errors(self) -> tuple[Any, Any]:
         """Stamps and distances between estimate and truth, both (n,), seconds and meters."""
         assert self.estimate is not None, "a policy has no estimate"
-        stamps, found = self.truth.stamps, self.estimate
-        nearest = np.stack([np.interp(stamps, found.stamps, found.xy[:, k]) for k in (0, 1)], axis=1)
-        return stamps, np.hypot(*(nearest - self.truth.xy).T)
+        stamps = self.truth.stamps
+        return stamps, np.hypot(*(self.estimate.planar_at(stamps)[:, :2] - self.truth.xy).T)
 
     @property
     def failure(self) -> float | None:
@@ -77,16 +78,23 @@ class CasePaths:
         return float(stamps[over[0]]) if len(over) else None
 
 
-def case_figure(world: World, paths: CasePaths, heading: str) -> Drawing:
-    """Draw world, paths and moment of failure, and the error of a mapper over time."""
-    wide = paths.estimate is not None
+def case_figure(world: World, paths: CasePaths | None, heading: str) -> Drawing:
+    """Draw world, paths and moment of failure, and the error of a mapper over time.
+
+    Args:
+        world: of the case.
+        paths: of its drive; None if the mapper raised.
+        heading: above the world.
+    """
+    wide = paths is not None and paths.estimate is not None
     figure = new_figure(10.4 if wide else 5.4, 5.2)
     axes = figure.add_subplot(1, 1 + wide, 1)
     canvas = Canvas.over(world.surface.bounds)
     map_axes(axes, canvas, shaded_heights(world, canvas))
-    _draw_paths(axes, paths)
-    title(axes, heading, above_legend=True)
-    if wide:
+    title(axes, heading, above_legend=paths is not None)
+    if paths is not None:
+        _draw_paths(axes, paths)
+    if paths is not None and wide:
         _draw_errors(figure.add_subplot(1, 2, 2), paths)
     return figure
 
@@ -199,9 +207,9 @@ def write_results(out: Path, drives: CaseDrives, cases: Sequence[FoundCase], com
     Raises:
         OutputError: a file cannot be written.
     """
+    for old in out.glob(f"case-*/{CASE}"):  # of an earlier search
+        shutil.rmtree(old.parent)
     written = [_write_case(out, drives, k, found) for k, found in enumerate(cases, start=1)]
-    for old in set(out.glob("case-*")) - {out / case.name for case in written}:
-        shutil.rmtree(old)
     _write_suite(out, drives, written)
     table = cases_table(written)
     sentences = conclusion(drives, cases)
@@ -254,12 +262,15 @@ def _write_case(out: Path, drives: CaseDrives, number: int, found: FoundCase) ->
     """Write the folder of a case, drive it once more, and draw it."""
     name, options = f"case-{number}", drives.options
     folder, text = out / name, sentence(options, found.case, drives.limits)
-    shutil.rmtree(folder, ignore_errors=True)
     config = write_case(folder, found.case, options, method=options.mapper, seed=found.seed, comment=text)
     if options.policy is None:
-        truth, estimate, _ = run(config, out=folder, name=RUN).log.trajectories()
-        limit = next((s.limit for s in found.scores if s.limit), 0.0)
-        paths = CasePaths(truth, estimate, options.factor * limit)
+        paths = None
+        try:
+            truth, estimate, _ = run(config, out=folder, name=RUN).log.trajectories()
+            limit = next((s.limit for s in found.scores if s.limit), 0.0)
+            paths = CasePaths(truth, estimate, options.factor * limit)
+        except MapperError as error:  # the failure itself: there is no run to draw
+            text = f"{text.removesuffix('.')}: {error}"
     else:
         paths = _policy_paths(drives, found)
     picture = _png(case_figure(World.load(folder), paths, name))

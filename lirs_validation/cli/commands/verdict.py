@@ -138,7 +138,7 @@ def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> N
         drives = CaseDrives(options, limits, output, pool)
         found = search.falsify(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))
     page = write_results(output, drives, found, shlex.join(["lirs-wct", *sys.argv[1:]]))
-    for name in (page, *sorted(output.glob("case-*"))):
+    for name in (page, *(output / f"case-{k}" for k in range(1, len(found) + 1))):
         out.print(f"{name}", soft_wrap=True, highlight=False)
     for sentence in conclusion(drives, found):
         out.print(sentence, soft_wrap=True, highlight=False, markup=False)
