@@ -9,6 +9,7 @@ with the same topics takes its place.
 
 import math
 import sys
+import time
 from dataclasses import dataclass
 
 from cyclonedds.core import DDSException, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
@@ -24,8 +25,8 @@ from cyclonedds.util import duration
 LOOPBACK = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>
 <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
 <Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
-NEAR, QUIET = 1.0, 60.0
-"""Meters below which the robot turns; seconds without a scan after which the program ends."""
+NEAR, LOOK = 1.0, 0.1
+"""Meters below which the robot turns; seconds between two looks for `lirs-wct live`."""
 
 
 @dataclass
@@ -96,23 +97,24 @@ def command(scan: LaserScan) -> Twist:
 
 
 def main(number: int) -> None:
-    """Answer every scan of the domain with a command."""
-    domain = Domain(number, LOOPBACK)
+    """Answer every scan of the domain with a command, until `live` ends."""
+    _domain = Domain(number, LOOPBACK)
     participant = DomainParticipant(number)
     reliable = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(10))
     plain_cdr = Policy.DataRepresentation(use_cdrv0_representation=True, use_xcdrv2_representation=False)
     quality = Qos(plain_cdr, base=reliable)
     commands = DataWriter(participant, Topic(participant, "rt/cmd_vel", TwistStamped), quality)
+    print(f"domain {number}: waiting for lirs-wct live")
     while not commands.get_publication_matched_status().current_count:
-        pass
+        time.sleep(LOOK)
     scans = DataReader(participant, Topic(participant, "rt/scan", LaserScan), quality)
     anything = ReadCondition(scans, SampleState.Any | ViewState.Any | InstanceState.Alive)
     waiting = WaitSet(participant)
     waiting.attach(anything)
-    while waiting.wait(duration(seconds=QUIET)):
+    while commands.get_publication_matched_status().current_count:
+        waiting.wait(duration(seconds=LOOK))
         for scan in scans.take(10, condition=anything):
             commands.write(TwistStamped(Header(scan.header.stamp, "base_link"), command(scan)))
-    del domain
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from array import array
 from dataclasses import replace
 
@@ -107,14 +108,18 @@ class Bridge:
         self._middleware.publish(MAP_TOPIC, occupancy_grid(stamp, grid))
 
     @property
+    def missed(self) -> int:
+        """Number of scans without the answer that they need."""
+        return self.expected - self.answered - self.late
+
+    @property
     def stats(self) -> MapperStats:
         """Scans and answers of the client in the terms of a mapper."""
         ms = 1e3 * np.array(self.delays if self.delays else [0.0])
-        missed = self.expected - self.answered - self.late
         return MapperStats(
             received=self.published,
             used=self.answered + self.late,
-            skipped={NO_ANSWER: missed} if missed else {},
+            skipped={NO_ANSWER: self.missed} if self.missed else {},
             ms_p50=float(np.median(ms)),
             ms_p95=float(np.percentile(ms, 95)),
             ms_max=float(ms.max()),
@@ -127,6 +132,9 @@ class Bridge:
         while stamp in self._unanswered and not (self.client.reset or self.client.ended):
             left = end - time.perf_counter()
             if left <= 0.0:
+                warnings.warn(
+                    f"no answer within --limit {self._options.limit:g} s: scans are skipped", stacklevel=2
+                )
                 return
             self._receive(min(left, LOOK))
 

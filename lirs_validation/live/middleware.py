@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 from lirs_validation.live.graph import LiveTopic
 from lirs_wct.errors import ConfigError
 
-LOOPBACK = "127.0.0.1"
+LOOPBACK, ANY_ADDRESS = "127.0.0.1", "0.0.0.0"
 
 
 class Received(NamedTuple):
@@ -59,6 +59,9 @@ def own_address(host: str | None) -> str:
         address = socket.gethostbyname(host)
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
             probe.bind((address, 0))
-    except OSError as error:
-        raise ConfigError(f"--host {host}: no address of this machine: {error.strerror}") from error
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or "no name of a machine"
+        raise ConfigError(f"--host {host}: no address of this machine: {reason}") from error
+    if address == ANY_ADDRESS:
+        raise ConfigError(f"--host {host!r}: needs one address of this machine, not all")
     return address

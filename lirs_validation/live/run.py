@@ -135,6 +135,8 @@ class _Session:
         while True:
             count += 1
             ready, bridge = self._ready(T_map_start, left)
+            if count > 1:
+                self._middleware.receive()  # what the client sent since the former drive is not for this one
             name = run_name(config, self._scenario.world.name)
             with _ended_by_interrupt(bridge.client):
                 run = drive_and_conclude(ready, out, progress, name if count == 1 else f"{name}-{count}")

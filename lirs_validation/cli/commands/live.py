@@ -67,10 +67,9 @@ def _tell(line: str) -> None:
 
 def _show(result: LiveRun) -> None:
     bridge, run = result.bridge, result.run
-    missed = bridge.expected - bridge.answered - bridge.late
     out.print(
         f"{bridge.published} scans published; of {bridge.expected} that need an answer, {bridge.answered} "
-        f"were answered in time, {bridge.late} late, {missed} not at all",
+        f"were answered in time, {bridge.late} late, {bridge.missed} not at all",
         highlight=False,
     )
     if bridge.jitter:

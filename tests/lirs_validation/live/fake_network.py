@@ -83,6 +83,10 @@ class FakeNetwork:
         self.sent.append((topic, bytes(message)))
         self._waiting += self._client(topic, bytes(message))
 
+    def send(self, *messages: Received) -> None:
+        """Send messages of the client unasked."""
+        self._waiting += messages
+
     def receive(self, seconds: float = 0.0) -> list[Received]:
         found, self._waiting = self._waiting, []
         return found

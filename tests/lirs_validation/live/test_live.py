@@ -72,7 +72,8 @@ def test_the_client_drives_and_the_record_counts_its_answers(monkeypatch, tmp_pa
 
 def test_a_client_that_never_answers_is_skipped_and_counted(monkeypatch):
     options = LiveOptions(lockstep=True, limit=0.01)
-    (result,) = drive(net.FakeNetwork(), monkeypatch, options)
+    with pytest.warns(UserWarning, match="no answer within --limit 0.01 s: scans are skipped"):
+        (result,) = drive(net.FakeNetwork(), monkeypatch, options)
     assert result.run.record.mapper["skipped"] == {"no answer within the limit": 11}
     assert result.run.record.trajectory["length"] < 0.01
 
@@ -146,6 +147,20 @@ def test_a_reset_begins_a_new_drive_at_the_same_start(monkeypatch, tmp_path):
     scans = [message for topic, message in network.sent if topic == "/scan"]
     assert scans[0] == scans[driven[0] + 1]  # same seed, same bytes
     assert Counter(topic for topic, _ in network.sent)["/tf_static"] == 2
+
+
+def test_messages_between_two_drives_are_not_for_the_next_one(monkeypatch):
+    reset = net.received(net.topic("/reset"), net.TYPES["std_msgs/msg/Empty"](0))
+    answers = {0: [reset]}
+    network = net.FakeNetwork(lambda topic, message: answers.pop(0, []) if topic == "/scan" else [])
+    monkeypatch.setattr(live_run, "open_middleware", lambda *_: network)
+    config = RunConfig(source="simple", seconds=1.0, mapper="client", driver="manual")
+    drives = live(config, LiveOptions(rate=1000.0))
+    next(drives)
+    network.send(reset, net.stamped(10**9, 1.0))
+    (last,) = drives
+    assert last.bridge.client.messages == 0
+    assert "new start" not in last.run.record.reason
 
 
 def test_an_initial_pose_begins_a_new_drive_there(monkeypatch):

@@ -58,8 +58,9 @@ def drive(options, out=None, **run):
 
 
 def test_the_example_drives_a_robot(domain, tmp_path):
-    with process(sys.executable, ROOT / "examples/live_driver.py", domain):
+    with process(sys.executable, ROOT / "examples/live_driver.py", domain) as driver:
         result = drive(lockstep(domain), tmp_path, seconds=4.0)
+        assert driver.wait(30.0) == 0  # it ends with the drive
     assert (result.bridge.answered, result.bridge.published) == (101, 101)
     assert result.run.record.trajectory["length"] > 0.5
     assert (result.run.folder / "record.json").exists()
@@ -166,9 +167,18 @@ def test_a_port_of_another_program_is_one_line():
 
 
 @pytest.mark.parametrize("node", [DdsNode, ZenohNode])
-def test_a_host_elsewhere_is_one_line(node):
-    with pytest.raises(ConfigError, match="--host 192\\.0\\.2\\.77: no address of this machine"):
-        node(LiveOptions(host="192.0.2.77"), PUBLISHED)
+@pytest.mark.parametrize(
+    ("host", "message"),
+    [
+        ("192.0.2.77", "192\\.0\\.2\\.77: no address of this machine"),
+        (70 * "a", "a+: no address of this machine: no name"),
+        ("0.0.0.0", "needs one address"),
+        ("", "needs one address"),
+    ],
+)
+def test_a_host_elsewhere_is_one_line(node, host, message):
+    with pytest.raises(ConfigError, match=f"--host .*{message}"):
+        node(LiveOptions(host=host), PUBLISHED)
 
 
 def test_both_kinds_of_commands_arrive(domain):
