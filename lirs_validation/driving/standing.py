@@ -9,16 +9,15 @@ from lirs_validation.driving.driver import Driver, Frame
 from lirs_wct.geometry import Pose2
 
 
-class StandingDriver:
-    """Driver that hands over to another one after the robot has stood still.
+class WrappedDriver:
+    """Base of drivers around another one, with its start, frame and end.
 
     Args:
-        driver: drives then; its time begins with the first motion.
-        seconds: simulated time to stand still.
+        driver: the other one.
     """
 
-    def __init__(self, driver: Driver, seconds: float) -> None:
-        self._driver, self._seconds = driver, seconds
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
 
     @property
     def start(self) -> Pose2:
@@ -39,6 +38,19 @@ class StandingDriver:
     def finished(self) -> str:
         """Reason for the end of the drive; empty before the end."""
         return self._driver.finished
+
+
+class StandingDriver(WrappedDriver):
+    """Driver that hands over to another one after the robot has stood still.
+
+    Args:
+        driver: drives then; its time begins with the first motion.
+        seconds: simulated time to stand still.
+    """
+
+    def __init__(self, driver: Driver, seconds: float) -> None:
+        super().__init__(driver)
+        self._seconds = seconds
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return no motion at first, then the driver's command (see `Driver.command`)."""
@@ -53,7 +65,7 @@ CYCLE = 20.0
 BACK = Pose2(0.0, 0.0, math.pi)
 
 
-class ReversingDriver:
+class ReversingDriver(WrappedDriver):
     """Driver that follows the path of another one backwards for part of the time.
 
     Args:
@@ -62,27 +74,8 @@ class ReversingDriver:
     """
 
     def __init__(self, driver: Driver, share: float) -> None:
-        self._driver, self._share = driver, share
-
-    @property
-    def start(self) -> Pose2:
-        """Start pose of the robot."""
-        return self._driver.start
-
-    @property
-    def frame(self) -> Frame:
-        """Frame of the poses that the driver gets."""
-        return self._driver.frame
-
-    @property
-    def stuck(self) -> bool:
-        """Whether the driver gave up."""
-        return self._driver.stuck
-
-    @property
-    def finished(self) -> str:
-        """Reason for the end of the drive; empty before the end."""
-        return self._driver.finished
+        super().__init__(driver)
+        self._share = share
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the driver's command, or the reversed one for a robot that faces backwards."""

@@ -19,14 +19,12 @@ from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.gui.session.uploads import PageLimits
 from lirs_validation.record.run_record import maps_clouds, read_record, succeeded
 from lirs_validation.record.verdict import judge
+from lirs_wct import LaserScan, Pose3, SourceError, WctError, World
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import SourceError, WctError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry import LaserScan, Pose3
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.world import World
 
 FILES = ("record.json", "truth.tum", "estimate.tum", "scans.clf.gz")
 """Files of a run that a replay reads."""

@@ -13,14 +13,13 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from lirs_envs.robots.robot import Robot
+from lirs_wct import Pose3, World
 from lirs_wct.arrays import ByteArray
 from lirs_wct.export.appearance import world_parts
-from lirs_wct.geometry import Pose3
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.world import World
 
 TEXTURE = 1024
 """Largest side of a texture, pixels; smaller in previews, for speed."""

@@ -13,7 +13,8 @@ import numpy as np
 from lirs_envs.robots.command import Twist, clip
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import MANUAL, RunConfig, run_name
-from lirs_validation.driving.driver import Driver, Frame
+from lirs_validation.driving.driver import Driver
+from lirs_validation.driving.standing import WrappedDriver
 from lirs_validation.experiment.cost import CostMeter, cpu_contention
 from lirs_validation.experiment.evaluation import evaluate_maps, verdict_so_far
 from lirs_validation.experiment.loop import Drive
@@ -22,17 +23,15 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.record.run_record import SUCCEEDED
+from lirs_wct import LaserScan, MapperError, Pose2, Pose3, World
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import MapperError
-from lirs_wct.geometry import LaserScan, Pose2, Pose3
 from lirs_wct.progress import Progress, no_progress
-from lirs_wct.world import World
 
 MAP_SECONDS, MAP_WALL_SECONDS = 1.0, 0.5
 """Shortest simulated and wall-clock periods between two kept maps and verdicts, seconds."""
 
 
-class HandOverDriver:
+class HandOverDriver(WrappedDriver):
     """Driver that switches between another driver and manual control.
 
     Attributes:
@@ -45,7 +44,8 @@ class HandOverDriver:
     """
 
     def __init__(self, driver: Driver, robot: Robot) -> None:
-        self._driver, self._robot = driver, robot
+        super().__init__(driver)
+        self._robot = robot
         self._wanted = Twist()
         self.by_hand = self.touched = False
 
@@ -56,24 +56,14 @@ class HandOverDriver:
         )
 
     @property
-    def start(self) -> Pose2:
-        """Start pose of the robot."""
-        return self._driver.start
-
-    @property
-    def frame(self) -> Frame:
-        """Frame of the poses that the driver gets."""
-        return self._driver.frame
-
-    @property
     def stuck(self) -> bool:
         """Whether the driver gave up; a person never does."""
-        return not self.by_hand and self._driver.stuck
+        return not self.by_hand and super().stuck
 
     @property
     def finished(self) -> str:
         """Reason for the end of the drive; empty before the end."""
-        return "" if self.by_hand else self._driver.finished
+        return "" if self.by_hand else super().finished
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command for the next tick."""
