@@ -18,12 +18,11 @@ from typer.exceptions import TyperException
 from lirs_validation.cli.commands.bench import bench
 from lirs_validation.cli.commands.collide import collide
 from lirs_validation.cli.commands.doctor import doctor
-from lirs_validation.cli.commands.export import export
 from lirs_validation.cli.commands.gui import gui
 from lirs_validation.cli.commands.live import live
 from lirs_validation.cli.commands.map import map_log, twin
 from lirs_validation.cli.commands.mappers import mappers
-from lirs_validation.cli.commands.reports import compare, report, score
+from lirs_validation.cli.commands.reports import compare, export, report, score
 from lirs_validation.cli.commands.robot_card import robot
 from lirs_validation.cli.commands.validate import record, validate
 from lirs_validation.cli.commands.verdict import falsify, verdict

@@ -13,7 +13,7 @@ from rich.table import Table
 from lirs_validation.cli.console import RUN_FAILED, err, out
 from lirs_validation.cli.progress import progress_bar
 from lirs_validation.cli.typer_options import with_options
-from lirs_validation.config import MapConfig
+from lirs_validation.map_config import MapConfig
 
 if TYPE_CHECKING:
     from lirs_validation.record.map_record import MapRecord
