@@ -29,7 +29,7 @@ from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
 from lirs_validation import validate
-from lirs_validation.config import MapConfig
+from lirs_validation.map_config import MapConfig
 from lirs_validation.twin.replay import REPLAYED, Replay
 from lirs_validation.twin.twin import run_twin
 from lirs_wct import OccupancyGrid

@@ -50,7 +50,7 @@ MANUAL = "manual"
 """Driver of a record that a person drove on the live page; `replay:RUN` repeats it."""
 
 AXES, RECORDING = "Axes of a sweep: every combination is run", "ROS 2 bags (no ROS needed)"
-ENGINE, BAG_TOPICS = "Execution of a sweep", "Topics of a bag"
+ENGINE = "Execution of a sweep"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +113,21 @@ def _known_noise(value: str, label: str) -> None:
     """Check that a noise is a level or the name of a YAML file, which is read later."""
     if value not in NOISE_LEVELS and not value.endswith(NOISE_FILES):
         raise unknown_name(label, value, [*NOISE_LEVELS, "FILE.yaml"])
+
+
+def drive_factor(default: float, text: str, legal: str, shown: str) -> Any:
+    """Declare a number that changes how a driver drives; searches set it."""
+    return option(
+        default,
+        text,
+        axis=read_factors,
+        metavar="X,X,...",
+        panel=AXES,
+        check=within(legal),
+        shown=shown,
+        hidden=True,
+        on_page=False,
+    )
 
 
 def _robots() -> Collection[str]:
@@ -211,38 +226,13 @@ class RunConfig(Options):
         names=(TOUR, FRONTIER),
         shown="driver: {}",
     )
-    speed: float = option(
-        1.0,
-        "Factors of the driver's speed.",
-        axis=read_factors,
-        metavar="X,X,...",
-        panel=AXES,
-        check=within("[0.1, 2]"),
-        shown="speed x {:g}",
-        hidden=True,
-        on_page=False,
-    )
-    turn_rate: float = option(
-        1.0,
-        "Factors of the driver's turn rate.",
-        axis=read_factors,
-        metavar="X,X,...",
-        panel=AXES,
-        check=within("[0.1, 2]"),
-        shown="turn rate x {:g}",
-        hidden=True,
-        on_page=False,
-    )
-    reversing: float = option(
+    speed: float = drive_factor(1.0, "Factors of the driver's speed.", "[0.1, 2]", "speed x {:g}")
+    turn_rate: float = drive_factor(1.0, "Factors of the driver's turn rate.", "[0.1, 2]", "turn rate x {:g}")
+    reversing: float = drive_factor(
         0.0,
         "Shares of the time in which the robot drives backwards along its path.",
-        axis=read_factors,
-        metavar="X,X,...",
-        panel=AXES,
-        check=within("[0, 1]"),
-        shown="reversing {:g}",
-        hidden=True,
-        on_page=False,
+        "[0, 1]",
+        "reversing {:g}",
     )
     actors: int = option(
         0,
@@ -375,8 +365,8 @@ class RunConfig(Options):
         """Eight hex digits that distinguish this experiment from others."""
         entry = digest_fields(self) | {"source": self.source, "build": digest_fields(self.build)}
         if self.noise.endswith(NOISE_FILES) and Path(self.noise).is_file():
-            entry["noise"] = _sha256(Path(self.noise))
-        return _digest(entry)
+            entry["noise"] = sha256(Path(self.noise))
+        return digest_text(entry)
 
 
 RUN_AXES = tuple(name for name, found in declared(RunConfig) if found.axis is not None)
@@ -432,118 +422,12 @@ class EngineOptions(Options):
             raise ConfigError(f"--engine serial runs one experiment at a time, got --jobs {self.jobs}")
 
 
-@documented
-@dataclass(frozen=True, kw_only=True)
-class MapConfig(Options):
-    """Mapping of a laser log.
-
-    Attributes:
-        log: path of a CARMEN log or a ROS bag.
-
-    Raises:
-        ConfigError: a value is not legal, or two options contradict.
-    """
-
-    log: str
-    mapper: str = option(
-        "cartographer",
-        "SLAM method: hector, gmapping, cartographer, ...",
-        metavar="NAME|module:Class",
-        names=tuple(MAPPERS),
-    )
-    mapper_python: str | None = option(
-        None, "Python interpreter of a mapper that is not ours.", metavar="PATH", in_digest=False
-    )
-    seed: int = option(1, "Seed of the mapper's random numbers.", check=within("[0, inf)"))
-    particles: int | None = option(None, "Number of gmapping's particles; default: 30.")
-    resolution: float | None = option(
-        None,
-        "Cell size of the map, 0.01 to 1 m; default: the mapper's own.",
-        metavar="METERS",
-        check=within("[0.01, 1]", "m"),
-    )
-    fov: float | None = option(
-        None,
-        "Field of view of the laser, if the log does not state it.",
-        metavar="DEG",
-        check=within("(0, 360]", "deg"),
-    )
-    range_max: float | None = option(
-        None, "Ranges from this value on are no return.", metavar="METERS", check=positive
-    )
-    relations: str | None = option(
-        None,
-        "True relations between poses: the record then holds the accuracy.",
-        metavar="FILE",
-        in_digest=False,
-    )
-    reference: str | None = option(
-        None,
-        "Reference trajectory (TUM, ROS bag, or CARMEN of corrected poses); the same.",
-        metavar="FILE",
-        in_digest=False,
-    )
-    imu: str | None = option(
-        None, "Inertial readings at the scans: imu.csv.gz of a run.", metavar="FILE", in_digest=False
-    )
-    attitude: Attitude = option(
-        "imu",
-        "Roll and pitch of the mapper: --imu, or none.",
-        metavar="imu|none",
-        read=choice(*ATTITUDES),
-        check=one_of(ATTITUDES),
-    )
-    scan_topic: str | None = option(
-        None, "Laser scans of a bag; default: the only such topic.", metavar="TOPIC", panel=BAG_TOPICS
-    )
-    odom_topic: str | None = option(
-        None, "Odometry of a bag; default: the only one, else /tf.", metavar="TOPIC", panel=BAG_TOPICS
-    )
-    imu_topic: str | None = option(
-        None,
-        "Inertial readings of a bag, with attitude for planar mappers; default: none.",
-        metavar="TOPIC",
-        panel=BAG_TOPICS,
-    )
-    reference_topic: str | None = option(
-        None,
-        "Poses of a reference bag; default: /tf, else the only such topic.",
-        metavar="TOPIC",
-        panel=BAG_TOPICS,
-        in_digest=False,
-    )
-    second: str | None = option(
-        None,
-        "Mapper to compare with where no truth is given; default: hector (of hector: cartographer); or none.",
-        metavar="NAME|none",
-        names=(*MAPPERS, "none"),
-        in_digest=False,
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.reference_topic is not None and self.reference is None:
-            raise ConfigError("--reference-topic is of a --reference, which is not given")
-
-    def digest(self, content: bytes | Path, readings: bytes | None = None) -> str:
-        """Return eight hex digits that distinguish this map from others.
-
-        Args:
-            content: of the log, or its file, in place of its path.
-            readings: content of the file of inertial readings, if any.
-
-        Raises:
-            OSError: the file cannot be read.
-        """
-        entry = digest_fields(self) | {"log": _sha256(content)}
-        return _digest(entry if readings is None else entry | {"imu": _sha256(readings)})
+def digest_text(entry: dict[str, Any]) -> str:
+    """Return the digest of an options' folder name."""
+    return sha256(json.dumps(entry, sort_keys=True, default=str).encode())[:8]
 
 
-def _digest(entry: dict[str, Any]) -> str:
-    return _sha256(json.dumps(entry, sort_keys=True, default=str).encode())[:8]
-
-
-def _sha256(content: bytes | Path) -> str:
+def sha256(content: bytes | Path) -> str:
     """Return the digest of bytes or of a file, which is read in parts."""
     if isinstance(content, bytes):
         return hashlib.sha256(content).hexdigest()

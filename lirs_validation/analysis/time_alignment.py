@@ -9,9 +9,8 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import correlate, correlation_lags
 from scipy.spatial.transform import Rotation, Slerp
 
+from lirs_wct import SourceError, Trajectory
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import SourceError
-from lirs_wct.geometry import Trajectory
 
 SAME = 1e-3
 """Poses within this time of a scan are of the scan, seconds."""

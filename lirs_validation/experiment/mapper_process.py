@@ -42,8 +42,9 @@ else:
 
 if TYPE_CHECKING:
     from lirs_envs.sensing.sensors import Observation
-    from lirs_validation.config import MapConfig, RunConfig
+    from lirs_validation.config import RunConfig
     from lirs_validation.experiment.drive_log import Place, Tick
+    from lirs_validation.map_config import MapConfig
 
 BATCH = 8
 """Observations that are sent together; a message takes as long as a tenth of a tick."""

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from lirs_validation.config import MapConfig
 from lirs_validation.experiment.mapper_process import MapperProcess, needs_process
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
+from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import MAX_GAP, associated
 from lirs_validation.metrics.verdict import LostRule
 from lirs_wct import (

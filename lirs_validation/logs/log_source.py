@@ -8,8 +8,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from lirs_validation.config import MapConfig, SourceOptions
+from lirs_validation.config import SourceOptions
 from lirs_validation.logs.map_log import folder_name, run_mapping
+from lirs_validation.map_config import MapConfig
 from lirs_validation.record.provenance import is_stale
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write

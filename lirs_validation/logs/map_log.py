@@ -11,7 +11,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lirs_validation.config import MapConfig
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.logs.log_replay import (
@@ -25,6 +24,7 @@ from lirs_validation.logs.log_replay import (
     with_recorded_mount,
 )
 from lirs_validation.logs.reference import odometry_accuracy, read_truth, reference_in_time, relations_in_time
+from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import rms, scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
 from lirs_validation.metrics.log_accuracy import Accuracy, reference_errors, trajectory_accuracy

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_validation.config import MapConfig
+from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint, read_constraints
 from lirs_wct import ConfigError, SourceError, Trajectory

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from lirs_validation.config import MapConfig
+from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.verdict import is_worse
 from lirs_validation.record.metric_catalog import WORSE
 from lirs_validation.record.provenance import machine, versions

@@ -16,19 +16,18 @@ from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.odometry import DistanceNoise
 from lirs_envs.sensing.sensors import SensorNoise
-from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
 from lirs_validation.logs.reference import read_truth, reference_in_time, relations_in_time
+from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint
 from lirs_validation.twin.compare import GATE, LOCALIZED, WIDTH, LogComparison, noisy_ranges, scan_arrays
 from lirs_validation.twin.fit import odometry_deviations
 from lirs_validation.twin.surface import align, expected_beams, fit_surfaces, map_of
+from lirs_wct import LaserScan, Pose2, SourceError, Trajectory, unknown_name
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import SourceError, unknown_name
 from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.tum import write_tum
-from lirs_wct.geometry import LaserScan, Pose2, Trajectory
 from lirs_wct.progress import Progress
 from slam_baselines.mapper import MAPPERS
 

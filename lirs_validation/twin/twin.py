@@ -10,8 +10,8 @@ import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
-from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
+from lirs_validation.map_config import MapConfig
 from lirs_validation.twin.compare import (
     BLOCK,
     LogComparison,
@@ -31,10 +31,9 @@ from lirs_validation.twin.fit import (
 from lirs_validation.twin.page import write_page
 from lirs_validation.twin.replay import place_log, replay_log
 from lirs_validation.twin.result import TwinResult
+from lirs_wct import LaserScan, Pose2, SourceError, Trajectory
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder, write_json
-from lirs_wct.geometry import LaserScan, Pose2, Trajectory
 from lirs_wct.progress import Progress, no_progress
 
 LEAST_BLOCKS = 4

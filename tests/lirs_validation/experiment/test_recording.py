@@ -13,9 +13,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from lirs_validation import Run, validate
-from lirs_validation.config import MapConfig, RunConfig
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.logs.map_log import run_mapping
+from lirs_validation.map_config import MapConfig
 from lirs_validation.record.run_record import read_record
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, OutputError

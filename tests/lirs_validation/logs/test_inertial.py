@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from lirs_validation import map_log
-from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import folder_name
+from lirs_validation.map_config import MapConfig
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import read_mount
 from lirs_wct.formats.carmen.writer import write_log

@@ -12,9 +12,10 @@ import pytest
 from lirs_validation import map_log, validate
 from lirs_validation.analysis.recorded_run import export_run
 from lirs_validation.analysis.result_folders import read_run
-from lirs_validation.config import MapConfig, RunConfig
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run as run_config
 from lirs_validation.logs.map_log import folder_name, read_log, run_mapping
+from lirs_validation.map_config import MapConfig
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.cloud import PointCloud

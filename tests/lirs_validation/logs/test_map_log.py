@@ -13,8 +13,8 @@ import pytest
 
 from benchmarks.degraded_logs import thin
 from lirs_validation import map_log
-from lirs_validation.config import MapConfig
 from lirs_validation.drawing.map_overview import map_overview
+from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import rms
 from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.record.map_record import map_lines
