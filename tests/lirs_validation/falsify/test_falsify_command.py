@@ -19,6 +19,11 @@ class HalfWay(DeadReckoning):
 
     def update(self, scan, odometry, imu):
         return super().update(scan, type(odometry)(odometry.x / 2, odometry.y / 2, odometry.yaw), imu)
+
+
+class Raises(DeadReckoning):
+    def update(self, scan, odometry, imu):
+        raise ValueError("no scan matcher")
 '''
 SEARCH = ("--mapper", "half_way:HalfWay", "--seconds", "16", "--drives", "20", "--cases", "1", "-o", "out")
 DRIVEN = ("truth.tum", "estimate.tum", "odometry.tum", "commands.csv", "map.pgm")
@@ -45,6 +50,20 @@ def test_a_failure_is_found_written_and_replayed_byte_for_byte(
     assert run_command("validate", "--suite", "out/cases.yaml", "-o", "again", "--gate") == 4
     (replayed,) = (folder / "again").glob("case-1-*")
     assert contents(replayed, DRIVEN) == first
+
+
+def test_a_mapper_that_raises_is_a_case_without_a_run(folder: Path) -> None:
+    kept = folder / "out" / "case-of-mine" / "notes.txt"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("not of a search")
+    options = ("--mapper", "half_way:Raises", "--seconds", "2", "--drives", "10", "--cases", "1", "-o", "out")
+    assert run_command("falsify", *options) == 0
+    case = folder / "out" / "case-1"
+    assert (case / "case.yaml").is_file()
+    assert not (case / "run").exists()
+    assert (case / "case.png").stat().st_size > 10_000
+    assert "no scan matcher" in (folder / "out" / "falsify.html").read_text()
+    assert kept.is_file()
 
 
 def contents(folder: Path, names: tuple[str, ...]) -> dict[str, bytes]:
