@@ -1,12 +1,15 @@
 """Drives until the first confirmed failure of each method, by CMA-ES and by random search.
 
     python benchmarks/falsify.py [--methods hector,...] [--searches cma,random] [--seeds 1-5] [--minutes 60]
+    python benchmarks/falsify.py --write FOLDER [--methods ...]
 
 Methods are mappers, `policy:NAME`, and `planted`, the mappers of planted_mappers.py with hector as reference.
 Each search has 150 drives of 60 s and ends with its first case. No search begins after `--minutes`; the same
 command continues, also within a search. Finished searches are rows of benchmarks/falsify.csv; one without a
 case counts as 150 drives. Asked are a case in at least 4 of 5 seeds, and at most 4 changed parameters for a
-planted defect.
+planted defect. `reference ratio` is of the same drive with the reference; of a planted mapper it is the
+repaired one. `--write` makes the cases of the table, for `lirs-wct validate --suite FOLDER/cases.yaml`
+and, of policies, `lirs-wct bench POLICY --set FOLDER/cases.json`.
 """
 
 from __future__ import annotations
@@ -19,21 +22,27 @@ from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 
+import yaml
 from planted_mappers import DEFECTS
 from rich.console import Console
 from rich.table import Table
 
 from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.falsify.cases import search_limits, sentence
-from lirs_validation.falsify.drives import CaseDrives, process_pool
+from lirs_validation.falsify.cases import Case, search_limits, sentence, write_case
+from lirs_validation.falsify.drives import CaseDrives, measure, policy_suite, policy_task, process_pool
 from lirs_validation.falsify.search import falsify
+from lirs_wct.files import write_json
 from lirs_wct.option import read_numbers
 
 HERE = Path(__file__).resolve().parent
 OUTCOME = HERE / "falsify.csv"
 METHODS = ("hector", "planted", "policy:go_to_goal", "gmapping", "cartographer", "hector_original")
 DRIVES = 150
-COLUMNS = ("method", "search", "seed", "first case", "shrinking", "changed", "ratio", "largest ratio", "case")
+COLUMNS = (
+    "method", "search", "seed", "first case", "shrinking", "changed", "ratio", "reference ratio",
+    "largest ratio", "drive", "values", "case",
+)  # fmt: skip
+"""`drive` is the seed of a failing drive, `values` are the changed parameters."""
 
 
 def searches(methods: list[str], kinds: list[str], seeds: list[int], jobs: int) -> Iterator[FalsifyOptions]:
@@ -52,9 +61,13 @@ def searches(methods: list[str], kinds: list[str], seeds: list[int], jobs: int) 
                     yield FalsifyOptions(mapper=method, **shared)
 
 
+def name_of(options: FalsifyOptions) -> str:
+    return f"{options.method.replace(':', '-')}-{options.search}-s{options.seed}"
+
+
 def row_of(options: FalsifyOptions, out: Path) -> dict[str, str]:
     """Search, and return the row of the table."""
-    folder = out / f"{options.method.replace(':', '-')}-{options.search}-s{options.seed}"
+    folder = out / name_of(options)
     folder.mkdir(parents=True, exist_ok=True)
     limits = search_limits(options)
     with process_pool(options.jobs) as pool:
@@ -68,8 +81,41 @@ def row_of(options: FalsifyOptions, out: Path) -> dict[str, str]:
         changed = [p.name for p in limits.difference(first.case)]
         row |= {"first case": str(first.drives), "shrinking": str(first.shrinking)}
         row |= {"changed": str(len(changed)), "ratio": f"{median(s.ratio for s in first.scores):.1f}"}
-        row["case"] = sentence(options, first.case, limits)
+        row |= {"drive": str(first.seed), "case": sentence(options, first.case, limits)}
+        row["values"] = " ".join(f"{name}={first.case.values[name]:g}" for name in changed)
+        if options.compared_with is not None:
+            other = measure(options, options.compared_with, first.case, first.seed, limits.returns)
+            row["reference ratio"] = f"{other.ratio:.2f}"
     return row
+
+
+def case_of(options: FalsifyOptions, row: dict[str, str]) -> Case:
+    """Return the case of a row."""
+    case = search_limits(options).easiest
+    for item in row["values"].split():
+        name, _, value = item.partition("=")
+        case = case.with_value(name, float(value))
+    return case
+
+
+def write_cases(rows: list[dict[str, str]], chosen: list[FalsifyOptions], out: Path) -> None:
+    """Write the found cases: of mappers folders and a suite, of policies a set of tasks."""
+    table = {(row["method"], row["search"], row["seed"]): row for row in rows}
+    names, tasks = [], []
+    for options in chosen:
+        row = table.get((options.method, options.search, str(options.seed)), {})
+        if not row.get("drive"):
+            continue
+        case, seed, name = case_of(options, row), int(row["drive"]), name_of(options)
+        if options.policy is not None:
+            tasks.append(policy_task(options, case, seed, name))
+            continue
+        names.append(name)
+        write_case(out / name, case, options, method=options.mapper, seed=seed, comment=row["case"])
+    if names:
+        (out / "cases.yaml").write_text(yaml.safe_dump({"cases": names}), encoding="utf-8")
+    if tasks:
+        write_json(out / "cases.json", policy_suite(tasks))
 
 
 def read_rows() -> list[dict[str, str]]:
@@ -107,12 +153,18 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("-o", "--out", type=Path, default=Path("out/falsify"))
+    parser.add_argument("--write", type=Path, metavar="FOLDER")
     given = parser.parse_args()
     sys.path.insert(0, str(HERE))  # of the planted mappers
     end, rows = time.monotonic() + 60 * given.minutes, read_rows()
     done = {(row["method"], row["search"], row["seed"]) for row in rows}
     seeds = list(read_numbers(given.seeds, "--seeds"))
-    for options in searches(given.methods.split(","), given.searches.split(","), seeds, given.jobs):
+    chosen = list(searches(given.methods.split(","), given.searches.split(","), seeds, given.jobs))
+    if given.write is not None:
+        given.write.mkdir(parents=True, exist_ok=True)
+        write_cases(rows, chosen, given.write)
+        return
+    for options in chosen:
         if (options.method, options.search, str(options.seed)) in done:
             continue
         if time.monotonic() > end:
