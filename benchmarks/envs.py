@@ -96,7 +96,7 @@ class Recording:
 
     def __init__(self, steps: int, told: np.ndarray) -> None:
         env = vector(1)
-        self.simulation = env.episodes.simulation
+        self.simulation = env.episodes.parts[0].simulation
         bodies = self.simulation.groups[0].bodies
         self.substeps = bodies.body.substeps
         self.state = bodies._batch.state.copy()

@@ -20,6 +20,66 @@ from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 
 
+class JoinedEpisodes:
+    """Episodes in several worlds as one; rows are numbered world by world.
+
+    Attributes:
+        parts: the episodes of each world.
+        places: part and row in it of each row.
+        config: options of the first part; those of others differ in the world.
+        action_space: action space of one robot.
+        observation_space: observation space of one robot.
+    """
+
+    def __init__(self, parts: Sequence[Episodes]) -> None:
+        self.parts, self.config = tuple(parts), parts[0].config
+        self.places = [(part, k) for part in parts for k in range(part.count)]
+        self.action_space, self.observation_space = parts[0].action_space, parts[0].observations.space
+        self._ends = np.cumsum([part.count for part in parts])
+
+    def reset(self, i: int, rng: np.random.Generator, options: dict[str, Any]) -> None:
+        """Begin an episode of robot `i` (see `Episodes.reset`)."""
+        part, k = self.places[i]
+        part.reset(k, rng, options)
+
+    def step(self, ids: IntArray, actions: FloatArray) -> FloatArray:
+        """Apply actions for one period; return the rewards (n,) (see `Episodes.step`)."""
+        cuts = np.searchsorted(ids, self._ends)[:-1]
+        shares = zip(self._split(ids), np.split(actions, cuts), strict=True)
+        return np.concatenate([part.step(rows, taken) for (part, rows), taken in shares if len(rows)])
+
+    def read(self, ids: IntArray) -> Observed:
+        """Return new (n, ...) arrays of the observation groups."""
+        found = [part.observations.read(rows) for part, rows in self._split(ids) if len(rows)]
+        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+
+    def _split(self, ids: IntArray) -> list[tuple[Episodes, IntArray]]:
+        """Return sorted rows (n,) as each part's own rows."""
+        shares = np.split(ids, np.searchsorted(ids, self._ends)[:-1])
+        ends = zip(self.parts, shares, self._ends.tolist(), strict=True)
+        return [(part, rows - (end - part.count)) for part, rows, end in ends]
+
+    @property
+    def terminated(self) -> BoolArray:
+        """(N,) see `Episodes`."""
+        return np.concatenate([part.terminated for part in self.parts])
+
+    @property
+    def truncated(self) -> BoolArray:
+        """(N,) see `Episodes`."""
+        return np.concatenate([part.truncated for part in self.parts])
+
+    @property
+    def errors(self) -> list[str]:
+        """Reason why each robot's simulation cannot continue; empty = it can."""
+        return [error for part in self.parts for error in part.simulation.errors]
+
+    def infos(self) -> dict[str, Any]:
+        """Return (N, ...) arrays of the entries of `info`."""
+        found = [part.infos() for part in self.parts]
+        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+
+
 class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
     """N robots in separate environments, bit-equal to N times `RobotEnv` at any thread count.
 
@@ -34,7 +94,8 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         threads: number of threads; None = all processors of this process.
         max_episode_steps: truncates an episode before its time limit does; None = it does not.
         render_mode: `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
-        **options: fields of `EnvConfig`.
+        **options: fields of `EnvConfig`. `world` may be a list of W worlds: environment i of N is in world
+            i * W // N.
     """
 
     metadata = {  # noqa: RUF012  Gymnasium's contract
@@ -68,22 +129,27 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         check_render_mode(render_mode, self.metadata["render_modes"])
         self.num_envs, self.render_mode = num_envs, render_mode
         threads = len(os.sched_getaffinity(0)) if threads is None else threads
-        self.episodes = Episodes(
-            task,
-            make_config(options),
-            num_envs,
-            threads=min(threads, num_envs),
-            kind=kind,
-            max_steps=max_episode_steps,
+        self.episodes = JoinedEpisodes(
+            [
+                Episodes(
+                    task,
+                    make_config(options | one),
+                    count,
+                    threads=min(threads, count),
+                    kind=kind,
+                    max_steps=max_episode_steps,
+                )
+                for one, count in _divide(options, num_envs)
+            ]
         )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         fps = round(self.episodes.config.control_hz)
         self.metadata = self.metadata | {"render_fps": fps, "autoreset_mode": self.autoreset_mode}
         self.single_action_space = self.episodes.action_space
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.single_observation_space = self.episodes.observations.space
+        self.single_observation_space = self.episodes.observation_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.views = tuple(EpisodeView(self.episodes, i) for i in range(num_envs))
+        self.views = tuple(EpisodeView(part, k) for part, k in self.episodes.places)
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._all = np.arange(num_envs)
         self._over: BoolArray = np.zeros(num_envs, np.bool_)
@@ -137,7 +203,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
     def _reset_at_once(self, rewards: FloatArray, ended: tuple[BoolArray, BoolArray]) -> Stepped:
         over = self._over.copy()
         ids = np.flatnonzero(over)
-        final_info, last = self._infos(ids), self.episodes.observations.read(ids)
+        final_info, last = self._infos(ids), self.episodes.read(ids)
         final = np.full(self.num_envs, None, dtype=object)
         for k, i in enumerate(ids.tolist()):
             final[i] = {name: values[k].copy() for name, values in last.items()}
@@ -159,10 +225,9 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         """Return the picture of each environment (see `RobotEnv.render`)."""
         if self.render_mode is None:
             return None
-        worlds, shown = self.episodes.simulation.worlds, []
-        alike = all(world is worlds[0] for world in worlds)
+        alike, shown = len({id(view.world) for view in self.views}) == 1, []
         for i, view in enumerate(self.views):
-            snapshot, path = snapshot_of(self.episodes, i), self._paths[i]
+            snapshot, path = snapshot_of(*self.episodes.places[i]), self._paths[i]
             path.append(snapshot.T_world_base.to_pose2())
             # Environments in the same world share one scene.
             views = self._pictures[0 if alike else i]
@@ -173,7 +238,8 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         """Release OpenGL resources and threads."""
         for views in self._pictures:
             views.close()
-        self.episodes.simulation.close()
+        for part in self.episodes.parts:
+            part.simulation.close()
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of each environment's view, or return its attribute."""
@@ -198,7 +264,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
             setattr(view, name, value)
 
     def _observe(self) -> Observed:
-        return self.episodes.observations.read(self._all)
+        return self.episodes.read(self._all)
 
     def _infos(self, ids: IntArray) -> dict[str, Any]:
         """Return the infos of some environments, each with its mask of environments."""
@@ -209,7 +275,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
             if len(ids) < self.num_envs:
                 values[~mask] = None if values.dtype == object else 0
             infos[name], infos[f"_{name}"] = values, mask.copy()
-        errors = self.episodes.simulation.errors
+        errors = self.episodes.errors
         for i in [i for i in ids.tolist() if errors[i]]:
             infos = self._add_info(infos, {"error": errors[i]}, i)
         return infos
@@ -231,6 +297,21 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
 
     def _check_actions(self, actions: Any) -> FloatArray:
         return action_array(actions, (self.num_envs, *(self.single_action_space.shape or ())))
+
+
+def _divide(options: dict[str, Any], count: int) -> list[tuple[dict[str, Any], int]]:
+    """Return the option `world` of each part, and its number of environments.
+
+    Raises:
+        ConfigError: there are more worlds than environments, or none.
+    """
+    worlds = options.get("world")
+    if not isinstance(worlds, list | tuple):
+        return [({}, count)]
+    if not 1 <= len(worlds) <= count:
+        raise ConfigError(f"world must be 1 to num_envs = {count} worlds, got {len(worlds)}")
+    first = [-(-k * count // len(worlds)) for k in range(len(worlds) + 1)]
+    return [({"world": world}, first[k + 1] - first[k]) for k, world in enumerate(worlds)]
 
 
 def _is_count(value: Any) -> bool:

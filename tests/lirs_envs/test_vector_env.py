@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -12,6 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import vector as wrappers
 
 import lirs_envs  # noqa: F401  registers
+from lirs_envs.env import RobotEnv
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose3
@@ -72,6 +74,28 @@ def test_equal_to_single_environments(name: str, mode: str, threads: int) -> Non
         for a, b in zip(one.step(row), many.step(row), strict=True):
             assert_same(a, b)
     one.close()
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_several_worlds_are_equal_to_single_environments(mode: str, plane: World) -> None:
+    worlds, task = [plane, "simple"], "navigation"
+    options = {"observe": ["scan", "scans", "goal"], "time_limit": 1.0, "robot": "jackal"}
+    one = RobotVectorEnv(N, task, autoreset_mode=mode, threads=2, world=worlds, **options)
+    singles = [partial(RobotEnv, task, world=w, **options) for w in (plane, plane, "simple")]
+    many = SyncVectorEnv(singles, autoreset_mode=mode)  # environment i is in world i * 2 // 3
+    for a, b in zip(one.reset(seed=4), many.reset(seed=4), strict=True):
+        assert_same(a, b)
+    for row in actions(15):
+        for a, b in zip(one.step(row), many.step(row), strict=True):
+            assert_same(a, b)
+    assert [world.name for world in one.get_attr("world")] == [plane.name, plane.name, "simple"]
+    one.close()
+
+
+@pytest.mark.parametrize("worlds", [[], ["simple"] * (N + 1)])
+def test_a_list_of_worlds_has_one_to_n(worlds: list[str]) -> None:
+    with pytest.raises(ConfigError, match=rf"world must be 1 to num_envs = 3 worlds, got {len(worlds)}"):
+        RobotVectorEnv(N, "navigation", world=worlds)
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -138,7 +162,8 @@ def test_call_get_attr_set_attr() -> None:
 def test_one_that_diverges_is_reset_alone(plane: World) -> None:
     env = RobotVectorEnv(N, "mapping", world=plane, threads=2)
     env.reset(seed=0)
-    env.episodes.simulation.qvel(1)[0] = np.nan
+    part, k = env.episodes.places[1]
+    part.simulation.qvel(k)[0] = np.nan
     observation, _, terminated, _, infos = env.step(np.zeros((N, 2)))
     assert terminated.tolist() == [False, True, False]
     assert infos["_error"].tolist() == [False, True, False]

@@ -84,7 +84,7 @@ def test_the_border_of_a_map_is_a_wall(yaw: float, hole: bool) -> None:
     for i in range(8):
         envs.episodes.reset(i, np.random.default_rng(i), {"start": [x, y, yaw + i * np.pi / 4]})
     ids, touched = np.arange(8), np.zeros(8, np.bool_)
-    ranges = envs.episodes.simulation.ranges
+    ranges = envs.episodes.parts[0].simulation.ranges
     assert np.isfinite(ranges).all(), "every beam meets the border or the pillar"
     while not envs.episodes.truncated.any():
         envs.episodes.step(ids, np.tile(AHEAD, (8, 1)))
