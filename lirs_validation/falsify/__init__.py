@@ -38,7 +38,7 @@ class FalsifyOptions(Options):
     )
     reference: str | None = option(
         None,
-        "A case counts only if this mapper keeps its way there; for a policy, if this policy succeeds "
+        "Mapper with whose path error a failure is compared; for a policy, the policy that must succeed "
         f"(default: {UPPER_BOUND}).",
         metavar="NAME|module:Class",
     )

@@ -38,11 +38,11 @@ class DriveScore:
     """Score of one drive.
 
     Attributes:
-        ratio: path error over the limit of `loses its way`; of a policy, above the search's factor if it
-            failed, the more of the way is left the higher, else below 1.
+        ratio: path error over the limit; of a policy, above the search's factor if it failed, the more of
+            the way is left the higher, else below 1.
         counted: whether the case is plausible: the robot could drive, and its lidar saw walls.
         error: path error, meters; None of a policy and of a drive without one.
-        limit: limit of `loses its way`, meters; None without one.
+        limit: limit of `loses its way`, or that of a reference, meters; None without one.
         returns: median share of beams with a return; None of a policy or a mapper of point clouds.
         reason: why the drive ended early or does not count; empty if neither.
     """
@@ -162,6 +162,24 @@ def _measure_policy(options: FalsifyOptions, method: str, case: Case, seed: int)
     return DriveScore(min(options.factor * (1.0 + left), WORST), reason=log.reason)
 
 
+PERFECT = DriveScore(0.0, error=0.0)
+"""Score of a reference without error, which is compared where no reference needs to be driven."""
+
+
+def against(score: DriveScore, other: DriveScore, reference: str) -> DriveScore:
+    """Return a score in comparison with the reference's in the same drive.
+
+    A mapper's limit is 1.1 x the ATE of the reference + 0.05 m in place of the odometry's. Nothing counts
+    where the reference itself loses its way, or as a policy fails.
+    """
+    if not other.counted or other.ratio > 1.0:
+        return replace(score, counted=False, reason=f"{reference} does not succeed there")
+    if score.error is None or other.error is None:
+        return score
+    limit = LIMITS.times_odometry * other.error + LIMITS.over_odometry
+    return replace(score, ratio=min(score.error / limit, WORST), limit=limit)
+
+
 ARCHIVE = "drives.jsonl"
 Trial = tuple[Case, int]
 """A case and the seed of its drive."""
@@ -198,9 +216,7 @@ class CaseDrives:
         return score.counted and score.ratio > self.options.factor
 
     def run(self, trials: Sequence[Trial]) -> list[DriveScore]:
-        """Return the scores of trials, in their order.
-
-        A failure does not count if the reference fails there, too.
+        """Return the scores of trials, in their order; with a reference, as `against` compares them.
 
         Raises:
             WctError: a worker process died, or the archive cannot be written.
@@ -208,12 +224,10 @@ class CaseDrives:
         scores = self._scores(self.options.method, trials)
         reference = self.options.compared_with
         if reference is not None:
-            failed = [k for k, score in enumerate(scores) if self.fails(score)]
-            others = self._scores(reference, [trials[k] for k in failed])
-            for k, other in zip(failed, others, strict=True):
-                if not other.counted or other.ratio > 1.0:
-                    reason = f"{reference} does not succeed there"
-                    scores[k] = replace(scores[k], counted=False, reason=reason)
+            doubtful = [k for k, s in enumerate(scores) if self.fails(against(s, PERFECT, reference))]
+            compared = self._scores(reference, [trials[k] for k in doubtful])
+            others = dict(zip(doubtful, compared, strict=True))
+            scores = [against(s, others.get(k, PERFECT), reference) for k, s in enumerate(scores)]
         self.history += [(self.stage, *trial, score) for trial, score in zip(trials, scores, strict=True)]
         return scores
 

@@ -114,6 +114,21 @@ def test_a_failure_that_the_reference_shares_does_not_count(tmp_path: Path, meas
     assert all(f.case.values["relief"] <= 1.05 for f in found)
 
 
+@pytest.mark.parametrize(("other", "ratio", "counted"), [(0.02, 0.4 / 0.072, True), (0.5, 1.0, False)])
+def test_the_limit_of_a_mapper_is_that_of_its_reference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: float, ratio: float, counted: bool
+) -> None:
+    def measure(options: FalsifyOptions, method: str, case: Case, seed: int, returns: float) -> DriveScore:
+        error = 0.4 if method == "hector" else other
+        return DriveScore(error / 0.4, error=error, limit=0.4)
+
+    monkeypatch.setattr(drives_module, "measure", measure)
+    drives = CaseDrives(FalsifyOptions(mapper="hector", reference="gmapping"), LIMITS, tmp_path)
+    (score,) = drives.run([(LIMITS.easiest, 1)])
+    assert score.counted == drives.fails(score) == counted
+    assert not counted or score.ratio == pytest.approx(ratio)
+
+
 def test_a_failure_of_one_seed_alone_is_no_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def lucky(options: FalsifyOptions, method: str, case: Case, seed: int, returns: float) -> DriveScore:
         return DriveScore(5.0 if seed == options.seed else 0.5)
