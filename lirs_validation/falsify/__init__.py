@@ -70,6 +70,8 @@ class FalsifyOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.policy is not None and self.mapper != type(self).mapper:
+            raise ConfigError(f"--mapper {self.mapper} and --policy {self.policy}: give one of them")
         if self.method == self.compared_with:
             raise ConfigError(f"--reference must be another method than {self.method}, which is under test")
 

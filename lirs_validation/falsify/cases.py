@@ -189,7 +189,7 @@ def read_search_limits(path: Path) -> SearchLimits:
     limits = SearchLimits()
     for name, given in entry.items():
         if name != "returns" and name not in names:
-            raise unknown_name(f"{path}: parameter", str(name), [*names, "returns"])
+            raise ConfigError(f"{path}: {unknown_name('parameter', str(name), [*names, 'returns'])}")
         known = CaseParameter("returns", "sensors", 0.0, 0.0, 1.0) if name == "returns" else names[name]
         low, high = _interval(path, known, given)
         if name == "returns":
