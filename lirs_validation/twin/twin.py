@@ -103,7 +103,10 @@ def _compare_and_fit(
     scans = [mapped.log.scans[k] for k in kept]
     log = scan_arrays(scans, mapped.trajectory)
     if log.block.max() < LEAST_BLOCKS:
-        raise SourceError(f"{config.log}: must be at least {LEAST_BLOCKS * BLOCK:g} m long for a comparison")
+        raise SourceError(
+            f"{config.log}: its path must be at least {LEAST_BLOCKS * BLOCK:g} m long for a comparison, "
+            f"got {mapped.trajectory.length:.1f} m"
+        )
     progress("compare", 0.1)
     real = compare(log)
     progress("fit", 0.3)

@@ -89,7 +89,7 @@ def test_the_same_command_writes_the_same_and_another_mapper_takes_the_suite(fol
         (("--mapper", "hectr"), "did you mean hector"),
         (("--robot", "huskie"), "did you mean husky"),
         (("--policy", "astra"), "did you mean astar"),
-        (("--mapper", "gmapping", "--policy", "straight"), "--mapper gmapping and --policy straight: give one"),
+        (("--mapper", "gmapping", "--policy", "straight"), "and --policy straight: give one"),
         (("--policy", "astar"), "--reference must be another method than astar"),
         (("--drives", "0"), "drives must be within [1, 100000], got 0"),
         (("--search", "grid"), "'grid' is not one of 'cma', 'random'"),
