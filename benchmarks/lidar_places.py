@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from lirs_envs.lidar.ray_casting import RayCaster, mujoco_ranges
+from lirs_envs.lidar.ray_casting import RayCaster, mujoco_hits
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
@@ -89,7 +89,7 @@ def mujoco_cast(surface: HeightField, kind: str) -> Cast:
     model = spec.compile()
     state = mujoco.MjData(model)
     mujoco.mj_forward(model, state)
-    return lambda o, d: mujoco_ranges(model, state, o, d, RANGE, groups=[3])
+    return lambda o, d: mujoco_hits(model, state, o, d, RANGE, groups=[3])[0]
 
 
 def triangles(surface: HeightField) -> tuple[NDArray[np.float32], NDArray[np.int32]]:

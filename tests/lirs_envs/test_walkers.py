@@ -15,7 +15,7 @@ import pytest
 
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.obstacle_rays import meet_walkers
-from lirs_envs.lidar.ray_casting import mujoco_ranges
+from lirs_envs.lidar.ray_casting import mujoco_hits
 from lirs_envs.props import Prop
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
@@ -123,9 +123,9 @@ def test_rays_meet_capsules_where_mujoco_s_do(rough: World, husky: Robot) -> Non
     sizes = rng.uniform(-1, 1, (4000, 3)) * (1.5 * RADIUS, 1.5 * RADIUS, 1.2 * (HALF_LENGTH + RADIUS))
     origins = centers[middle] + sizes - 3.0 * directions * (rng.random(4000) < 0.9)[:, None]
     ours = walker_ranges(centers, origins, directions, math.inf)
-    theirs = mujoco_ranges(
+    theirs = mujoco_hits(
         sim.body.model, sim.body.data, origins, directions, math.inf, groups=(WALKER_GROUP,)
-    )
+    )[0]
     assert np.isfinite(ours).mean() > 0.4
     assert np.mean(np.isfinite(ours) == np.isfinite(theirs)) > 0.999
     both = np.isfinite(ours) & np.isfinite(theirs)
@@ -139,7 +139,7 @@ def test_rays_meet_capsules_where_mujoco_s_do(rough: World, husky: Robot) -> Non
             each = np.tile(origin, (len(fan), 1))
             one = walker_ranges(centers, np.array(origin), fan, 15.0)
             assert np.array_equal(one, walker_ranges(centers, each, fan, 15.0))
-            by_mujoco = mujoco_ranges(
+            by_mujoco, _, _ = mujoco_hits(
                 sim.body.model, sim.body.data, origin, fan, 15.0, groups=(WALKER_GROUP,)
             )
             assert np.mean(np.isfinite(one) == np.isfinite(by_mujoco)) > 0.99

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, generate
-from lirs_envs.lidar.ray_casting import mujoco_ranges
+from lirs_envs.lidar.ray_casting import mujoco_hits
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.simulation import Simulation
@@ -71,7 +71,7 @@ def test_mujoco_sees_and_holds_the_heights_that_the_lidar_sees(course: Generated
     down = np.tile((0.0, 0.0, -1.0), (200, 1))
     builtin = it.caster.ranges(origins, down, math.inf)
     assert 6.0 - builtin == pytest.approx(surface.height_at(x, y), abs=1e-6)
-    touched = mujoco_ranges(it.body.model, it.body.data, origins, down, math.inf, groups=(TERRAIN_GROUP,))
+    touched = mujoco_hits(it.body.model, it.body.data, origins, down, math.inf, groups=(TERRAIN_GROUP,))[0]
     assert touched == pytest.approx(builtin, abs=1e-5)
 
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.lidar.ray_casting import RayCaster, mujoco_ranges
+from lirs_envs.lidar.ray_casting import RayCaster, mujoco_hits
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 
@@ -59,7 +59,7 @@ def test_equals_mujoco_from_above(surface: HeightField) -> None:
         origin = np.array((*xy, float(surface.height_at(*xy)) + rng.uniform(0.05, 1.5)))
         d = rng.standard_normal((100, 3)) * (1.0, 1.0, 0.3) - (0.0, 0.0, 0.2)
         d /= np.linalg.norm(d, axis=1, keepdims=True)
-        theirs = mujoco_ranges(model, data, origin, d, np.inf, groups=[3])
+        theirs = mujoco_hits(model, data, origin, d, np.inf, groups=[3])[0]
         ours = caster.cast(origin, d)
         end = origin + d * np.where(np.isfinite(theirs), theirs, 0.0)[:, None]
         edge = np.minimum(abs(end[:, :2] - (west, south)), abs(end[:, :2] - (east, north))).min(axis=1)
@@ -74,13 +74,13 @@ def test_robots_and_props_by_mujoco(surface: HeightField) -> None:
     model, data = compiled(surface)
     origin = np.array((-2.0, 0.2, 2.0))
     ahead = np.array(((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
-    ranges = mujoco_ranges(model, data, origin, ahead, 10.0)
+    ranges = mujoco_hits(model, data, origin, ahead, 10.0)[0]
     assert ranges[0] == pytest.approx(2.05)
     assert ranges[1:].tolist() == [np.inf, np.inf], "the terrain's group is not seen"
-    assert mujoco_ranges(model, data, origin, ahead[:1], 2.0)[0] == np.inf
+    assert mujoco_hits(model, data, origin, ahead[:1], 2.0)[0][0] == np.inf
     ball = model.body("ball").id
-    assert mujoco_ranges(model, data, origin, ahead[:1], 10.0, exclude_body=ball)[0] == np.inf
-    assert mujoco_ranges(model, data, origin, ahead[:1], 10.0, groups=[2])[0] == np.inf
-    assert mujoco_ranges(model, data, origin, np.empty((0, 3)), 10.0).shape == (0,)
+    assert mujoco_hits(model, data, origin, ahead[:1], 10.0, exclude_body=ball)[0][0] == np.inf
+    assert mujoco_hits(model, data, origin, ahead[:1], 10.0, groups=[2])[0][0] == np.inf
+    assert mujoco_hits(model, data, origin, np.empty((0, 3)), 10.0)[0].shape == (0,)
     with pytest.raises(ConfigError, match="0 to 5"):
-        mujoco_ranges(model, data, origin, ahead, 10.0, groups=[6])
+        mujoco_hits(model, data, origin, ahead, 10.0, groups=[6])[0]

@@ -126,35 +126,6 @@ def cast_rays(
     remove_hits_in_holes(walls, origins, directions, wall_range, ranges)
 
 
-def mujoco_ranges(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    origin: ArrayLike,
-    directions: ArrayLike,
-    max_range: float,
-    *,
-    exclude_body: int = -1,
-    groups: Collection[int] = (0, 1, 2),
-) -> FloatArray:
-    """Return (n,) ranges in meters to MuJoCo's geoms, such as robots and props.
-
-    Args:
-        model: the compiled model.
-        data: its state, after `mj_forward` or a step.
-        origin: (3,) start of all rays, or (n, 3) of each; world frame, meters.
-        directions: (n, 3) unit vectors, world frame.
-        max_range: meters; inf where nothing is nearer.
-        exclude_body: id of one body whose geoms are looked through.
-        groups: geom groups (0 to 5) that rays meet.
-
-    Raises:
-        ConfigError: a group is not 0 to 5, or an array has the wrong shape.
-    """
-    return mujoco_hits(model, data, origin, directions, max_range, exclude_body=exclude_body, groups=groups)[
-        0
-    ]
-
-
 def mujoco_hits(
     model: mujoco.MjModel,
     data: mujoco.MjData,
@@ -165,7 +136,20 @@ def mujoco_hits(
     exclude_body: int = -1,
     groups: Collection[int] = (0, 1, 2),
 ) -> tuple[FloatArray, Int32Array, FloatArray]:
-    """Return ranges (n,), geoms (n,), -1 = none, and normals (n, 3) of hits (see `mujoco_ranges`)."""
+    """Return ranges (n,), geoms (n,) and normals (n, 3) of hits on MuJoCo's geoms, such as props.
+
+    Args:
+        model: the compiled model.
+        data: its state, after `mj_forward` or a step.
+        origin: (3,) start of all rays, or (n, 3) of each; world frame, meters.
+        directions: (n, 3) unit vectors, world frame.
+        max_range: meters; farther hits have range inf, rays without a hit also geom -1.
+        exclude_body: id of one body whose geoms are looked through.
+        groups: geom groups (0 to 5) that rays meet.
+
+    Raises:
+        ConfigError: a group is not 0 to 5, or an array has the wrong shape.
+    """
     if not set(groups) <= set(range(mujoco.mjNGROUP)):
         raise ConfigError(f"geom groups must be 0 to {mujoco.mjNGROUP - 1}, got {sorted(groups)}")
     o, d = _rays(origin, directions)
