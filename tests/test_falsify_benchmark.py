@@ -39,7 +39,7 @@ def test_cases_are_written_as_a_suite_and_a_set(script: ModuleType, tmp_path: Pa
         assert len(changed) == int(row["changed"])
         assert entry["run"]["mapper"] == row["method"]
     tasks = task_set(str(tmp_path / "cases.json")).tasks
-    assert [task.name for task in tasks] == ["go_to_goal-cma-s1"]
+    assert [task.name for task in tasks] == ["go_to_goal-cma-s1-s2001"]
 
 
 @pytest.mark.slow
