@@ -6,6 +6,7 @@ Octaves of seeded noise, 16 bit, on a square of 50 m with 6 m relief; errors are
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import re
 import time
 from collections.abc import Callable
@@ -20,8 +21,10 @@ from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field
+from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 
+BUNDLED = ("simple", "medium", "advanced")
 Figures = dict[str, float | int | str]
 RELIEF = 6.0
 MAP_FORMATS = ("dae", "stl", "sdf", "mjcf")
@@ -130,6 +133,24 @@ def triangulation(path: Path, _: Path, share: float) -> Figures:
     return figures
 
 
+def agreement(path: Path, _: Path, __: float) -> Figures:
+    """Compare the mesh of the default budget with the height field, at 16 places of every cell."""
+    options = BuildOptions() if path.name in BUNDLED else BuildOptions(grayscale=True)
+    world = build_world(path.name if path.name in BUNDLED else path, options)
+    surface, budget = world.surface, world.file_options.max_error
+    assert budget is not None
+    (x, y), (dx, dy), (rows, cols) = surface.origin, surface.cell, surface.shape
+    errors = []
+    for u, v in itertools.product((0.125, 0.375, 0.625, 0.875), repeat=2):
+        top = rasterize_heights(world.file_mesh, (x + u * dx, y + v * dy, dx, dy), (rows - 1, cols - 1))
+        px, py = x + (np.arange(cols - 1) + u) * dx, y + (np.arange(rows - 1) + v) * dy
+        errors.append(np.abs(top - surface.height_at(*np.meshgrid(px, py))) / budget)
+    over = {f"over_{n}": 100 * float(np.mean([e > n for e in errors])) for n in (1, 3)}
+    full = len(solid_mesh(surface).faces)
+    triangles = len(world.file_mesh.faces)
+    return {"triangles": triangles, **over, "note": f"all pixels {full:,}, largest {np.max(errors):.3f}"}
+
+
 def cut_to_8_bits(path: Path, _: Path, share: float, *, deterrace: bool = False) -> Figures:
     cut = path.with_name("cut.png")
     cv2.imwrite(str(cut), (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) / 257).round().astype(np.uint8))
@@ -166,6 +187,7 @@ JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {
     "8 bit": cut_to_8_bits,
     "8 bit, deterraced": deterraced,
     "laser map": laser_map,
+    "agreement": agreement,
 }
 
 

@@ -39,7 +39,8 @@ class ExportOptions(Options):
 
     max_error: float | None = option(
         None,
-        "Fewest triangles that stay this near the ground, vertically, at every pixel; 0 = all pixels. "
+        "Fewest triangles that stay this near the height field, vertically, everywhere; 0 = all "
+        "pixels. "
         "Default: 0.1 % of the relief of a terrain, at least a millionth of its longer side.",
         metavar="METERS",
         check=_budget,

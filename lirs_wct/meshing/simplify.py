@@ -12,7 +12,18 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import base_height, close_solid, node_axes
-from lirs_wct.meshing.tin import BORDER, FULL, POINTS, STRIDE, TRIANGLES, WORST, Tin, count_bins, refine
+from lirs_wct.meshing.tin import (
+    BORDER,
+    FULL,
+    POINTS,
+    STRIDE,
+    TRIANGLES,
+    WORST,
+    Tin,
+    align_diagonals,
+    count_bins,
+    refine,
+)
 
 LEAST_FACES = 14
 """Two triangles, four skirts of two, a base of four."""
@@ -29,8 +40,9 @@ def simplified_solid(
     max_triangles: int | None = None,
     thickness: float | None = None,
 ) -> TriangleMesh:
-    """Return a closed mesh whose top deviates vertically by at most `max_error` at every pixel.
+    """Return a closed mesh whose top deviates vertically by at most `max_error` anywhere.
 
+    The ground between pixels is that of `HeightField`, whose cells have MuJoCo's diagonals.
     The border stays on straight edges; skirt and base equal those of `solid_mesh`.
 
     Args:
@@ -73,6 +85,7 @@ def triangulate(
     while refine(tin, z, cols, budget, most) == FULL:
         tin = _double_capacity(tin)
     points, triangles = int(tin.used[POINTS]), int(tin.used[TRIANGLES])
+    align_diagonals(tin)
     return tin.point[:points].copy(), tin.link.reshape(-1, STRIDE)[:triangles, :3].copy()
 
 
@@ -99,7 +112,9 @@ def _check(max_error: float | None, max_triangles: int | None) -> None:
 
 
 def _two_triangles(rows: int, cols: int, bins: int) -> Tin:
-    tin = _empty(_FIRST_SIZE)._replace(bins=np.full(bins, -1, np.int32))
+    tin = _empty(_FIRST_SIZE)._replace(
+        bins=np.full(bins, -1, np.int32), taken=np.zeros(rows * cols, np.bool_)
+    )
     south, east = rows - 1, cols - 1
     tin.point[:4] = (0, 0), (0, east), (south, 0), (south, east)
     nw, ne, sw, se = range(4)
@@ -108,6 +123,7 @@ def _two_triangles(rows: int, cols: int, bins: int) -> Tin:
     triangles[0, :WORST] = nw, sw, ne, -1, STRIDE + 2, -1
     triangles[1, :WORST] = sw, se, ne, -1, -1, 1
     tin.used[[POINTS, TRIANGLES, BORDER]] = 4, 2, 4
+    tin.taken[[0, east, south * cols, south * cols + east]] = True
     return tin
 
 
@@ -118,6 +134,7 @@ def _empty(triangles: int) -> Tin:
         link=np.empty(STRIDE * t, np.int32),
         queue=np.empty(2 * t, np.int32),
         bins=np.empty(0, np.int32),
+        taken=np.empty(0, np.bool_),
         fan=np.empty(t, np.int32),
         rim=np.empty(2 * t + 1, np.int32),
         stack=np.empty(t + 3, np.int32),
@@ -127,7 +144,7 @@ def _empty(triangles: int) -> Tin:
 
 def _double_capacity(tin: Tin) -> Tin:
     """Return the same triangulation with twice the capacity."""
-    larger = _empty(2 * len(tin.fan))._replace(bins=tin.bins, used=tin.used)
+    larger = _empty(2 * len(tin.fan))._replace(bins=tin.bins, taken=tin.taken, used=tin.used)
     for name in ("point", "link", "queue"):
         part: Int32Array = getattr(tin, name)
         getattr(larger, name)[: len(part)] = part

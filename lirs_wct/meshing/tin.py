@@ -2,15 +2,16 @@
 
 Garland and Heckbert 1995, "Fast polygonal approximation of terrains and height fields", algorithm IV:
 insert the pixel with the largest vertical error, restore the Delaunay property, find the worst pixel of each
-changed triangle, repeat.
+changed triangle, repeat. Where all pixels are within the budget, insert pixels where an edge still differs
+from the triangulated height field, which has MuJoCo's diagonals: then the budget holds between pixels too.
 
 Bowyer 1981, "Computing Dirichlet tessellations", and Watson 1981: remove the triangles whose circumcircle
 contains the new point. They are connected and leave a hole without a point inside. A fan from the new point
 to the hole's rim closes it.
 
 A triangle is eight adjacent numbers, half a cache line, because insertions access triangles in random order:
-three corners, three twins, its worst pixel, and one unused. Half-edge e = 8 t + k runs from corner k of
-triangle t to the next corner, counter-clockwise as the picture is seen. Its twin is the same edge of the
+three corners, three twins, the pixel to insert next, and one unused. Half-edge e = 8 t + k runs from corner
+k of triangle t to the next corner, counter-clockwise as the picture is seen. Its twin is the same edge of the
 neighbor, or -1 on the border.
 """
 
@@ -20,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import Float32Array, Int32Array, IntArray
+from lirs_wct.arrays import BoolArray, Float32Array, Int32Array, IntArray
 from lirs_wct.kernels import njit
 
 STRIDE, TWIN, WORST = 8, 3, 6
@@ -47,6 +48,7 @@ class Tin(NamedTuple):
         link: (8 t,) triangles (see the module); the worst pixel is row * columns + column.
         queue: (2 t,) the previous and next triangle of each triangle in its bin of errors.
         bins: (b,) the first triangle of each bin, -1 if empty.
+        taken: (pixels,) whether a pixel is a point.
         fan: (t,) triangles of the last insertion.
         rim: (2 t + 1,) corners around the hole, each followed by the half-edge outside.
         stack: (t + 3,) half-edges of the hole that are still to be crossed.
@@ -57,6 +59,7 @@ class Tin(NamedTuple):
     link: Int32Array
     queue: Int32Array
     bins: Int32Array
+    taken: BoolArray
     fan: Int32Array
     rim: Int32Array
     stack: Int32Array
@@ -188,29 +191,105 @@ def refine(tin: Tin, z: Float32Array, cols: int, max_error: float, max_faces: in
             return DONE
         if used[TRIANGLES] + 2 > len(tin.fan) or used[POINTS] + 1 > len(tin.point):
             return FULL
-        pixel = tin.link[STRIDE * t + WORST]
-        tin.point[used[POINTS], 0], tin.point[used[POINTS], 1] = pixel // cols, pixel % cols
-        used[POINTS] += 1
-        old, new = insert_point(tin, t)
+        _insert_pixel(tin, z, cols, t, budget)
+
+
+@kernel
+def _insert_pixel(tin: Tin, z: Float32Array, cols: int, t: int, budget: int) -> None:
+    """Insert the pixel that triangle t needs and search the new triangles, and t if it remains."""
+    pixel = tin.link[STRIDE * t + WORST]
+    kept = True
+    take(tin, t)
+    leave_out(tin, t)
+    # A pixel next to t may have become a point since t was searched.
+    if not tin.taken[pixel]:
+        row, col = pixel // cols, pixel % cols
+        tin.point[tin.used[POINTS], 0], tin.point[tin.used[POINTS], 1] = row, col
+        tin.used[POINTS] += 1
+        tin.taken[pixel] = True
+        old, new = insert_point(tin, _locate(tin, t, row, col))
         for i in range(old):
             take(tin, tin.fan[i])
+            kept = kept and tin.fan[i] != t
         for i in range(new):
             _search(tin, z, cols, tin.fan[i], budget)
+    if kept:
+        _search(tin, z, cols, t, budget)
+
+
+@kernel
+def _locate(tin: Tin, t: int, row: int, col: int) -> int:
+    """Return the triangle that contains a pixel, by a walk from triangle t."""
+    k = 0
+    while k < 3:
+        e = STRIDE * t + k
+        a, b = tin.link[e], tin.link[_after(e)]
+        ar, ac = np.int64(tin.point[a, 0]), np.int64(tin.point[a, 1])
+        # East is +column, north is -row: negative where the pixel is to the right of the edge.
+        if (tin.point[b, 1] - ac) * (ar - row) - (ar - tin.point[b, 0]) * (col - ac) < 0:
+            t, k = tin.link[e + TWIN] // STRIDE, 0
+        else:
+            k += 1
+    return t
 
 
 @kernel
 def _search(tin: Tin, z: Float32Array, cols: int, t: int, budget: int) -> None:
-    """Find the worst pixel of a new triangle and queue the triangle if the error exceeds the budget."""
+    """Find the pixel that a triangle needs next and queue the triangle if an error exceeds the budget."""
     point, link, e = tin.point, tin.link, STRIDE * t
     a, b, c = link[e], link[e + 1], link[e + 2]
     error, pixel = worst_pixel(
         z, cols, point[a, 0], point[a, 1], point[b, 0], point[b, 1], point[c, 0], point[c, 1], budget
     )
+    if pixel < 0:
+        # The lowest bin: pixels go first.
+        error = budget
+        for k in range(3):
+            if pixel < 0:
+                a, b = link[e + k], link[_after(e + k)]
+                pixel = crossed_pixel(
+                    z, cols, tin.taken, point[a, 0], point[a, 1], point[b, 0], point[b, 1], budget
+                )
     link[e + WORST] = pixel
     if pixel < 0:
         leave_out(tin, t)
     else:
         put(tin, t, error, budget)
+
+
+@kernel
+def crossed_pixel(
+    z: Float32Array, cols: int, taken: BoolArray, ar: int, ac: int, br: int, bc: int, budget: int
+) -> int:
+    """Return the pixel next to the largest error along an edge of the triangulation.
+
+    The difference of two triangulated surfaces is largest at a corner of one of them or where their edges
+    cross: here rows, columns, and diagonals from south-west to north-east.
+
+    Returns:
+        The nearer end of the crossed segment that is not a point yet, -1 where no error exceeds the budget.
+    """
+    down, right = br - ar, bc - ac
+    largest, pixel = budget, -1
+    za = float(z[ar * cols + ac])
+    slope = float(z[br * cols + bc]) - za
+    for axis in range(3):
+        count = abs(down if axis == 0 else right if axis == 1 else down + right)
+        for i in range(1, count):
+            row, col = ar + down * i / count, ac + right * i / count
+            first = int(np.floor(row + 1e-9)) * cols + int(np.floor(col + 1e-9))
+            along, second = row - np.floor(row + 1e-9), first + cols
+            if axis == 0:
+                along, second = col - np.floor(col + 1e-9), first + 1
+            elif axis == 2:
+                first, second = first + 1, first + cols
+            if along < 1e-9:
+                continue
+            error = order(abs(za + slope * i / count - (1 - along) * z[first] - along * z[second]))
+            if error > largest and not (taken[first] and taken[second]):
+                nearer = second if along > 0.5 else first
+                largest, pixel = error, first + second - nearer if taken[nearer] else nearer
+    return pixel
 
 
 @kernel
@@ -273,6 +352,27 @@ def _place(z: Float32Array, first: int, count: int, start: float, step: float) -
         if error > largest:
             place, largest = first + k, error
     return place
+
+
+@kernel
+def align_diagonals(tin: Tin) -> None:
+    """Split whole cells from south-west to north-east, as the height field is; twins become invalid."""
+    link, point = tin.link, tin.point
+    for e in range(STRIDE * tin.used[TRIANGLES]):
+        if e % STRIDE >= TWIN or link[e + TWIN] < 0:
+            continue
+        f = link[e + TWIN]
+        a, b, c, d = link[e], link[_after(e)], link[_after(_after(e))], link[_after(_after(f))]
+        down, right = point[a, 0] - point[b, 0], point[a, 1] - point[b, 1]
+        # The twin of an edge of a cell that was split again may be another edge by now.
+        whole = link[f] == b and link[_after(f)] == a
+        for axis in range(2):
+            middle = point[a, axis] + point[b, axis] == point[c, axis] + point[d, axis]
+            whole = whole and middle and abs(point[c, axis] - point[d, axis]) == 1
+        if down * right == 1 and whole:
+            t, u = e & -STRIDE, f & -STRIDE
+            link[t], link[t + 1], link[t + 2] = c, a, d
+            link[u], link[u + 1], link[u + 2] = d, b, c
 
 
 def count_bins(least: float, most: float) -> int:

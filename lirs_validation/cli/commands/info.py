@@ -97,7 +97,7 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
         ("start poses", _starts(world)),
         ("triangles", f"{facts.triangles}"),
         ("watertight", f"{'yes' if facts.watertight else 'no'}, {facts.volume:.6g} m3"),
-        ("mesh error", "exact" if facts.error is None else f"{facts.error:.6f} m at the nodes"),
+        ("mesh error", _mesh_error(world, facts)),
     ]
     if facts.walls is not None:
         solid, cells, resolution, height = facts.walls
@@ -115,6 +115,15 @@ def _drivable_text(world: World, robot: str, share: float) -> str:
     if spacing is not None and spacing > length:
         return f"unknown: samples {spacing:.3g} m apart do not resolve {length:.2g} m"
     return f"{share:.1f} %, up to {math.degrees(ROBOTS[robot].max_slope):.0f} deg"
+
+
+def _mesh_error(world: World, facts: WorldFacts) -> str:
+    if facts.error is None:
+        return "exact"
+    at_nodes = f"{facts.error:.6f} m at the nodes"
+    budget = world.file_options.max_error
+    # Without a budget the mesh has every node and the height field's diagonals; a closed mesh stays itself.
+    return f"{at_nodes}, at most {budget:.6f} m between them" if budget else at_nodes
 
 
 def _support(found: ScanSupport) -> str:

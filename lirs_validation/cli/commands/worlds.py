@@ -148,8 +148,8 @@ def _say_what_was_built(world: World, folder: Path, to: str) -> None:
             f"{DEFAULT_SHARE:.1%} of the relief" if budget <= DEFAULT_SHARE * relief else "1e-6 of the side"
         )
         out.print(
-            f"mesh files: {len(world.file_mesh.faces)} triangles within {1000 * budget:.3g} mm of every "
-            f"pixel, {share}; --max-error 0 keeps all",
+            f"mesh files: {len(world.file_mesh.faces)} triangles within {1000 * budget:.3g} mm of the "
+            f"height field everywhere, {share}; --max-error 0 keeps all",
             soft_wrap=True,
             highlight=False,
         )
