@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import yaml
 
@@ -16,75 +16,38 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
 from lirs_validation.config import RunConfig
 from lirs_validation.falsify import FalsifyOptions
+from lirs_validation.search.space import Case, SearchParameter, SearchSpace
 from lirs_validation.sweep.suites import CASE, case_options, read_yaml_fields
-from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import short_name
 
-Group = Literal["ground", "obstacles", "drive", "sensors"]
-DIGITS = 3
-"""Significant digits of a value."""
 LEAST_RETURNS = 0.3
 """Smallest median share of beams with a return: without walls in sight no planar method can work."""
 
 
-@dataclass(frozen=True)
-class CaseParameter:
-    """One parameter of the search.
-
-    Attributes:
-        name: unique; a field of `ArenaConfig`, `RunConfig`, `LidarNoise` or `SensorFaults`.
-        group: parameters that are reset together first.
-        default: value without difficulty.
-        low: smallest plausible value.
-        high: largest plausible value.
-        unit: of the value, for tables.
-        whole: whether the value is a whole number.
-    """
-
-    name: str
-    group: Group
-    default: float
-    low: float
-    high: float
-    unit: str = ""
-    whole: bool = False
-
-    def clip(self, value: float) -> float:
-        """Return the nearest legal value with few digits."""
-        inside = min(max(value, self.low), self.high)
-        if self.whole:
-            return float(round(inside))
-        return float(f"{inside:.{DIGITS}g}")
-
-    def within(self, low: float, high: float) -> CaseParameter:
-        """Return the parameter with other limits; its default is the nearest legal value."""
-        return replace(self, low=low, high=high, default=min(max(self.default, low), high))
-
-
-PARAMETERS: tuple[CaseParameter, ...] = (
-    CaseParameter("relief", "ground", 0.0, 0.0, 2.0, "m"),
-    CaseParameter("slope", "ground", 0.0, 0.0, 14.0, "deg"),
-    CaseParameter("slope_direction", "ground", 90.0, 0.0, 90.0, "deg"),
-    CaseParameter("roughness", "ground", 0.0, 0.0, 0.015, "m"),
-    CaseParameter("obstacles", "obstacles", 20, 6, 60, whole=True),
-    CaseParameter("obstacle_height", "obstacles", 2.0, 0.3, 2.0, "m"),
-    CaseParameter("round_obstacles", "obstacles", 0.0, 0.0, 1.0),
-    CaseParameter("symmetry", "obstacles", 0.0, 0.0, 1.0),
-    CaseParameter("corridor", "obstacles", 0.0, 0.0, 26.0, "m"),
-    CaseParameter("corridor_width", "obstacles", 3.0, 2.4, 6.0, "m"),
-    CaseParameter("boundary", "obstacles", 1.0, 0.3, 1.0),
-    CaseParameter("actors", "obstacles", 0, 0, 12, whole=True),
-    CaseParameter("speed", "drive", 1.0, 0.4, 1.25),
-    CaseParameter("turn_rate", "drive", 1.0, 0.5, 1.6),
-    CaseParameter("reversing", "drive", 0.0, 0.0, 0.5),
-    CaseParameter("stand", "drive", 0.0, 0.0, 10.0, "s"),
-    CaseParameter("sigma", "sensors", 0.0, 0.0, 0.03, "m"),
-    CaseParameter("dropout", "sensors", 0.0, 0.0, 0.3),
-    CaseParameter("lag", "sensors", 0.0, 0.0, 0.12, "s"),
-    CaseParameter("field_of_view", "sensors", 360.0, 120.0, 360.0, "deg"),
-    CaseParameter("dust", "sensors", 0.0, 0.0, 0.1),
-    CaseParameter("slip", "sensors", 0.0, 0.0, 0.3),
+PARAMETERS: tuple[SearchParameter, ...] = (
+    SearchParameter("relief", "ground", 0.0, 0.0, 2.0, "m"),
+    SearchParameter("slope", "ground", 0.0, 0.0, 14.0, "deg"),
+    SearchParameter("slope_direction", "ground", 90.0, 0.0, 90.0, "deg"),
+    SearchParameter("roughness", "ground", 0.0, 0.0, 0.015, "m"),
+    SearchParameter("obstacles", "obstacles", 20, 6, 60, whole=True),
+    SearchParameter("obstacle_height", "obstacles", 2.0, 0.3, 2.0, "m"),
+    SearchParameter("round_obstacles", "obstacles", 0.0, 0.0, 1.0),
+    SearchParameter("symmetry", "obstacles", 0.0, 0.0, 1.0),
+    SearchParameter("corridor", "obstacles", 0.0, 0.0, 26.0, "m"),
+    SearchParameter("corridor_width", "obstacles", 3.0, 2.4, 6.0, "m"),
+    SearchParameter("boundary", "obstacles", 1.0, 0.3, 1.0),
+    SearchParameter("actors", "obstacles", 0, 0, 12, whole=True),
+    SearchParameter("speed", "drive", 1.0, 0.4, 1.25),
+    SearchParameter("turn_rate", "drive", 1.0, 0.5, 1.6),
+    SearchParameter("reversing", "drive", 0.0, 0.0, 0.5),
+    SearchParameter("stand", "drive", 0.0, 0.0, 10.0, "s"),
+    SearchParameter("sigma", "sensors", 0.0, 0.0, 0.03, "m"),
+    SearchParameter("dropout", "sensors", 0.0, 0.0, 0.3),
+    SearchParameter("lag", "sensors", 0.0, 0.0, 0.12, "s"),
+    SearchParameter("field_of_view", "sensors", 360.0, 120.0, 360.0, "deg"),
+    SearchParameter("dust", "sensors", 0.0, 0.0, 0.1),
+    SearchParameter("slip", "sensors", 0.0, 0.0, 0.3),
 )
 """All parameters with their defaults and limits."""
 OF_A_POLICY = ("ground", "obstacles")
@@ -92,7 +55,7 @@ OF_A_POLICY = ("ground", "obstacles")
 
 
 @dataclass(frozen=True)
-class SearchLimits:
+class SearchLimits(SearchSpace):
     """Parameters to search, and the plausibility of a case.
 
     Attributes:
@@ -100,69 +63,13 @@ class SearchLimits:
         returns: smallest median share of beams with a return.
     """
 
-    parameters: tuple[CaseParameter, ...] = PARAMETERS
+    parameters: tuple[SearchParameter, ...] = PARAMETERS
     returns: float = LEAST_RETURNS
-
-    def held(self, names: Iterable[str]) -> SearchLimits:
-        """Return the limits with some parameters held at their defaults."""
-        fixed = set(names)
-        return replace(
-            self,
-            parameters=tuple(
-                p.within(p.default, p.default) if p.name in fixed else p for p in self.parameters
-            ),
-        )
 
     def of_policy(self) -> SearchLimits:
         """Return the limits of a search for a policy's failures."""
         other = [p.name for p in self.parameters if p.group not in OF_A_POLICY or p.name == "actors"]
         return replace(self.held(other), returns=0.0)
-
-    @property
-    def free(self) -> tuple[CaseParameter, ...]:
-        """Parameters whose limits leave a choice."""
-        return tuple(p for p in self.parameters if p.low < p.high)
-
-    def require_free(self) -> None:
-        """Check that something is left to search.
-
-        Raises:
-            ConfigError: no parameter is free.
-        """
-        if not self.free:
-            raise ConfigError("no parameter is left to search: the limits hold all at one value")
-
-    @property
-    def easiest(self) -> Case:
-        """The case with all defaults."""
-        return Case({p.name: float(p.default) for p in self.parameters})
-
-    def case(self, position: FloatArray) -> Case:
-        """Return the case at a position (n,) in the unit cube of the free parameters."""
-        found = self.easiest
-        for parameter, share in zip(self.free, position.tolist(), strict=True):
-            value = parameter.low + share * (parameter.high - parameter.low)
-            found = found.with_value(parameter.name, parameter.clip(value))
-        return found
-
-    def difference(self, case: Case) -> tuple[CaseParameter, ...]:
-        """Return the parameters in which a case differs from the defaults."""
-        return tuple(p for p in self.parameters if case.values[p.name] != p.default)
-
-
-@dataclass(frozen=True)
-class Case:
-    """Values of all parameters.
-
-    Attributes:
-        values: value by name.
-    """
-
-    values: Mapping[str, float] = field(default_factory=dict)
-
-    def with_value(self, name: str, value: float) -> Case:
-        """Return the case with one other value."""
-        return Case({**self.values, name: value})
 
 
 def search_limits(options: FalsifyOptions) -> SearchLimits:
@@ -190,15 +97,9 @@ def read_search_limits(path: Path) -> SearchLimits:
     for name, given in entry.items():
         if name != "returns" and name not in names:
             raise ConfigError(f"{path}: {unknown_name('parameter', str(name), [*names, 'returns'])}")
-        known = CaseParameter("returns", "sensors", 0.0, 0.0, 1.0) if name == "returns" else names[name]
-        low, high = _interval(path, known, given)
-        if name == "returns":
-            limits = replace(limits, returns=low)
-            continue
-        changed = known.within(low, high)
-        limits = replace(
-            limits, parameters=tuple(changed if p.name == name else p for p in limits.parameters)
-        )
+        known = SearchParameter("returns", "sensors", 0.0, 0.0, 1.0) if name == "returns" else names[name]
+        found = known.read_within(path, given, LEGAL.get(name, (0.0, 1.0)))
+        limits = replace(limits, returns=found.low) if name == "returns" else limits.changed(found)
     return limits
 
 
@@ -209,23 +110,6 @@ LEGAL: Mapping[str, tuple[float, float]] = {
     "lag": (0, 1), "field_of_view": (10, 360),
 }  # fmt: skip
 """Values that a limits file may give; of a share, 0 to 1."""
-
-
-def _interval(path: Path, parameter: CaseParameter, given: object) -> tuple[float, float]:
-    """Return the limits of one line of a file.
-
-    Raises:
-        ConfigError: they are not legal.
-    """
-    pair = given if isinstance(given, list) else [given, given]
-    low, high = LEGAL.get(parameter.name, (0.0, 1.0))
-    numbers = [v for v in pair if isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v)]
-    if len(pair) != 2 or len(numbers) != 2 or not low <= numbers[0] <= numbers[1] <= high:
-        raise ConfigError(
-            f"{path}: {parameter.name} must be a number or [low, high] "
-            f"within [{low:g}, {high:g}], got {given!r}"
-        )
-    return float(numbers[0]), float(numbers[1])
 
 
 Values = Mapping[str, float]
@@ -342,17 +226,3 @@ def _is_set(case: Case, name: str) -> bool:
 def _number(case: Case, name: str) -> float:
     value = case.values[name]
     return int(value) if next(p.whole for p in PARAMETERS if p.name == name) else value
-
-
-def require_cma() -> None:
-    """Check that the package `cma` is installed.
-
-    Raises:
-        ConfigError: it is not.
-    """
-    try:
-        import cma  # noqa: F401
-    except ImportError:
-        raise ConfigError(
-            "the search needs the package cma: pip install 'lirs-wct[search]', or take --search random"
-        ) from None

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-import multiprocessing
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,10 +17,12 @@ from lirs_validation.bench.tasks import BenchTask, TaskSet, set_entry
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_without_maps
 from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.falsify.cases import Case, SearchLimits, arena_options, write_case
+from lirs_validation.falsify.cases import SearchLimits, arena_options, write_case
 from lirs_validation.metrics.verdict import LIMITS, VerdictFigures, classify
+from lirs_validation.search.space import Case
+from lirs_validation.search.trials import TrialArchive, trial_key
 from lirs_validation.sweep.slam_experiment import SlamExperiment
-from lirs_wct.errors import ConfigError, MapperError, OutputError, SimulationError, WctError
+from lirs_wct.errors import ConfigError, MapperError, SimulationError
 
 GOAL = (11.0, 0.0)
 """Goal of a policy, x and y in the arena, meters."""
@@ -189,7 +186,6 @@ class CaseDrives:
     """Runs drives, counts them and keeps their scores.
 
     Attributes:
-        count: number of drives that the search has used, repetitions of earlier ones in the file included.
         history: every score of the method under test, in order, with its stage, case and seed.
         stage: present part of the search.
 
@@ -204,12 +200,14 @@ class CaseDrives:
         self, options: FalsifyOptions, limits: SearchLimits, out: Path, pool: Executor | None = None
     ) -> None:
         self.options, self.limits = options, limits
-        self.count = 0
         self.history: list[tuple[str, Case, int, DriveScore]] = []
         self.stage = "search"
-        self._path, self._pool = out / ARCHIVE, pool
-        self._kept = _read_archive(self._path)
-        self._used: set[str] = set()
+        self._archive = TrialArchive(out / ARCHIVE, DriveScore, pool)
+
+    @property
+    def count(self) -> int:
+        """Number of drives that the search has used, repetitions of earlier ones in the file included."""
+        return self._archive.count
 
     def fails(self, score: DriveScore) -> bool:
         """Return whether a drive is a failure that counts."""
@@ -232,84 +230,13 @@ class CaseDrives:
         return scores
 
     def _scores(self, method: str, trials: Sequence[Trial]) -> list[DriveScore]:
-        keys = [self._key(method, *trial) for trial in trials]
-        pending = {k: t for k, t in zip(keys, trials, strict=True) if k not in self._kept}
-        for key, score in zip(pending, self._measure_new(method, list(pending.values())), strict=True):
-            self._keep(key, score)
-        self.count += len(set(keys) - self._used)
-        self._used |= set(keys)
-        return [self._kept[key] for key in keys]
-
-    def _measure_new(self, method: str, trials: Sequence[Trial]) -> Iterator[DriveScore]:
-        """Yield the scores of new drives in their order."""
-        if self._pool is None:
-            for case, seed in trials:
-                yield measure(self.options, method, case, seed, self.limits.returns)
-            return
-        futures: list[Future[DriveScore]] = [
-            self._pool.submit(measure, self.options, method, case, seed, self.limits.returns)
-            for case, seed in trials
-        ]
-        try:
-            for future in futures:
-                yield future.result()
-        except BrokenProcessPool:
-            raise WctError(
-                f"a process that drove {method} died; the same command continues the search"
-            ) from None
-        finally:
-            for future in futures:
-                future.cancel()
+        returns = self.limits.returns
+        keyed = [(self._key(method, *t), (self.options, method, *t, returns)) for t in trials]
+        return self._archive.scores(measure, keyed, method)
 
     def _key(self, method: str, case: Case, seed: int) -> str:
         """Return the digest of everything that decides a drive."""
         options = asdict(self.options)
         decisive = {name: options[name] for name in ("policy", "task", "robot", "seconds", "seed", "factor")}
         entry = decisive | {"method": method, "drive": seed, "returns": self.limits.returns}
-        text = json.dumps(entry | {"values": dict(case.values)}, sort_keys=True)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-    def _keep(self, key: str, score: DriveScore) -> None:
-        """Append a score to the archive.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
-        self._kept[key] = score
-        try:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"key": key} | asdict(score)) + "\n")
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror or error}") from error
-
-
-def _read_archive(path: Path) -> dict[str, DriveScore]:
-    """Return the scores in an archive; an incomplete last line is removed."""
-    if not path.is_file():
-        return {}
-    lines = path.read_bytes().splitlines(keepends=True)
-    whole = [line for line in lines if line.endswith(b"\n")]
-    if whole != lines:
-        path.write_bytes(b"".join(whole))
-    found: dict[str, DriveScore] = {}
-    for number, line in enumerate(whole, start=1):
-        try:
-            entry: dict[str, Any] = json.loads(line)
-            key = entry.pop("key")
-            found[key] = DriveScore(**entry)
-        except (ValueError, KeyError, TypeError, AttributeError):
-            raise OutputError(f"{path}: line {number} is damaged; remove it to drive again") from None
-    return found
-
-
-@contextmanager
-def process_pool(jobs: int) -> Iterator[Executor | None]:
-    """Give the processes for concurrent drives; None for one job."""
-    if jobs == 1:
-        yield None
-        return
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        return trial_key(entry | {"values": dict(case.values)})

@@ -17,11 +17,12 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from lirs_validation.experiment.run import run
-from lirs_validation.falsify.cases import CaseParameter, sentence, write_case
+from lirs_validation.falsify.cases import sentence, write_case
 from lirs_validation.falsify.drives import WORST, CaseDrives, policy_episode, policy_suite, policy_task
 from lirs_validation.falsify.search import LEAST, NEW_SEEDS, FoundCase
 from lirs_validation.report.page import render
 from lirs_validation.report.table import ReportTable
+from lirs_validation.search.space import SearchParameter
 from lirs_validation.sweep.suites import CASE
 from lirs_wct import Pose2, Trajectory, World
 from lirs_wct.drawing.canvas import Canvas, shaded_heights
@@ -246,7 +247,7 @@ def cases_table(cases: Sequence[WrittenCase]) -> ReportTable:
     return ReportTable("cases", "Cases", CAPTION, headings, rows, 1, remarks=True)
 
 
-def parameters_table(case: WrittenCase, parameters: Sequence[CaseParameter]) -> ReportTable:
+def parameters_table(case: WrittenCase, parameters: Sequence[SearchParameter]) -> ReportTable:
     """Return the changed parameters of a case, as found and after shrinking."""
     simple, found = case.found.case.values, case.found.found.values
     rows = tuple(

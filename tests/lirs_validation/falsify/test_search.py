@@ -11,16 +11,11 @@ import pytest
 
 from lirs_validation.falsify import FalsifyOptions
 from lirs_validation.falsify import drives as drives_module
-from lirs_validation.falsify.cases import Case, SearchLimits, require_cma
+from lirs_validation.falsify.cases import SearchLimits
 from lirs_validation.falsify.drives import ARCHIVE, CaseDrives, DriveScore
-from lirs_validation.falsify.search import (
-    NEEDED,
-    NEW_SEEDS,
-    CmaProposer,
-    falsify,
-    loss,
-    make_proposer,
-)
+from lirs_validation.falsify.search import NEEDED, NEW_SEEDS, falsify, loss
+from lirs_validation.search.proposals import CmaProposer, make_proposer, require_cma
+from lirs_validation.search.space import Case
 from lirs_wct.errors import ConfigError, OutputError
 
 LIMITS = SearchLimits()
@@ -158,7 +153,7 @@ def test_cma_gets_closer_than_random_search_with_the_same_drives() -> None:
                 ]
                 scores = [DriveScore(math.exp(-float(np.sum((x - 0.7) ** 2)))) for x in shares]
                 ratios += [s.ratio for s in scores]
-                proposer.learn(scores)
+                proposer.learn([loss(score) for score in scores])
             found.append(max(ratios))
     assert np.median(best["cma"]) > np.median(best["random"])
 

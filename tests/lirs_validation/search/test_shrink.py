@@ -6,8 +6,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_validation.falsify.cases import PARAMETERS, Case, SearchLimits
-from lirs_validation.falsify.search import shrink
+from lirs_validation.falsify.cases import PARAMETERS, SearchLimits
+from lirs_validation.search.proposals import shrink
+from lirs_validation.search.space import Case
 
 LIMITS = SearchLimits()
 NAMES = [p.name for p in PARAMETERS]
