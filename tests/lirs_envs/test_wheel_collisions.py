@@ -62,7 +62,7 @@ def test_a_wall_is_a_collision_at_once(
         info = env.episodes.infos()
         assert info["reason"][speed] == "collision", speed
         # The wheels stand out of the Jackal on all sides: it is not let climb.
-        assert abs(env.episodes.simulation.pose(speed).rotation[2, 2]) > math.cos(math.radians(15))
+        assert abs(env.episodes.parts[0].simulation.pose(speed).rotation[2, 2]) > math.cos(math.radians(15))
         assert steps * 0.1 < 2.0 + 0.5 / (SPEEDS[speed, 0] * robot.max_speed)
 
 

@@ -125,7 +125,7 @@ def test_processes_lose_no_experiment_whatever_happens_to_them(tmp_path: Path, n
         notes, "good", "dies once", "raises", "good", "hangs", "dies", "leaks", "good", "good"
     )
     reported: list[tuple[str, str, float]] = []
-    engine = Processes(jobs=2, limits=Limits(seconds=8.0, memory=1_000_000_000))
+    engine = Processes(jobs=2, limits=Limits(seconds=15.0, memory=1_000_000_000))
     sweep = Sweep(asked, tmp_path / "out")
     outcomes = list(sweep.run(engine, lambda name: lambda *message: reported.append((name, *message))))
     assert sorted(outcome.experiment for outcome in outcomes) == [experiment.name for experiment in asked]
@@ -135,7 +135,7 @@ def test_processes_lose_no_experiment_whatever_happens_to_them(tmp_path: Path, n
     assert sweep.outcomes["6-leaks"].reason == "MemoryError"
     assert "died 2 times (signal SIGKILL)" in sweep.outcomes["5-dies"].reason
     hung = (tmp_path / "out" / "4-hangs" / "failed").read_text()
-    assert "no end within the experiment's 8 s" in hung
+    assert "no end within the experiment's 15 s" in hung
     assert "fake_experiments.py" in hung
     assert (tmp_path / "out" / "0-good" / "result").read_text() == "0-good True"
     assert ("0-good", "drive", 0.5) in reported
