@@ -60,7 +60,7 @@ class MapConfig(Options):
     )
     reference: str | None = option(
         None,
-        "Reference trajectory (TUM, ROS bag, or CARMEN of corrected poses); the same.",
+        "Reference trajectory (TUM, ROS bag, or CARMEN of corrected poses): the record then holds the ATE.",
         metavar="FILE",
         in_digest=False,
     )

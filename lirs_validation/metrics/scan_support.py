@@ -62,7 +62,8 @@ class ScanSupport:
         """
         if not self.poses:
             return "the robot can stand nowhere"
-        walls = f"walls on {self.wall_p10:.0f} to {self.wall_median:.0f} of {self.beams} beams"
+        least, median = f"{self.wall_p10:.0f}", f"{self.wall_median:.0f}"
+        walls = f"walls on {least if least == median else f'{least} to {median}'} of {self.beams} beams"
         if self.wall_p10 >= ENOUGH * self.beams:
             return f"{walls}: enough for planar mapping nearly everywhere"
         if self.wall_median >= ENOUGH * self.beams:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import sys
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
@@ -180,8 +180,8 @@ def _few_walls(entry: Entry) -> str:
     if walls is None or walls > 0:
         return ""
     returns = value_at(entry, "scans.returns_median")
-    seen = "no walls" if returns else "nothing"
-    return f"{seen} within {value_at(entry, 'scans.range_max'):g} m ({walls:.0f} of {beams} beams)"
+    seen, reach = "no walls" if returns else "nothing", value_at(entry, "scans.range_max")
+    return f"its lidar sees {seen} within {reach:g} m ({walls:.0f} of {beams} beams)"
 
 
 def _path_sentence(figures: VerdictFigures) -> str:
@@ -202,9 +202,10 @@ def _map_sentence(figures: VerdictFigures) -> str:
         return "Its map is empty."
     if figures.f1_aligned is not None:
         false, reference = figures.false_occupied, figures.reference_false_occupied
-        ghosts = "" if false is None else f", {100 * false:.0f} % of its occupied cells are false"
+        ghosts = "" if false is None else f"; {100 * false:.0f} % of its occupied cells are false"
         own = "" if not ghosts or reference is None else f" ({100 * reference:.0f} % at the true poses)"
-        return f"Its map agrees with the true one by F1 {figures.f1_aligned:.2f}{ghosts}{own}."
+        quality = f"F1 {figures.f1_aligned:.2f}{ghosts}{own}"
+        return f"After alignment, its map agrees with the true one by {quality}."
     if figures.elevation_rmse is not None:
         seen = f", {100 * (figures.elevation_seen or 0.0):.0f} % of the visible ground is seen"
         return f"Its elevation map is {figures.elevation_rmse:.3f} m off{seen}."
@@ -254,6 +255,10 @@ def read_limits(path: Path) -> tuple[VerdictLimits, frozenset[str]]:
     for name, value in entry.items():
         if name not in names:
             raise ConfigError(f"{path}: unknown limit {name!r}; legal: {', '.join((*names, 'accept'))}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not 0 <= value <= sys.float_info.max
+        ):
             raise ConfigError(f"{path}: {name} must be a finite number, at least 0, got {value!r}")
     return VerdictLimits(**entry), frozenset(accept)

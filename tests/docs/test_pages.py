@@ -39,6 +39,14 @@ def test_links_lead_to_files_as_github_reads_them(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "README.md"], ids=lambda page: page.name)
+def test_the_rows_of_a_table_have_the_cells_of_its_head(page: Path) -> None:
+    text = re.sub(r"^```.*?^```|`[^`\n]*`|\\\|", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    for table in re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE):
+        rows = table.splitlines()
+        assert [row for row in rows if row.count("|") != rows[0].count("|")] == []
+
+
 def test_every_page_is_in_the_index() -> None:
     toctrees = re.findall(
         r"^```{toctree}\n(.*?)^```", (DOCS / "index.md").read_text(), re.MULTILINE | re.DOTALL

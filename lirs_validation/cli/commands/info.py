@@ -140,7 +140,7 @@ def _starts(world: World) -> str:
     """Return how many there are, and for whom."""
     if not world.spawn_poses:
         return "none: no robot on wheels fits"
-    whom = f", for {world.spawn_for} and what is smaller" if world.spawn_for else ""
+    whom = f", for {world.spawn_for} and smaller robots" if world.spawn_for else ""
     return f"{len(world.spawn_poses)}{whom}"
 
 

@@ -32,7 +32,8 @@ def test_the_sentence_names_cause_errors_map_and_evaluated_part() -> None:
     verdict = judge(ENTRY)
     assert verdict.kind == "adds nothing"
     assert verdict.sentence == (
-        "gmapping on jackal adds nothing to the odometry on quarry: nothing within 20 m (0 of 541 beams). "
+        "gmapping on jackal adds nothing to the odometry on quarry: "
+        "its lidar sees nothing within 20 m (0 of 541 beams). "
         "Its path error is 0.205 m after 31 m, the odometry's 0.205 m. Its map is empty. "
         "Evaluated on a window of 50 m of 16 km. "
         "The source's samples are 62 m apart: they do not resolve a robot of 0.64 m."
@@ -43,6 +44,15 @@ def test_the_sentence_names_cause_errors_map_and_evaluated_part() -> None:
 def test_an_error_above_the_odometrys_is_said() -> None:
     trajectory = ENTRY["trajectory"] | {"ate_rmse": 0.22}
     assert "worse than the odometry's 0.205 m" in judge(ENTRY | {"trajectory": trajectory}).sentence
+
+
+def test_the_figures_of_the_map_are_those_after_alignment() -> None:
+    map_figures = {"f1": 0.67, "f1_aligned": 0.94, "false_occupied_aligned": 0.13, "occupied_cells": 9}
+    sentence = judge(ENTRY | {"map": map_figures | {"reference_false_occupied": 0.01}}).sentence
+    assert (
+        "After alignment, its map agrees with the true one by F1 0.94; "
+        "13 % of its occupied cells are false (1 % at the true poses)."
+    ) in sentence
 
 
 def test_a_short_drive_says_what_is_needed() -> None:
@@ -87,6 +97,7 @@ def test_limits_are_read(tmp_path: Path) -> None:
     [
         ("f2: 1\n", "unknown limit 'f2'; legal: robot_lengths"),
         ("f1_aligned: high\n", "f1_aligned must be a finite number, at least 0, got 'high'"),
+        ("drift: 1" + 400 * "0" + "\n", "drift must be a finite number"),
         ("accept: [failed]\n", "accept must be a list of no reference, path only"),
         ("[1]\n", "must have fields"),
         ("a: [\n", "cannot be read as YAML"),

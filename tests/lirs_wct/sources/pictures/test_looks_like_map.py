@@ -29,7 +29,7 @@ ROOM[5, 5:35] = 0
 
 def test_a_map_without_its_yaml_is_suggested(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "room.png"), ROOM)
-    with pytest.warns(UserWarning, match=r"looks like a laser map: give its YAML file, or --as map"):
+    with pytest.warns(UserWarning, match="give its YAML file, or --as map with --resolution"):
         build_world(tmp_path / "room.png")
 
 
