@@ -53,7 +53,9 @@ class Answer:
         if decision == "undecided":
             parts.append("The budget ended before a decision.")
             if self.trial.forecast is not None:
-                parts.append(f"The forecast is {100 * self.trial.forecast:.0f} % of the drives.")
+                parts.append(
+                    f"The forecast is that it works in {100 * self.trial.forecast:.0f} % of the drives."
+                )
         parts += [_failures_text(self.trial), _changes_text(self), *self.trial.extents]
         return " ".join(part for part in parts if part)
 

@@ -307,15 +307,20 @@ def _remarks(entries: Sequence[Entry]) -> str:
 
 
 def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:
-    """Return the verdict of one run, or the count of each class by group of more."""
-    if len(entries) == 1:
-        return [f"verdict: {judge(entries[0], limits)}"]
+    """Return the verdicts by group: the sentence of a single run, the count of each class of more."""
     groups = by_group(entries)
-    fields = tuple(name for name in FIELDS if name in {"world", "robot", "mapper", *_fields(groups)})
-    return [
-        f"verdict, {group.label(fields)}: {class_counts(judge(run, limits) for run in runs)}"
-        for group, runs in groups.items()
-    ]
+    named = ("world", "robot", "mapper")  # a sentence names these three
+    varied = tuple(name for name in _fields(groups) if name not in named)
+    return [_verdict_line(group, runs, varied, limits) for group, runs in groups.items()]
+
+
+def _verdict_line(
+    group: RunGroup, runs: Sequence[Entry], varied: tuple[str, ...], limits: VerdictLimits
+) -> str:
+    if len(runs) > 1:
+        counts = class_counts(judge(run, limits) for run in runs)
+        return f"verdict, {group.label(('world', 'robot', 'mapper', *varied))}: {counts}"
+    return f"verdict{f', {group.label(varied)}' if varied else ''}: {judge(runs[0], limits)}"
 
 
 def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:

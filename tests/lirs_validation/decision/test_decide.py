@@ -119,7 +119,7 @@ def test_without_time_nothing_is_decided(driven: list[RunConfig], tmp_path: Path
     assert answer.sentence.startswith("hector on husky is undecided on simple: no drive was evaluated.")
     forecast = answer.trial.forecast
     assert forecast is not None
-    assert answer.sentence.endswith(f"The forecast is {100 * forecast:.0f} % of the drives.")
+    assert answer.sentence.endswith(f"The forecast is that it works in {100 * forecast:.0f} % of the drives.")
 
 
 def test_a_terrain_that_the_robot_cannot_drive_ends_the_drives(

@@ -180,4 +180,8 @@ def test_verdicts_are_counted_by_group_and_one_run_has_its_sentence() -> None:
         "verdict, simple, husky, hector, attitude: imu: works (1 of 2), loses its way (1 of 2)",
         "verdict, simple, husky, hector, attitude: none: works (1 of 2), loses its way (1 of 2)",
     ]
-    assert verdict_lines(runs[:1])[0].startswith("verdict: hector on husky works on simple.")
+    alone = verdict_lines([runs[0], entry(mapper="gmapping", ate=0.9)])
+    assert alone[0].startswith("verdict: hector on husky works on simple.")
+    other = verdict_lines([runs[0], entry(attitude="none")])
+    assert other[1].startswith("verdict, attitude: none: hector on husky ")
+    assert alone[1].startswith("verdict: gmapping on husky loses its way on simple.")
