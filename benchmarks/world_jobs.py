@@ -19,9 +19,11 @@ from lirs_wct.export.package import write_package
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
+from lirs_wct.sources.effort import effort_of
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field
 from lirs_wct.sources.rasterize import rasterize_heights
+from lirs_wct.sources.source import find_source
 from lirs_wct.world import World
 
 BUNDLED = ("simple", "medium", "advanced")
@@ -176,6 +178,40 @@ def trimesh_dae(path: Path, out: Path, _: float) -> Figures:
     return {"triangles": len(mesh.faces), "file_mb": size_mb(out, "dae"), "seconds": seconds}
 
 
+def large_terrain(path: Path, out: Path, samples: float) -> Figures:
+    return large(path, out, int(samples) ** 2)
+
+
+def large_full_grid(path: Path, out: Path, samples: float) -> Figures:
+    return large(path, out, int(samples) ** 2, max_error=0.0)
+
+
+def large_map(_: Path, out: Path, cells: float) -> Figures:
+    """A floor of `cells` x `cells` with a fifth as many blocks as cells along a side."""
+    side = int(cells)
+    floor, rng = np.full((side, side), 254, np.uint8), np.random.default_rng(0)
+    floor[:10] = floor[-10:] = floor[:, :10] = floor[:, -10:] = 0
+    for _ in range(side // 5):
+        (row, col), (rows, cols) = rng.integers(0, side, 2), rng.integers(5, 100, 2)
+        floor[row : row + rows, col : col + cols] = 0
+    cv2.imwrite(str(out / "floor.png"), floor)
+    return large(write_yaml(out / "floor.yaml", 0.05), out, side**2)
+
+
+def large(path: Path, out: Path, pixels: int, **options: float | None) -> Figures:
+    """Build with the default formats; compare with the estimate of a refusal."""
+    found = find_source(path, BuildOptions())
+    memory, seconds = effort_of(found.kind, BuildOptions(**options))(pixels)  # type: ignore[arg-type]
+    start = time.process_time()
+    world = package(path, out, MAP_FORMATS, max_pixels=pixels, **options)
+    return {
+        "cpu": time.process_time() - start,
+        "triangles": len(world.file_mesh.faces),
+        "estimated_cpu": seconds,
+        "estimated_mb": memory / 1e6,
+    }
+
+
 JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {
     "world within error": within_error,
     "world within count": within_triangles,
@@ -188,6 +224,9 @@ JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {
     "8 bit, deterraced": deterraced,
     "laser map": laser_map,
     "agreement": agreement,
+    "large terrain": large_terrain,
+    "large full grid": large_full_grid,
+    "large map": large_map,
 }
 
 
@@ -199,14 +238,19 @@ def warm(job: str, folder: Path, budget: float) -> None:
         source = tiny_map(folder)
     else:
         cv2.imwrite(str(source), picture(129))
-    JOBS[job](source, folder, budget)
+    JOBS[job](source, folder, 129 if job.startswith("large") else budget)
 
 
 def tiny_map(folder: Path) -> Path:
     cells = np.full((40, 40), 254, np.uint8)
     cells[:3], cells[20, 5:20], cells[30:, 30:] = 0, 0, 205
     cv2.imwrite(str(folder / "room.png"), cells)
-    said = {"image": "room.png", "resolution": 0.1, "origin": [0, 0, 0.1], "negate": 0}
+    return write_yaml(folder / "room.yaml", 0.1)
+
+
+def write_yaml(path: Path, resolution: float) -> Path:
+    """Write the YAML of a map whose picture is the PNG of the same name."""
+    said = {"image": f"{path.stem}.png", "resolution": resolution, "origin": [0, 0, 0.1], "negate": 0}
     said |= {"occupied_thresh": 0.65, "free_thresh": 0.2}
-    (folder / "room.yaml").write_text("".join(f"{key}: {value}\n" for key, value in said.items()))
-    return folder / "room.yaml"
+    path.write_text("".join(f"{key}: {value}\n" for key, value in said.items()))
+    return path

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray
-from lirs_wct.errors import OutputError, SourceError
+from lirs_wct.errors import OutputError, SourceError, TooLargeError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.gdal import DRIVERS, read_gdal
@@ -114,8 +114,8 @@ def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
     if w < 2 or h < 2:
         raise SourceError(f"{path}: image is {w}x{h} px, a terrain needs at least 2x2")
     if w * h > max_pixels:
-        raise SourceError(f"{path}: image is {w}x{h} px = {w * h} pixels, at most {max_pixels} are allowed "
-                          "(--max-pixels)")  # fmt: skip
+        size = f"{path}: image is {w}x{h} px = {w * h} pixels"
+        raise TooLargeError(size, w * h, f"at most {max_pixels} are allowed")
 
 
 def _decode(data: ByteArray, flags: int) -> tuple[NDArray[Any] | None, list[str]]:
