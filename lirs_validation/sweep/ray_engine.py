@@ -9,6 +9,8 @@ import logging
 import os
 import socket
 import tempfile
+import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -56,7 +58,18 @@ class RayCluster:
             ConfigError: Ray is not installed, or no cluster answers at the address.
         """
         with _ray_session(self.address, self.jobs) as ray:
+            before = _machines(ray)
             yield from _Flight(ray, self.limits).outcomes(experiments, out, progress_of)
+            if lost := before - _machines(ray):
+                warnings.warn(
+                    f"{len(lost)} of {len(before)} machines of the cluster were lost; others did their runs",
+                    stacklevel=2,
+                )
+
+
+def _machines(ray: Any) -> set[str]:
+    """Return the ids of the machines that are alive."""
+    return {node["NodeID"] for node in ray.nodes() if node["Alive"]}
 
 
 class _Flight:
@@ -68,6 +81,7 @@ class _Flight:
         self._room = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
         self._scenarios: dict[Any, Any] = {}
         self._flying: dict[Any, Experiment] = {}
+        self._lost: Counter[str] = Counter()
 
     def outcomes(
         self, experiments: Sequence[Experiment], out: Path, progress_of: ProgressOf
@@ -82,7 +96,16 @@ class _Flight:
                     yield outcome_of(error, experiment.name)
             for done in self._ray.wait(list(self._flying), timeout=1.0)[0]:
                 experiment = self._flying.pop(done)
-                outcome = self._collect(done, experiment, out)
+                try:
+                    outcome = self._collect(done, experiment, out)
+                except self._ray.exceptions.ObjectLostError as error:
+                    # Its world or its result was lost with a machine: Ray itself repeats dead tasks only.
+                    self._lost[experiment.name] += 1
+                    if self._lost[experiment.name] <= RETRIES:
+                        self._scenarios.clear()
+                        waiting.append(experiment)
+                        continue
+                    outcome = outcome_of(error, experiment.name)
                 progress_of(experiment.name)("evaluate", 1.0)
                 yield outcome
 
@@ -102,9 +125,15 @@ class _Flight:
         return self._scenarios[key]
 
     def _collect(self, done: Any, experiment: Experiment, out: Path) -> Outcome:
-        """Write a returned folder. An experiment that ran twice is written once."""
+        """Write a returned folder. An experiment that ran twice is written once.
+
+        Raises:
+            ObjectLostError: Ray lost the world or the result.
+        """
         try:
             outcome, files = self._ray.get(done)
+        except self._ray.exceptions.ObjectLostError:
+            raise
         except Exception as error:
             return outcome_of(error, experiment.name)
         if not outcome.written:
@@ -155,6 +184,8 @@ def _ray_session(address: str | None, jobs: int | None) -> Iterator[Any]:
         return
     if address is not None:
         _probe_address(address)
+    # Ray has no public switch for this: a lost machine's state (60 lines) would go to the terminal.
+    ray._private.worker._worker_logs_enabled = False
     _connect(ray, address, jobs)
     try:
         yield ray

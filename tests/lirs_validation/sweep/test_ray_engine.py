@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,39 @@ def test_a_cluster_of_two_workers_survives_the_death_of_one(
     folders = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert folders == [*(experiment.name for experiment in experiments), "sweep.json"]
     assert (tmp_path / "out" / "0" / "result").read_text() == "0 True"
+
+
+@pytest.mark.slow
+def test_a_machine_that_is_lost_costs_one_line_and_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Ray printed 20 lines of the dead machine's state twice or more."""
+    cluster_utils = pytest.importorskip("ray.cluster_utils", reason="Ray is not installed")
+    monkeypatch.setenv("PYTHONPATH", f"{ROOT}:{ROOT / 'envs'}")
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    monkeypatch.delenv("RAY_AUTH_MODE", raising=False)
+    cluster = cluster_utils.Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
+    try:
+        second = cluster.add_node(num_cpus=1)
+        (tmp_path / "notes").mkdir()
+        experiments = [FakeExperiment(f"{k}", str(tmp_path / "notes"), "good", 3.0) for k in range(8)]
+        sweep = Sweep(experiments, tmp_path / "out")
+        engine = make_executor(EngineOptions(engine="ray", address=cluster.address))
+        capfd.readouterr()
+        with warnings.catch_warnings(record=True) as warned:
+            for done, _ in enumerate(sweep.run(engine)):
+                if done == 0:
+                    cluster.remove_node(second, allow_graceful=False)
+    finally:
+        cluster.shutdown()
+    assert [(o.status, o.reason) for o in sweep.outcomes.values()] == [("ok", "")] * 8
+    assert {len(experiment.runs) for experiment in experiments} <= {1, 2}
+    assert "".join(capfd.readouterr()) == ""
+    assert [str(entry.message) for entry in warned] == [
+        "1 of 2 machines of the cluster were lost; others did their runs"
+    ]
 
 
 @pytest.mark.slow
