@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from operator import attrgetter
+from typing import Literal, TypeVar, overload
 
 import numpy as np
 
@@ -12,9 +15,10 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.geometry import Pose2, Pose3, Trajectory
+from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory
 from slam_baselines.motion.spatial import spatial_odometry
 
+T = TypeVar("T")
 Place = Literal["drive", "process"]
 """Location of a mapper: the drive's own process or another one."""
 
@@ -44,11 +48,74 @@ class Tick:
     finished: str = ""
 
 
+class PackedList(Sequence[T]):
+    """Append-only sequence that stores the numbers of its values, in a third of their memory or less.
+
+    Args:
+        pack: returns the numbers of a value, always as many.
+        unpack: makes the value of these numbers.
+    """
+
+    def __init__(self, pack: Callable[[T], tuple[float, ...]], unpack: Callable[..., T]) -> None:
+        self._pack, self._unpack = pack, unpack
+        self._numbers, self._width = array("d"), 1
+
+    def append(self, value: T) -> None:
+        """Add a value at the end."""
+        numbers = self._pack(value)
+        self._numbers.extend(numbers)
+        self._width = len(numbers)
+
+    def __len__(self) -> int:
+        return len(self._numbers) // self._width
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[T]: ...
+    def __getitem__(self, index: int | slice) -> T | list[T]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(len(self))[index]]
+        first = range(len(self))[index] * self._width
+        return self._unpack(*self._numbers[first : first + self._width])
+
+
+_numbers2: Callable[[Pose2], tuple[float, ...]] = attrgetter("x", "y", "yaw")
+_numbers3: Callable[[Pose3], tuple[float, ...]] = attrgetter("x", "y", "z", "qw", "qx", "qy", "qz")
+
+
+class ObservationList(Sequence[Observation]):
+    """Append-only sequence of observations without clouds and inertial readings."""
+
+    def __init__(self) -> None:
+        self._scans: list[LaserScan] = []
+        self._odometry = PackedList(_numbers2, Pose2)
+        self._imu = PackedList(attrgetter("row"), Imu.from_row)
+
+    def append(self, observation: Observation) -> None:
+        """Add an observation at the end."""
+        self._scans.append(observation.scan)
+        self._odometry.append(observation.odometry)
+        self._imu.append(observation.imu)
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    @overload
+    def __getitem__(self, index: int) -> Observation: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Observation]: ...
+    def __getitem__(self, index: int | slice) -> Observation | list[Observation]:
+        if isinstance(index, slice):
+            return [self[k] for k in range(len(self))[index]]
+        return Observation(self._scans[index], self._odometry[index], self._imu[index])
+
+
 @dataclass
 class DriveLog:
     """Log of a drive.
 
-    Each scan adds one entry; an hour's drive takes some hundred megabytes.
+    Each scan adds one entry; an hour's drive takes about 300 megabytes.
 
     Attributes:
         start: where the driver had the robot set down, world frame.
@@ -70,12 +137,14 @@ class DriveLog:
 
     start: Pose2 = field(default_factory=Pose2)
     spatial: bool = False
-    observations: list[Observation] = field(default_factory=list)
+    observations: ObservationList = field(default_factory=ObservationList)
     clouds: CloudSample = field(default_factory=CloudSample)
     walker_beams: list[BoolArray] = field(default_factory=list)
-    truth: list[Pose3] = field(default_factory=list)
+    truth: PackedList[Pose3] = field(default_factory=lambda: PackedList(_numbers3, Pose3))
     estimates: list[Pose2 | Pose3] = field(default_factory=list)
-    commands: list[Twist] = field(default_factory=list)
+    commands: PackedList[Twist] = field(
+        default_factory=lambda: PackedList(attrgetter("v", "omega", "climb"), Twist)
+    )
     final: Trajectory | None = None
     walls: list[float] = field(default_factory=list)
     mapper_seconds: list[float] = field(default_factory=list)
@@ -92,8 +161,8 @@ class DriveLog:
             if self.spatial:
                 self.clouds.offer(len(self.observations), observation.cloud, tick.walker_points)
             scan = replace(observation.scan, ranges=observation.scan.ranges.copy())  # not the whole sweep
-            observation = replace(observation, scan=scan, cloud=None)
-        self.observations.append(replace(observation, inertial=None, odometry_track=()))
+            observation = replace(observation, scan=scan)
+        self.observations.append(observation)
         if tick.walker_beams is not None:
             self.walker_beams.append(tick.walker_beams)
         self.truth.append(tick.T_world_base)

@@ -1,0 +1,92 @@
+"""Two simulated hours in one drive: memory per hour, its linearity, the clock, the speed at both ends.
+
+    nice -n 10 python benchmarks/long.py [SOURCE] [--mapper hector] [--hours 2] [--quick] [--json FILE]
+
+Processor time and resident memory are read once per simulated minute. Limits: 300 MB per simulated hour by a
+line through these, no reading farther than 30 MB from that line after the first 10 minutes, stamps exact to
+1e-6 s, and a median of the last 10 minutes within 10 % of the first's. A broken limit makes the exit code 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.loop import Drive
+from lirs_validation.experiment.run import ReadyRun, prepare
+
+MINUTE = 60.0
+END = 10
+"""Minutes at the beginning and at the end that are compared."""
+LIMITS = {"mb_per_hour": 300.0, "off_line_mb": 30.0, "clock_error": 1e-6, "cpu_change": 0.10}
+
+
+def resident_mb() -> float:
+    """Resident memory of this process, MB; Linux only."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def measure(ready: ReadyRun) -> dict[str, Any]:
+    """Drive to the end and return the figures."""
+    drive = Drive(ready.simulation, ready.driver, ready.mapper, ready.seconds)
+    readings = [(0.0, time.process_time(), resident_mb())]
+    for driven in drive:
+        if driven >= len(readings) * MINUTE - 1e-9:
+            readings.append((driven, time.process_time(), resident_mb()))
+    at, cpu, memory = np.array(readings).T
+    speed = np.diff(cpu) / np.diff(at)
+    settled = at >= END * MINUTE
+    line = np.polyfit(at[settled] / 3600, memory[settled], 1)
+    stamps = np.array([seen.scan.stamp for seen in drive.log.observations])
+    exact = np.arange(len(stamps)) * ready.simulation.period
+    first, last = float(np.median(speed[:END])), float(np.median(speed[-END:]))
+    return {
+        "simulated": float(at[-1]),
+        "status": f"{drive.log.status}: {drive.log.reason}" if drive.log.reason else drive.log.status,
+        "cpu_seconds": float(cpu[-1] - cpu[0]),
+        "mb_at_start": float(memory[0]),
+        "mb_at_end": float(memory[-1]),
+        "mb_per_hour": float(line[0]),
+        "off_line_mb": float(np.abs(memory[settled] - np.polyval(line, at[settled] / 3600)).max()),
+        "clock_error": float(np.abs(stamps - exact).max()),
+        "cpu_ms_first": 1e3 * first,
+        "cpu_ms_last": 1e3 * last,
+        "cpu_change": abs(last / first - 1),
+    }
+
+
+def main() -> None:
+    """Drive, print the figures and check them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("source", nargs="?", default="simple")
+    parser.add_argument("--mapper", default="hector")
+    parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--quick", action="store_true", help="half an hour")
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    seconds = 3600 * (0.5 if given.quick else given.hours)
+    ready = prepare(RunConfig(source=given.source, mapper=given.mapper, seconds=seconds))
+    with closing(ready.mapper):
+        figures = measure(ready)
+    over = [name for name, limit in LIMITS.items() if figures[name] > limit]
+    for name, value in figures.items():
+        limit = f" (at most {LIMITS[name]:g})" if name in LIMITS else ""
+        print(f"{name:14} {value if isinstance(value, str) else f'{value:.4g}'}{limit}")
+    if given.json:
+        given.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    if over or figures["simulated"] < seconds - 1e-6:
+        sys.exit(f"over its limit, or ended early: {', '.join(over)}")
+
+
+if __name__ == "__main__":
+    main()
