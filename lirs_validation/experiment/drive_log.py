@@ -49,7 +49,7 @@ class Tick:
 
 
 class PackedList(Sequence[T]):
-    """Append-only sequence that stores the numbers of its values, in a third of their memory or less.
+    """Append-only sequence that stores its values as numbers of one array.
 
     Args:
         pack: returns the numbers of a value, always as many.

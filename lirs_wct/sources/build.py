@@ -11,7 +11,7 @@ from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.footprints import FOOTPRINTS
 from lirs_wct.sources.clouds.source import read_point_cloud
-from lirs_wct.sources.effort import affordable_options, explained
+from lirs_wct.sources.effort import explain_refusal, limit_to_memory
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions, SourceKind
@@ -42,9 +42,9 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
         raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
     warn_of_useless(found, options)
     try:
-        world = _build_from(found, affordable_options(found.kind, options))
+        world = _build_from(found, limit_to_memory(found.kind, options))
     except TooLargeError as error:
-        raise explained(error, found.kind, options) from error
+        raise explain_refusal(error, found.kind, options) from error
     exact = world.walls is not None or world.overhangs
     warn_of_shape(found, options, world.surface.size, exact)
     for texture in (options.texture, options.wall_texture):

@@ -51,7 +51,7 @@ def effort_of(kind: SourceKind, options: BuildOptions) -> Effort:
 
 
 def free_memory() -> float:
-    """Return the bytes of memory that are available, at most the control group's limit; Linux only."""
+    """Return the available bytes of memory; Linux only."""
     free = UNLIMITED
     if sys.platform != "linux":
         return free
@@ -63,8 +63,8 @@ def free_memory() -> float:
     return free
 
 
-def affordable_options(kind: SourceKind, options: BuildOptions) -> BuildOptions:
-    """Return the options with the pixels limited to those for which the free memory suffices.
+def limit_to_memory(kind: SourceKind, options: BuildOptions) -> BuildOptions:
+    """Return the options with pixels limited by the free memory.
 
     A part of a picture and a smaller copy take less than the estimate, and keep the limit.
     """
@@ -74,7 +74,7 @@ def affordable_options(kind: SourceKind, options: BuildOptions) -> BuildOptions:
     return replace(options, max_pixels=max(1, min(options.max_pixels, most)))
 
 
-def explained(error: TooLargeError, kind: SourceKind, options: BuildOptions) -> TooLargeError:
+def explain_refusal(error: TooLargeError, kind: SourceKind, options: BuildOptions) -> TooLargeError:
     """Return a refusal with the effort of the picture, and the option that helps."""
     effort = effort_of(kind, options)
     memory, seconds = effort(error.pixels)
