@@ -78,6 +78,22 @@ def test_a_command_on_a_full_disk_says_so_in_one_line(
     assert [path for path in (tmp_path / "full").rglob("*") if path.is_file()] == []
 
 
+@pytest.mark.slow
+def test_a_full_disk_leaves_the_former_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "report.html"
+    assert run_command("validate", "simple", "--seconds", "1", "-o", str(tmp_path / "runs")) == 0
+    words = ("report", str(tmp_path / "runs"), "-o", str(page))
+    assert run_command(*words) == 0
+    former = page.read_bytes()
+    capsys.readouterr()
+    with largest_file(3000):
+        assert run_command(*words) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lirs-wct: ")]
+    assert said == [f"lirs-wct: {page}: cannot be written: File too large"]
+    assert page.read_bytes() == former
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "runs"]
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_terminal_without_room_is_said() -> None:
     with Path("/dev/full").open("w") as full:

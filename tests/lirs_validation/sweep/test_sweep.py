@@ -145,3 +145,19 @@ def test_processes_lose_no_experiment_whatever_happens_to_them(tmp_path: Path, n
 def test_one_process_at_a_time_is_no_contention(tmp_path: Path, notes: str) -> None:
     list(Sweep(experiments(notes, "good"), tmp_path / "out").run(Processes(jobs=1)))
     assert (tmp_path / "out" / "0-good" / "result").read_text() == "0-good False"
+
+
+def test_two_sweeps_at_once_in_one_folder_leave_whole_results(tmp_path: Path, notes: str) -> None:
+    """Each may do an experiment that the other is doing; no folder is broken by that."""
+    asked = experiments(notes, *(["good"] * 6), seconds=0.05)
+    sweeps = [Sweep(asked, tmp_path / "out") for _ in range(2)]
+    engine = Processes(jobs=2)
+    both = [sweep.run(engine) for sweep in sweeps]
+    done = [outcome for pair in zip(*both, strict=True) for outcome in pair]
+    assert [outcome.status for outcome in done] == ["ok"] * 12
+    for experiment in asked:
+        folder = tmp_path / "out" / experiment.name
+        assert sorted(path.name for path in folder.iterdir()) == ["manifest-sha256.txt", "result"]
+        assert (folder / "result").read_text() == f"{experiment.name} True"
+    assert hidden(tmp_path / "out") == []
+    assert Sweep(asked, tmp_path / "out").kept == 6
