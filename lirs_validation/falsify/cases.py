@@ -16,7 +16,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
 from lirs_validation.config import RunConfig
 from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.search.space import Case, SearchParameter, SearchSpace
+from lirs_validation.search import Case, SearchParameter, SearchSpace
 from lirs_validation.sweep.suites import CASE, case_options, read_yaml_fields
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import short_name

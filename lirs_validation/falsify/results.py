@@ -22,7 +22,7 @@ from lirs_validation.falsify.drives import WORST, CaseDrives, policy_episode, po
 from lirs_validation.falsify.search import LEAST, NEW_SEEDS, FoundCase
 from lirs_validation.report.page import render
 from lirs_validation.report.table import ReportTable
-from lirs_validation.search.space import SearchParameter
+from lirs_validation.search import SearchParameter
 from lirs_validation.sweep.suites import CASE
 from lirs_wct import Pose2, Trajectory, World
 from lirs_wct.drawing.canvas import Canvas, shaded_heights

@@ -11,8 +11,7 @@ import numpy as np
 
 from lirs_validation.falsify.cases import SearchLimits
 from lirs_validation.falsify.drives import WORST, CaseDrives, DriveScore
-from lirs_validation.search.proposals import make_proposer, shrink
-from lirs_validation.search.space import Case
+from lirs_validation.search import Case, make_proposer, shrink
 
 LEAST = 0.01
 """Ratios below count as this one."""

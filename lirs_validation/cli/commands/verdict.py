@@ -128,8 +128,7 @@ def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> N
     from lirs_validation.falsify.cases import search_limits
     from lirs_validation.falsify.drives import CaseDrives, check_methods
     from lirs_validation.falsify.results import conclusion, write_results
-    from lirs_validation.search.proposals import require_cma
-    from lirs_validation.search.trials import process_pool
+    from lirs_validation.search import process_pool, require_cma
 
     limits = search_limits(options)
     check_methods(options)

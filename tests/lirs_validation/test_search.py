@@ -7,8 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lirs_validation.falsify.cases import PARAMETERS, SearchLimits
-from lirs_validation.search.proposals import shrink
-from lirs_validation.search.space import Case
+from lirs_validation.search import Case, shrink
 
 LIMITS = SearchLimits()
 NAMES = [p.name for p in PARAMETERS]
