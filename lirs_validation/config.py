@@ -33,7 +33,7 @@ from lirs_wct.option import (
     within,
 )
 from lirs_wct.sources.options import MAP_PANEL, BuildOptions, SourceKind
-from slam_baselines.mapper import MAPPERS, file_name
+from slam_baselines.mapper import MAPPERS, file_name, read_parameters
 
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
@@ -109,6 +109,11 @@ def read_drivers(text: str, flag: str = "--driver") -> tuple[str, ...]:
     return tuple(dict.fromkeys(driver.strip() for driver in drivers))
 
 
+def read_parameter_sets(text: str, flag: str = "--parameters") -> tuple[str, ...]:
+    """Return the sets of a list such as `none;srr=0.1,stt=0.2`, without repetitions."""
+    return tuple(dict.fromkeys("" if part.strip() == "none" else part.strip() for part in text.split(";")))
+
+
 def _known_noise(value: str, label: str) -> None:
     """Check that a noise is a level or the name of a YAML file, which is read later."""
     if value not in NOISE_LEVELS and not value.endswith(NOISE_FILES):
@@ -170,6 +175,15 @@ class RunConfig(Options):
         metavar="M,M,...",
         panel=AXES,
         names=tuple(MAPPERS),
+    )
+    parameters: str = option(
+        "",
+        "Parameters of the mapper, fields of its configuration; `none;a=1` compares its defaults with a=1.",
+        axis=read_parameter_sets,
+        metavar="NAME=VALUE,...",
+        panel=AXES,
+        check=lambda value, label: read_parameters(value, label) and None,
+        on_page=False,
     )
     mapper_python: str | None = option(
         None,

@@ -8,7 +8,7 @@ from pathlib import Path
 from lirs_validation.config import ATTITUDES, Attitude, digest_text, sha256
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options, choice, digest_fields, documented, one_of, option, positive, within
-from slam_baselines.mapper import MAPPERS
+from slam_baselines.mapper import MAPPERS, read_parameters
 
 BAG_TOPICS = "Topics of a bag"
 
@@ -31,6 +31,12 @@ class MapConfig(Options):
         "SLAM method: hector, gmapping, cartographer, ...",
         metavar="NAME|module:Class",
         names=tuple(MAPPERS),
+    )
+    parameters: str = option(
+        "",
+        "Parameters of the mapper, fields of its configuration.",
+        metavar="NAME=VALUE,...",
+        check=lambda value, label: read_parameters(value, label) and None,
     )
     mapper_python: str | None = option(
         None, "Python interpreter of a mapper that is not ours.", metavar="PATH", in_digest=False

@@ -6,8 +6,10 @@ import importlib
 import time
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, is_dataclass, replace
 from importlib.util import find_spec
+from numbers import Integral, Real
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol, TypedDict, TypeGuard
 
@@ -352,7 +354,7 @@ def make_mapper(
         name: one of MAPPERS.
         seed: of the random numbers, for a method that draws any.
         resolution: edge of the map's cell, meters, under any method's name for it.
-        **config: fields of the method's configuration.
+        **config: fields of the method's configuration; `{"part.field": value}` is a field of a part.
 
     Raises:
         ConfigError: no mapper has that name, or its configuration no such field or not that value.
@@ -391,14 +393,65 @@ def _make(name: str, seed: int | None, config: dict[str, Any]) -> Any:
     method = _METHODS[name]
     if seed is not None and "seed" in config_class.__dataclass_fields__:
         config["seed"] = seed
-    for key in config:
-        if key not in config_class.__dataclass_fields__:
-            raise unknown_name(f"parameter of {name}", key, config_class.__dataclass_fields__)
     try:
-        made = config_class(**method.options, **config)
+        made = _changed(config_class(**method.options), config, name)
         return getattr(importlib.import_module(method.module), method.factory)(made)
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
+
+
+def _changed(config: Any, given: Mapping[str, Any], name: str) -> Any:
+    """Return a configuration with other values of some fields; `part.field` is a field of a part.
+
+    Raises:
+        ConfigError: there is no such field, or a number's kind is another.
+    """
+    own: dict[str, Any] = {}
+    parts: dict[str, dict[str, Any]] = {}
+    for key, value in given.items():
+        first, dot, rest = key.partition(".")
+        if first not in config.__dataclass_fields__ or (dot and not is_dataclass(getattr(config, first))):
+            raise unknown_name(f"parameter of {name}", key, config.__dataclass_fields__)
+        if dot:
+            parts.setdefault(first, {})[rest] = value
+            continue
+        _check_kind(getattr(config, first), value, f"{key} of {name}")
+        own[first] = value
+    for first, fields in parts.items():
+        own[first] = _changed(own.get(first, getattr(config, first)), fields, f"{name}'s {first}")
+    return replace(config, **own)
+
+
+def _check_kind(usual: Any, value: Any, label: str) -> None:
+    """Check that a value is a switch, a whole number or a number where the usual one is."""
+    kinds = ((bool, bool, "true or false"), (int, Integral, "a whole number"), (float, Real, "a number"))
+    for kind, legal, words in kinds:
+        if isinstance(usual, kind):
+            if not isinstance(value, legal) or (isinstance(value, bool) and kind is not bool):
+                raise ConfigError(f"{label} must be {words}, got {value!r}")
+            return
+
+
+def read_parameters(text: str, label: str = "--parameters") -> dict[str, Any]:
+    """Return names and values of a text such as `srr=0.1,local.submaps.levels=2`; of "" none.
+
+    Raises:
+        ConfigError: the text is no such list.
+    """
+    found: dict[str, Any] = {}
+    for part in text.split(",") if text else ():
+        name, _, value = (word.strip() for word in part.partition("="))
+        if not name or not value or name in found:
+            raise ConfigError(f"{label} must be NAME=VALUE,NAME=VALUE,... with different names, got {text!r}")
+        found[name] = _read_value(value)
+    return found
+
+
+def _read_value(text: str) -> Any:
+    for kind in (int, float):
+        with suppress(ValueError):
+            return kind(text)
+    return {"true": True, "false": False}.get(text, text)
 
 
 _METHODS = {**MAPPERS, **ALL_CLOUD_MAPPERS}

@@ -15,7 +15,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
+from lirs_validation.experiment.own_code import keywords_taken, make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import (
     ALL_CLOUD_MAPPERS,
@@ -26,6 +26,7 @@ from slam_baselines.mapper import (
     Method,
     make_cloud_mapper,
     make_mapper,
+    read_parameters,
     reads_clouds,
 )
 
@@ -50,14 +51,16 @@ class MapperSpec:
         mapper: its name, or `module:name`.
         seed: of its random numbers.
         attitude: `imu`, or `none` for a mapper without inertial readings.
+        parameters: fields of its configuration (`NAME=VALUE,...`).
     """
 
     mapper: str
     seed: int
     attitude: Attitude
+    parameters: str = ""
 
 
-def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
+def mapper_named(name: str, seed: int, parameters: str = "") -> Mapper | CloudMapper:
     """Create a mapper by its name, or by a `module:name`.
 
     The latter names a class or function that makes one.
@@ -69,14 +72,17 @@ def mapper_named(name: str, seed: int) -> Mapper | CloudMapper:
         ConfigError: nothing has that name, it cannot be imported or made, a package is missing, or
             it is no mapper.
     """
+    given = read_parameters(parameters)
     if name in ALL_CLOUD_MAPPERS:
-        return make_cloud_mapper(name, seed=seed)
+        return make_cloud_mapper(name, seed=seed, **given)
     if ":" not in name:
         if name not in MAPPERS:
             raise unknown_name("mapper", name, [*MAPPERS, *ALL_CLOUD_MAPPERS, "module:name of your own"])
-        return make_mapper(name, seed=seed)
+        return make_mapper(name, seed=seed, **given)
     maker = own_class(name, "mapper", "update")
-    mapper = make_own(maker, {"seed": seed, "resolution": RESOLUTION}, name, "mapper")
+    for key in set(given) - set(keywords_taken(maker, given)):
+        raise ConfigError(f"mapper {name!r} takes no parameter {key!r}")
+    mapper = make_own(maker, {"seed": seed, "resolution": RESOLUTION} | given, name, "mapper")
     return _check_methods(mapper, name)
 
 

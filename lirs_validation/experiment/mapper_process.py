@@ -90,7 +90,7 @@ def start_mapper(config: RunConfig) -> MapperUnderTest:
     """
     if config.threads > 1 or needs_process(config.mapper):
         return MapperProcess(config, look_ahead=config.threads > 1)
-    make = partial(mapper_named, config.mapper, config.seed)
+    make = partial(mapper_named, config.mapper, config.seed, config.parameters)
     return MapperUnderTest(make, config.mapper, config.attitude)
 
 
@@ -130,7 +130,7 @@ class MapperProcess(MapperUnderTest):
         self._answers: deque[Estimate | Exception] = deque()
         self._sent = 0
         try:
-            self._send("make", MapperSpec(config.mapper, config.seed, config.attitude))
+            self._send("make", MapperSpec(config.mapper, config.seed, config.attitude, config.parameters))
             self.reads_clouds, self.requires_odometry, self.reads_inertial = self._reply()
             self._send("warm_up")
         except BaseException:
@@ -349,7 +349,7 @@ class _Server:
     def make(self, spec: MapperSpec) -> tuple[bool, bool, bool]:
         """Make the mapper; return whether it reads clouds, requires odometry, and reads all of the IMU."""
         self._name, self._meter = spec.mapper, CostMeter()
-        make = partial(mapper_named, spec.mapper, spec.seed)
+        make = partial(mapper_named, spec.mapper, spec.seed, spec.parameters)
         self._mapper = MapperUnderTest(make, spec.mapper, spec.attitude)
         mapper = self._mapper
         return mapper.reads_clouds, mapper.requires_odometry, mapper.reads_inertial

@@ -41,6 +41,7 @@ from slam_baselines.mapper import (
     make_cloud_mapper,
     make_mapper,
     parameters,
+    read_parameters,
 )
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 from slam_baselines.warm_up import warm_up
@@ -85,9 +86,10 @@ def _check_parameters(config: MapConfig) -> None:
 
 def _make(config: MapConfig) -> Mapper | CloudMapper:
     if config.mapper in OWN_CLOUD_MAPPERS:
-        return make_cloud_mapper(config.mapper, seed=config.seed)
+        return make_cloud_mapper(config.mapper, seed=config.seed, **read_parameters(config.parameters))
     options = {"particles": config.particles, "resolution": config.resolution}
     given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
+    given |= read_parameters(config.parameters)
     if config.mapper not in MAPPERS:
         raise unknown_name("mapper", config.mapper, [*MAPPERS, *ALL_CLOUD_MAPPERS, "module:name of your own"])
     if config.particles is not None and "particles" not in parameters(config.mapper):

@@ -219,7 +219,7 @@ def _compare(
     name = config.second or ("cartographer" if config.mapper == SECOND else SECOND)
     if name == "none":
         return None
-    other = replace(config, mapper=name, particles=None, resolution=None)
+    other = replace(config, mapper=name, particles=None, resolution=None, parameters="")
     with log_mapper(other) as mapper:
         if mapper.requires_odometry and log.odometry[0] is None:
             return None

@@ -67,7 +67,7 @@ class SlamExperiment:
         """Check source, robot, lidar, mapper, and the file of the driver."""
         c = self.config
         frontier = driver_parts(c.driver)[0] == "frontier"
-        _check_names(c.robot, c.lidar, c.mapper, c.mapper_python, frontier)
+        _check_names(c.robot, c.lidar, c.mapper, c.parameters, c.mapper_python, frontier)
         check_driver(self.config)
         world_name(self.config)
 
@@ -138,12 +138,18 @@ def _has_bag(record: Mapping[str, Any], config: RunConfig) -> bool:
 
 @cache
 def _check_names(
-    robot: str, lidar: str | None, mapper: str, mapper_python: str | None, frontier: bool
+    robot: str, lidar: str | None, mapper: str, parameters: str, mapper_python: str | None, frontier: bool
 ) -> None:
     make_lidar_preset(lidar or make_robot(robot).lidar)
     driver = "frontier" if frontier else TOUR
     asked = RunConfig(
-        source="", robot=robot, lidar=lidar, mapper=mapper, mapper_python=mapper_python, driver=driver
+        source="",
+        robot=robot,
+        lidar=lidar,
+        mapper=mapper,
+        parameters=parameters,
+        mapper_python=mapper_python,
+        driver=driver,
     )
     with closing(start_mapper(asked)) as made:
         check_sensors(made, asked)
