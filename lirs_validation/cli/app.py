@@ -25,7 +25,7 @@ from lirs_validation.cli.commands.mappers import mappers
 from lirs_validation.cli.commands.reports import compare, export, report, score
 from lirs_validation.cli.commands.robot_card import robot
 from lirs_validation.cli.commands.validate import record, validate
-from lirs_validation.cli.commands.verdict import falsify, verdict
+from lirs_validation.cli.commands.verdict import falsify, tune, verdict
 from lirs_validation.cli.commands.worlds import build, convert, info, view
 from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.cli.examples import epilog
@@ -49,6 +49,7 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
     "validate": validate,
     "map": map_log,
     "falsify": falsify,
+    "tune": tune,
     "twin": twin,
     "build": build,
     "report": report,

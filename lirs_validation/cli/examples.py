@@ -44,6 +44,10 @@ EXAMPLES: Mapping[str, tuple[str, ...]] = {
         "lirs-wct falsify --policy go_to_goal --drives 60 -o failures/",
         "lirs-wct validate --suite failures/cases.yaml -o out/",
     ),
+    "tune": (
+        "lirs-wct tune medium --robot husky --mapper gmapping_original --seconds 40 -o tune/",
+        "lirs-wct tune examples/data/office.clf.gz --mapper hector_original --unseen 4 -o tune/",
+    ),
     "record": ("lirs-wct record simple --seconds 60 -o run",),
     "live": (
         "lirs-wct live simple --robot husky --lockstep --seconds 60 -o out/",

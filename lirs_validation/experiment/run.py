@@ -137,20 +137,29 @@ def run(
     )
 
 
-def run_without_maps(config: RunConfig) -> dict[str, Any]:
-    """Drive; return `status`, `reason`, `trajectory` and `scans` of a run's record, sooner than `run`.
+def run_unwritten(
+    config: RunConfig, *, maps: bool = False, scenarios: ScenarioCache | None = None
+) -> dict[str, Any]:
+    """Drive; return `status`, `reason`, `trajectory`, `scans` and `map` of a record, sooner than `run`.
+
+    Args:
+        config: of the run.
+        maps: whether the maps are compared; `map` is empty otherwise.
+        scenarios: worlds that were built before.
 
     Raises:
         WctError: see `validate`; the mapper failed, or nothing was driven.
     """
-    ready = prepare(config)
+    ready = prepare(config, scenarios=scenarios)
+    world = ready.scenario.world
     with closing(ready.mapper):
         log = drive(ready.simulation, ready.driver, ready.mapper, ready.seconds)
         log.final = ready.mapper.trajectory()
+        scores = evaluate_maps(world, log, ready.mapper).scores if maps else {}
     trajectory = evaluate_trajectory(log, ready.simulation)
     status, reason = evaluate_status(log, trajectory["scan_coverage"])
-    scans = evaluate_scans(ready.scenario.world, log)
-    return {"status": status, "reason": reason, "trajectory": trajectory, "scans": scans}
+    found = {"status": status, "reason": reason, "trajectory": trajectory, "map": scores}
+    return found | {"scans": evaluate_scans(world, log)}
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.task_worlds import WorldSpec
 from lirs_validation.bench.tasks import BenchTask, TaskSet, set_entry
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.run import run_without_maps
+from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.falsify import FalsifyOptions
 from lirs_validation.falsify.cases import SearchLimits, arena_options, write_case
 from lirs_validation.metrics.verdict import LIMITS, VerdictFigures, classify
@@ -96,7 +96,7 @@ def _measure_mapper(config: RunConfig, least: float) -> DriveScore:
         MapperError: the mapper failed.
         SimulationError: nothing was driven.
     """
-    entry = run_without_maps(config)
+    entry = run_unwritten(config)
     trajectory, scans, reason = entry["trajectory"], entry["scans"], entry["reason"]
     error, odometry = trajectory.get("ate_rmse"), trajectory.get("odometry_ate_rmse")
     figures = VerdictFigures(

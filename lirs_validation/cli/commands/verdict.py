@@ -1,4 +1,4 @@
-"""`lirs-wct verdict` and `falsify`: decide whether methods work, and search where they fail."""
+"""`lirs-wct verdict`, `falsify` and `tune`: decide, search failures, search parameters."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from lirs_validation.cli.console import GATE_FAILED, err, out
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import EngineOptions, RunConfig, SourceOptions
 from lirs_validation.falsify import FalsifyOptions
-from lirs_wct import ConfigError
+from lirs_validation.map_config import MapConfig
+from lirs_validation.tune import TuneOptions
+from lirs_wct import BuildOptions, ConfigError
 
 if TYPE_CHECKING:
     from lirs_validation.decision.trials import Perform, Trial
@@ -143,3 +145,69 @@ def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> N
         out.print(f"{name}", soft_wrap=True, highlight=False)
     for sentence in conclusion(drives, found):
         out.print(sentence, soft_wrap=True, highlight=False, markup=False)
+
+
+Tuned = Annotated[Path, typer.Option("-o", "--output", help="Folder for tuned values, table and archive.")]
+TuneSource = Annotated[str, typer.Argument(metavar="SOURCE", help="World, picture, map or laser log.")]
+
+
+@with_options
+def tune(
+    source: TuneSource,
+    output: Tuned = Path("tune"),
+    *,
+    run: Annotated[dict[str, Any], RunConfig],
+    tuning: TuneOptions,
+    build: BuildOptions,
+) -> None:
+    """Search for parameters of a mapper that suit a world or log; print them by their ROS names.
+
+    The result is compared with the defaults on unseen seeds. The same command resumes.
+    """
+    from lirs_validation.search import process_pool, require_cma
+    from lirs_validation.tune import search
+
+    target = _tune_target(source, run, tuning, build)
+    limits = None if tuning.limits is None else Path(tuning.limits)
+    space = search.search_space(target.mapper, target.parameters, limits)
+    if tuning.search == "cma":
+        require_cma()
+    output.mkdir(parents=True, exist_ok=True)
+    with process_pool(tuning.jobs) as pool:
+        drives = search.TuneDrives(target, tuning, space, output, pool)
+        tuned = search.tune(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))
+        found = search.compare(drives, tuned)
+    paths = search.write_results(output, drives, tuned, found)
+    out.print(search.conclusion(drives, tuned, found), soft_wrap=True, highlight=False, markup=False)
+    for line in (*search.parameters_table(drives, tuned).as_markdown().splitlines(), *map(str, paths)):
+        out.print(line, soft_wrap=True, highlight=False, markup=False)
+    out.print(f"again: {search.again(drives, tuned)}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _tune_target(
+    source: str, run: dict[str, Any], tuning: TuneOptions, build: BuildOptions
+) -> RunConfig | MapConfig:
+    """Return the run or the mapping whose mapper is tuned.
+
+    Raises:
+        ConfigError: the options give several runs, or an option does not suit the source.
+        WctError: the source or a name cannot be used.
+    """
+    from lirs_validation.sweep.slam_experiment import SlamExperiment
+    from lirs_validation.sweep.suites import cross
+    from lirs_wct.sources.options import SourceKind
+    from lirs_wct.sources.source import find_source
+
+    configs = cross(source, build=build, **run)
+    if len(configs) != 1:
+        raise ConfigError(f"tune takes one robot, mapper, seed, ..., got {len(configs)} combinations")
+    (config,) = configs
+    if find_source(source, build).kind is SourceKind.LOG:
+        legal = {name: run[name][0] for name in ("mapper", "parameters", "seed", "attitude") if name in run}
+        if set(run) - set(legal):
+            raise ConfigError(f"{source}: is a log, which takes no --{min(set(run) - set(legal))}")
+        return MapConfig(log=source, relations=tuning.relations, reference=tuning.reference, **legal)
+    if tuning.relations or tuning.reference:
+        raise ConfigError(f"{source}: --relations and --reference are for logs, this is none")
+    SlamExperiment(config).check()
+    return config

@@ -1,0 +1,319 @@
+"""Search for the parameters, their comparison with the defaults on unseen seeds, and the files."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+import yaml
+from scipy import stats
+
+from lirs_validation.config import RunConfig
+from lirs_validation.map_config import MapConfig
+from lirs_validation.report.table import ReportTable
+from lirs_validation.search import (
+    Case,
+    SearchParameter,
+    SearchSpace,
+    TrialArchive,
+    make_proposer,
+    shrink,
+    trial_key,
+)
+from lirs_validation.sweep.suites import read_yaml_fields
+from lirs_validation.tune import TuneOptions
+from lirs_validation.tune.drives import TuneScore, measure_part, measure_run
+from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.files import atomic_write, write_json
+from lirs_wct.option import changed, declared
+from slam_baselines.mapper import read_parameters
+from slam_baselines.tunable import TUNABLE, usual_values
+
+UNSEEN = 1000
+"""Offset of the unseen seeds."""
+STREAM = 43
+"""Random stream of the search."""
+KEPT = 0.9
+"""Share of the gain over the defaults that a simpler set of values must keep."""
+Target = RunConfig | MapConfig
+Report = Callable[[str], None]
+
+
+def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpace:
+    """Return a mapper's parameters; those that the user sets, and those of one value, are held.
+
+    Raises:
+        ConfigError: the mapper has none, or the file of limits holds a wrong name or value.
+        SourceError: the file cannot be read.
+    """
+    if mapper not in TUNABLE:
+        raise unknown_name("mapper with parameters to tune", mapper, TUNABLE)
+    usual, given = usual_values(mapper), read_parameters(parameters)
+    whole = {name for name, value in usual.items() if isinstance(value, int)}
+    made = [
+        SearchParameter(t.name, mapper, usual[t.name], t.low, t.high, whole=t.name in whole, log=t.log)
+        for t in TUNABLE[mapper]
+        if t.name not in given
+    ]
+    space, bounds = SearchSpace(tuple(made)), {p.name: (p.low, p.high) for p in made}
+    for name, pair in ({} if limits is None else read_yaml_fields(limits)).items():
+        if name not in bounds:
+            raise ConfigError(f"{limits}: {unknown_name('parameter', str(name), bounds)}")
+        known = next(p for p in made if p.name == name)
+        assert limits is not None
+        space = space.changed(known.read_within(limits, pair, bounds[name]))
+    space.require_free()
+    return space
+
+
+class TuneDrives:
+    """Runs the drives of a tuning and keeps their scores.
+
+    Args:
+        target: world and robot, or log, with the parameters that are held.
+        options: of the search.
+        space: parameters.
+        out: folder of the archive.
+        pool: runs drives in other processes; None = in this one.
+    """
+
+    def __init__(
+        self,
+        target: Target,
+        options: TuneOptions,
+        space: SearchSpace,
+        out: Path,
+        pool: Executor | None = None,
+    ) -> None:
+        self.target, self.options, self.space = target, options, space
+        self.usual = Case(dict(usual_values(target.mapper)))
+        self.archive = TrialArchive(out / "drives.jsonl", TuneScore, pool)
+
+    def text(self, case: Case) -> str:
+        """Return the held parameters and those of a case that differ from the mapper's defaults."""
+        found = [self.target.parameters] if self.target.parameters else []
+        changed = [n for n, value in case.values.items() if value != self.usual.values[n]]
+        return ",".join([*found, *(f"{name}={case.values[name]:g}" for name in changed)])
+
+    def run(self, cases: Sequence[Case], seeds: Sequence[int]) -> list[list[TuneScore]]:
+        """Return the scores of cases by seed; of a log, seed k is its part k.
+
+        Raises:
+            WctError: a drive cannot be run, or the archive not be written.
+        """
+        trials = [self._trial(case, seed) for case in cases for seed in seeds]
+        measure = measure_run if isinstance(self.target, RunConfig) else measure_part
+        scores = self.archive.scores(measure, trials, self.target.mapper)
+        return [scores[k : k + len(seeds)] for k in range(0, len(scores), len(seeds))]
+
+    def _trial(self, case: Case, seed: int) -> tuple[str, tuple[Any, ...]]:
+        parameters = self.text(case)
+        if isinstance(self.target, RunConfig):
+            config = replace(self.target, parameters=parameters, seed=seed)
+            return trial_key({"run": config.digest, "seed": seed}), (config,)
+        parts = 2 * self.options.unseen
+        log = replace(self.target, parameters=parameters, seed=self.target.seed + seed)
+        truth = [
+            log.relations,
+            log.reference,
+            log.digest(Path(log.log)) if Path(log.log).is_file() else log.log,
+        ]
+        return trial_key({"log": [*truth, parameters, seed, parts]}), (log, seed, parts)
+
+    @property
+    def seeds(self) -> tuple[list[int], list[int]]:
+        """Seeds of the search and unseen ones; of a log, parts of its first half and its second half."""
+        repeats, unseen = self.options.repeats, self.options.unseen
+        if isinstance(self.target, RunConfig):
+            first = self.target.seed
+            return list(range(first, first + repeats)), list(range(first + UNSEEN, first + UNSEEN + unseen))
+        known = np.unique(np.linspace(0, unseen - 1, repeats).round().astype(int))
+        return known.tolist(), list(range(unseen, 2 * unseen))
+
+
+def mean_loss(scores: Sequence[TuneScore]) -> float:
+    """Return the mean loss of the drives that count; infinite if none does."""
+    losses = [s.loss for s in scores if s.loss is not None]
+    return fmean(losses) if losses else math.inf
+
+
+def tune(drives: TuneDrives, report: Report = lambda line: None) -> Case:
+    """Return the set of values with the smallest mean loss, reduced to the parameters that matter.
+
+    Raises:
+        ConfigError: no drive with the defaults counts.
+        WctError: a drive cannot be run.
+    """
+    space, options, seeds = drives.space, drives.options, drives.seeds[0]
+    (scores,) = drives.run([space.easiest], seeds)
+    usual = best_loss = mean_loss(scores)
+    if math.isinf(usual):
+        raise ConfigError(f"no drive can be evaluated: {scores[0].reason}")
+    best = space.easiest
+    proposer = make_proposer(options.search, space, np.random.default_rng((drives.target.seed, STREAM)))
+    while options.drives - drives.archive.count >= len(seeds):
+        proposed = proposer.propose()[: (options.drives - drives.archive.count) // len(seeds)]
+        before = drives.archive.count
+        losses = [min(mean_loss(found), 10.0) for found in drives.run(proposed, seeds)]
+        if min(losses) < best_loss:
+            best_loss, best = min(losses), proposed[int(np.argmin(losses))]
+        report(_state(drives, best_loss, usual))
+        proposer.learn(losses)
+        if drives.archive.count == before:  # all cases of a small space are known
+            break
+    allowed = usual - KEPT * (usual - best_loss)
+
+    def good(case: Case) -> bool:
+        return mean_loss(drives.run([case], seeds)[0]) <= allowed
+
+    return best if best == space.easiest else shrink(best, space, good)[-1]
+
+
+def _state(drives: TuneDrives, best: float, usual: float) -> str:
+    scores = f"smallest score {math.exp(best):.3f}, defaults {math.exp(usual):.3f}"
+    return f"{drives.archive.count} drives; {scores}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Tuned values and defaults on the unseen seeds on which both count.
+
+    Attributes:
+        pairs: number of seeds.
+        error: median path error of the defaults and of the tuned values, meters.
+        works: number of seeds that work, of the defaults and of the tuned values.
+        ratio: of the scores, tuned over default, geometric mean.
+        low: of its 95 % interval (bootstrap of the paired differences).
+        high: the other end.
+    """
+
+    pairs: int
+    error: tuple[float, float]
+    works: tuple[int, int]
+    ratio: float
+    low: float
+    high: float
+
+    @property
+    def better(self) -> bool:
+        """Whether the interval lies below 1."""
+        return self.high < 1.0
+
+
+def compare(drives: TuneDrives, tuned: Case) -> Comparison:
+    """Compare tuned values with the defaults on unseen seeds.
+
+    Raises:
+        ConfigError: fewer than 3 of them count.
+    """
+    usual, found = drives.run([drives.space.easiest, tuned], drives.seeds[1])
+    pairs = [(a, b) for a, b in zip(usual, found, strict=True) if a.loss is not None and b.loss is not None]
+    if len(pairs) < 3:
+        raise ConfigError(
+            f"only {len(pairs)} of {len(usual)} unseen drives can be evaluated: {usual[0].reason}"
+        )
+    d = np.array([(b.loss or 0.0) - (a.loss or 0.0) for a, b in pairs])
+    interval = (0.0, 0.0)
+    if np.ptp(d) > 0:
+        made = stats.bootstrap((d,), np.mean, method="percentile", rng=np.random.default_rng(0))
+        interval = (float(made.confidence_interval.low), float(made.confidence_interval.high))
+    elif len(d):
+        interval = (float(d[0]), float(d[0]))
+    errors = [
+        median(s.error if s.error is not None else math.inf for s in side)
+        for side in zip(*pairs, strict=True)
+    ]
+    works = [sum(s.works for s in side) for side in zip(*pairs, strict=True)]
+    ratio, low, high = (math.exp(x) for x in (float(d.mean()), *interval))
+    return Comparison(len(pairs), (errors[0], errors[1]), (works[0], works[1]), ratio, low, high)
+
+
+def conclusion(drives: TuneDrives, tuned: Case, found: Comparison) -> str:
+    """Return one sentence on the result."""
+    seeds = "seeds" if isinstance(drives.target, RunConfig) else "parts of the log"
+    figures = (
+        f"path error {found.error[1]:.3f} m instead of {found.error[0]:.3f} m (median of {found.pairs} "
+        f"unseen {seeds}; works in {found.works[1]} instead of {found.works[0]}; "
+        f"ratio of the scores {found.ratio:.2f}, 95 % interval {found.low:.2f} to {found.high:.2f})."
+    )
+    if found.better:
+        values = ", ".join(drives.text(tuned).split(","))
+        return f"{drives.target.mapper} with {values}: {figures}"
+    if tuned == drives.space.easiest:
+        return "No set was better than the defaults in the search."
+    return f"No set was better than the defaults on unseen {seeds}. The best of the search has a {figures}"
+
+
+def parameters_table(drives: TuneDrives, tuned: Case) -> ReportTable:
+    """Return the changed ROS parameters, their defaults and tuned values."""
+    names = {t.name: t.ros_name for t in TUNABLE[drives.target.mapper]}
+    rows = tuple(
+        (names[p.name], f"{p.default:g}", f"{tuned.values[p.name]:g}") for p in drives.space.difference(tuned)
+    )
+    return ReportTable("parameters", "Parameters", "", ("ROS parameter", "default", "tuned"), rows)
+
+
+def ros_text(drives: TuneDrives, tuned: Case) -> tuple[str, str]:
+    """Return name and content of a file for the ROS node: YAML, or lines of Cartographer's Lua file."""
+    mapper = drives.target.mapper
+    names = {t.name: t.ros_name for t in TUNABLE[mapper]}
+    values = {
+        names[p.name]: int(v) if p.whole else float(v)
+        for p in drives.space.difference(tuned)
+        for v in [tuned.values[p.name]]
+    }
+    if mapper.startswith("cartographer"):
+        return "tuned.lua", "".join(f"{name} = {value:g}\n" for name, value in values.items())
+    node = "slam_gmapping" if mapper.startswith("gmapping") else "hector_mapping"
+    return "tuned.yaml", yaml.safe_dump({node: {"ros__parameters": values}}, sort_keys=False)
+
+
+def again(drives: TuneDrives, tuned: Case) -> str:
+    """Return the command that runs the tuned values and the defaults again."""
+    target, held = drives.target, drives.target.parameters or "none"
+    if isinstance(target, MapConfig):
+        command = [
+            "lirs-wct",
+            "map",
+            target.log,
+            "--mapper",
+            target.mapper,
+            "--parameters",
+            drives.text(tuned),
+        ]
+        return shlex.join(command)
+    flags = {name: found.flags[0] for name, found in declared(RunConfig)}
+    options = changed(target) | {"mapper": target.mapper, "parameters": f"{held};{drives.text(tuned)}"}
+    options["seed"] = f"{drives.seeds[1][0]}-{drives.seeds[1][-1]}"
+    pairs = [(flags[name], str(value)) for name, value in options.items()]
+    return shlex.join(["lirs-wct", "validate", target.source, *(word for pair in pairs for word in pair)])
+
+
+def write_results(out: Path, drives: TuneDrives, tuned: Case, found: Comparison) -> tuple[Path, ...]:
+    """Write `tune.json`, `tune.md` and, if the values are better, the file for the ROS node.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    sentence = conclusion(drives, tuned, found)
+    for old in ("tuned.yaml", "tuned.lua"):
+        (out / old).unlink(missing_ok=True)
+    table = parameters_table(drives, tuned).as_markdown()
+    texts = {"tune.md": f"{sentence}\n\n{table}\n\n    {again(drives, tuned)}\n"}
+    if found.better:
+        name, text = ros_text(drives, tuned)
+        texts[name] = text
+    for name, text in texts.items():
+        with atomic_write(out / name) as path:
+            path.write_text(text, encoding="utf-8")
+    entry = {"sentence": sentence, "better": found.better, "parameters": drives.text(tuned)}
+    entry |= {"values": dict(tuned.values), "drives": drives.archive.count, "unseen": asdict(found)}
+    write_json(out / "tune.json", entry)
+    return tuple(out / name for name in (*texts, "tune.json"))
