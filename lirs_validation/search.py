@@ -1,4 +1,4 @@
-"""Search of a space of parameters: cases, proposals, shrinking, and trials that are kept in a file.
+"""Search of a space of parameters: cases, proposals, shrinking, kept trials.
 
 CMA-ES: N. Hansen, "The CMA Evolution Strategy: A Tutorial", arXiv:1604.00772. Shrinking: after Zeller and
 Hildebrandt, "Simplifying and isolating failure-inducing input", IEEE TSE 2002.
@@ -59,14 +59,14 @@ class SearchParameter:
         return float(f"{inside:.{DIGITS}g}")
 
     def value(self, share: float) -> float:
-        """Return the legal value at a share of the way from the smallest to the largest."""
+        """Return the legal value at a share of the limits."""
         if self.log:
             return self.clip(self.low * (self.high / self.low) ** share)
         return self.clip(self.low + share * (self.high - self.low))
 
     @property
     def default_share(self) -> float:
-        """Share of the way from the smallest to the largest value at which the default lies."""
+        """Share of the limits at which the default lies."""
         if self.log:
             return math.log(self.default / self.low) / math.log(self.high / self.low)
         return (self.default - self.low) / (self.high - self.low)
@@ -76,7 +76,7 @@ class SearchParameter:
         return replace(self, low=low, high=high, default=min(max(self.default, low), high))
 
     def read_within(self, path: Path, given: object, legal: tuple[float, float]) -> SearchParameter:
-        """Return the parameter with the limits of a line of a file: `[low, high]` or one value.
+        """Return the parameter with given limits, `[low, high]` or one value.
 
         Raises:
             ConfigError: they are not legal; the message begins with the path.
@@ -122,7 +122,7 @@ class SearchSpace:
 
     parameters: tuple[SearchParameter, ...]
 
-    def changed(self: Space, parameter: SearchParameter, **others: Any) -> Space:
+    def with_parameter(self: Space, parameter: SearchParameter, **others: Any) -> Space:
         """Return the space with one parameter replaced by that of the same name."""
         found = tuple(parameter if p.name == parameter.name else p for p in self.parameters)
         return replace(self, parameters=found, **others)
@@ -189,7 +189,7 @@ class CaseSource(Protocol):
         """Return the next cases."""
 
     def learn(self, losses: Sequence[float]) -> None:
-        """Take in the losses (smaller is better) of the proposed cases, or of the first of them."""
+        """Take in the losses of the proposed cases, or of the first of them."""
 
 
 class RandomProposer:

@@ -394,14 +394,14 @@ def _make(name: str, seed: int | None, config: dict[str, Any]) -> Any:
     if seed is not None and "seed" in config_class.__dataclass_fields__:
         config["seed"] = seed
     try:
-        made = _changed(config_class(**method.options), config, name)
+        made = _with_fields(config_class(**method.options), config, name)
         return getattr(importlib.import_module(method.module), method.factory)(made)
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
 
 
-def _changed(config: Any, given: Mapping[str, Any], name: str) -> Any:
-    """Return a configuration with other values of some fields; `part.field` is a field of a part.
+def _with_fields(config: Any, given: Mapping[str, Any], name: str) -> Any:
+    """Return a configuration with other fields; `part.field` is a field of a part.
 
     Raises:
         ConfigError: there is no such field, or a number's kind is another.
@@ -418,12 +418,12 @@ def _changed(config: Any, given: Mapping[str, Any], name: str) -> Any:
         _check_kind(getattr(config, first), value, f"{key} of {name}")
         own[first] = value
     for first, fields in parts.items():
-        own[first] = _changed(own.get(first, getattr(config, first)), fields, f"{name}'s {first}")
+        own[first] = _with_fields(own.get(first, getattr(config, first)), fields, f"{name}'s {first}")
     return replace(config, **own)
 
 
 def _check_kind(usual: Any, value: Any, label: str) -> None:
-    """Check that a value is a switch, a whole number or a number where the usual one is."""
+    """Check that a value is of the usual one's kind of number."""
     kinds = ((bool, bool, "true or false"), (int, Integral, "a whole number"), (float, Real, "a number"))
     for kind, legal, words in kinds:
         if isinstance(usual, kind):

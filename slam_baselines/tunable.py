@@ -1,4 +1,4 @@
-"""Parameters of the mappers that a search may change, their limits, and the names that ROS nodes give them.
+"""Parameters of the mappers that a search may change, limits and ROS names.
 
 Number of particles, cell size and the like are choices of cost and are left out. Names: `slam_gmapping` and
 `hector_mapping` call their ROS parameters like our fields, Cartographer's are paths in its Lua tables.

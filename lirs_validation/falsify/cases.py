@@ -99,7 +99,7 @@ def read_search_limits(path: Path) -> SearchLimits:
             raise ConfigError(f"{path}: {unknown_name('parameter', str(name), [*names, 'returns'])}")
         known = SearchParameter("returns", "sensors", 0.0, 0.0, 1.0) if name == "returns" else names[name]
         found = known.read_within(path, given, LEGAL.get(name, (0.0, 1.0)))
-        limits = replace(limits, returns=found.low) if name == "returns" else limits.changed(found)
+        limits = replace(limits, returns=found.low) if name == "returns" else limits.with_parameter(found)
     return limits
 
 

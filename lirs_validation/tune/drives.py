@@ -1,4 +1,4 @@
-"""Drives of a tuning: through a world with a seed, or through a part of a log, and their loss."""
+"""Drives of a tuning through a world or a part of a log."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _read(config: MapConfig) -> tuple[LaserLog, Any, Any]:
 
 
 def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
-    """Map one of the equal parts of a log from its own start; return the score."""
+    """Map one of the equal parts of a log; return the score."""
     plain = replace(config, parameters="", mapper=MapConfig.mapper, seed=MapConfig.seed)
     whole, relations, reference = _read(plain)
     first, end = (k * len(whole.scans) // parts for k in (part, part + 1))

@@ -47,7 +47,7 @@ Report = Callable[[str], None]
 
 
 def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpace:
-    """Return a mapper's parameters; those that the user sets, and those of one value, are held.
+    """Return a mapper's parameters without those that the user sets.
 
     Raises:
         ConfigError: the mapper has none, or the file of limits holds a wrong name or value.
@@ -68,7 +68,7 @@ def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpa
             raise ConfigError(f"{limits}: {unknown_name('parameter', str(name), bounds)}")
         known = next(p for p in made if p.name == name)
         assert limits is not None
-        space = space.changed(known.read_within(limits, pair, bounds[name]))
+        space = space.with_parameter(known.read_within(limits, pair, bounds[name]))
     space.require_free()
     return space
 
@@ -129,7 +129,7 @@ class TuneDrives:
 
     @property
     def seeds(self) -> tuple[list[int], list[int]]:
-        """Seeds of the search and unseen ones; of a log, parts of its first half and its second half."""
+        """Seeds of the search and unseen ones; of a log, parts of its halves."""
         repeats, unseen = self.options.repeats, self.options.unseen
         if isinstance(self.target, RunConfig):
             first = self.target.seed
@@ -145,7 +145,7 @@ def mean_loss(scores: Sequence[TuneScore]) -> float:
 
 
 def tune(drives: TuneDrives, report: Report = lambda line: None) -> Case:
-    """Return the set of values with the smallest mean loss, reduced to the parameters that matter.
+    """Return the best set of values, reduced to the parameters that matter.
 
     Raises:
         ConfigError: no drive with the defaults counts.
@@ -182,7 +182,7 @@ def _state(drives: TuneDrives, best: float, usual: float) -> str:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class UnseenComparison:
     """Tuned values and defaults on the unseen seeds on which both count.
 
     Attributes:
@@ -207,7 +207,7 @@ class Comparison:
         return self.high < 1.0
 
 
-def compare(drives: TuneDrives, tuned: Case) -> Comparison:
+def compare(drives: TuneDrives, tuned: Case) -> UnseenComparison:
     """Compare tuned values with the defaults on unseen seeds.
 
     Raises:
@@ -232,10 +232,10 @@ def compare(drives: TuneDrives, tuned: Case) -> Comparison:
     ]
     works = [sum(s.works for s in side) for side in zip(*pairs, strict=True)]
     ratio, low, high = (math.exp(x) for x in (float(d.mean()), *interval))
-    return Comparison(len(pairs), (errors[0], errors[1]), (works[0], works[1]), ratio, low, high)
+    return UnseenComparison(len(pairs), (errors[0], errors[1]), (works[0], works[1]), ratio, low, high)
 
 
-def conclusion(drives: TuneDrives, tuned: Case, found: Comparison) -> str:
+def conclusion(drives: TuneDrives, tuned: Case, found: UnseenComparison) -> str:
     """Return one sentence on the result."""
     seeds = "seeds" if isinstance(drives.target, RunConfig) else "parts of the log"
     figures = (
@@ -261,7 +261,7 @@ def parameters_table(drives: TuneDrives, tuned: Case) -> ReportTable:
 
 
 def ros_text(drives: TuneDrives, tuned: Case) -> tuple[str, str]:
-    """Return name and content of a file for the ROS node: YAML, or lines of Cartographer's Lua file."""
+    """Return name and content of a YAML or Lua file for the node."""
     mapper = drives.target.mapper
     names = {t.name: t.ros_name for t in TUNABLE[mapper]}
     values = {
@@ -296,7 +296,7 @@ def again(drives: TuneDrives, tuned: Case) -> str:
     return shlex.join(["lirs-wct", "validate", target.source, *(word for pair in pairs for word in pair)])
 
 
-def write_results(out: Path, drives: TuneDrives, tuned: Case, found: Comparison) -> tuple[Path, ...]:
+def write_results(out: Path, drives: TuneDrives, tuned: Case, found: UnseenComparison) -> tuple[Path, ...]:
     """Write `tune.json`, `tune.md` and, if the values are better, the file for the ROS node.
 
     Raises:
