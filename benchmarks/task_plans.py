@@ -89,6 +89,10 @@ MAPS = (("maze", "train"), ("smoothers_world", "validation"), ("depot", "test"),
 """Maps of buildings among them, with their splits."""
 
 
+FURTHER_PLANS = range(23, 69)
+"""Seeds of floor plans for tests of navigation only: 150 generated tasks tell policies apart."""
+
+
 def made(maker: str, name: str, **options: Any) -> WorldSpec:
     """Return a world that ships, or that a generator makes."""
     return WorldSpec(name=name, maker=maker, options=tuple(options.items()))
@@ -165,7 +169,17 @@ def indoor() -> list[Plan]:
                     mapping=mapping,
                 )
             )
-    return plans
+    # Last, so that the seeds of the tasks above stay.
+    return plans + [
+        Plan(
+            world=made("floor plan", f"floor-plan-{seed}", seed=seed),
+            split="test",
+            robot=robots[k % len(robots)],
+            navigation=3,
+            mapping=0,
+        )
+        for k, seed in enumerate(FURTHER_PLANS)
+    ]
 
 
 def generated() -> list[Plan]:

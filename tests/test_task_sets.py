@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -26,7 +27,7 @@ def script() -> ModuleType:
 def test_the_files_are_as_the_script_writes_them(name: str, script: ModuleType) -> None:
     text = (SHIPPED / f"{name}.json").read_text(encoding="utf-8")
     assert script.as_text(set_entry(task_set(name))) == text
-    assert json.loads(text)["version"] == script.VERSION
+    assert json.loads(text)["version"] == script.VERSIONS[name]
 
 
 def test_plans_and_files_have_the_same_worlds(script: ModuleType) -> None:
@@ -36,6 +37,16 @@ def test_plans_and_files_have_the_same_worlds(script: ModuleType) -> None:
             planned[plan.world.name, plan.robot] += plan.navigation + plan.mapping
         tasks = [task for task in task_set(name).tasks if task.world is not None]
         assert Counter((t.world.name, t.robot) for t in tasks if t.world) == planned
+
+
+def test_150_generated_indoor_tasks_tell_policies_apart() -> None:
+    """In worlds of no other split."""
+    worlds: dict[str, set[Any]] = {split: set() for split in ("train", "validation", "test")}
+    for task in task_set("indoor").tasks:
+        worlds[task.split].add(task.world)
+    assert not worlds["test"] & (worlds["train"] | worlds["validation"])
+    found = task_set("indoor").chosen("navigation", "test")
+    assert sum(t.world is not None and t.world.maker == "floor plan" for t in found) >= 150
 
 
 def test_drawing_again_gives_the_same_tasks(script: ModuleType) -> None:
