@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lirs_validation.bench.policies import UPPER_BOUND
 from lirs_validation.bench.results import PolicyResult, share_of_bound
-from lirs_validation.bench.scores import PolicyScore
+from lirs_validation.bench.scores import PolicyScore, score_of
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.report.table import ReportTable
 from lirs_wct.files import write_json
@@ -26,6 +26,20 @@ def score_line(result: PolicyResult, tasks: str) -> str:
     score = result.score
     ends = "" if score.low is None else f" [{interval(score)}]"
     return f"{result.policy.label}: {score.mean:.3f}{ends}, {tasks}"
+
+
+def difference_line(result: PolicyResult, other: PolicyResult) -> str:
+    """Return the mean difference of two policies' scores over their common tasks in one line.
+
+    The interval is the paired bootstrap: it resamples the tasks' differences.
+    """
+    common = sorted(result.episodes.keys() & other.episodes.keys())
+    pairs = [(result.episodes[name], other.episodes[name]) for name in common]
+    found = score_of([a["metrics"]["score"] - b["metrics"]["score"] for a, b in pairs])
+    names = f"{result.policy.label} - {other.policy.label}"
+    if found is None:
+        return f"{names}: no common tasks"
+    return f"{names}: {found.mean:+.3f} [{interval(found)}], paired over {found.count} tasks"
 
 
 def interval(score: PolicyScore) -> str:

@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from lirs_validation.bench.tasks import BenchTask, TaskSet
 
 POLICY_HELP = (
-    "random, straight, go_to_goal, frontier, astar (on the true map: the upper bound), or module:name of "
-    "your own: a class or function that makes something with reset(info) and act(observation) -> action."
+    "random, straight, go_to_goal, pretrained, frontier, astar (the true map: the upper bound), or "
+    "module:name of your own: a class or function that makes something with reset(info) and "
+    "act(observation) -> action."
 )
 SetName = Annotated[
     str, typer.Option("--set", metavar="indoor|hills|lirs|generated|FILE.json", help="Set of tasks.")
@@ -37,6 +38,10 @@ PolicyArguments = Annotated[
     typer.Option("--policy-arg", metavar="NAME=VALUE", help="Keyword for your own policy; repeatable."),
 ]
 Pictures = Annotated[bool, typer.Option("--pictures", help="Write a map with the path of each episode.")]
+Against = Annotated[
+    str | None,
+    typer.Option(metavar="POLICY", help="Print paired differences of the scores from those of this policy."),
+]
 Output = Annotated[
     Path, typer.Option("-o", "--output", help="Folder for the episodes' folders and scores.json.")
 ]
@@ -53,6 +58,7 @@ def bench(
     data: Data = None,
     arguments: PolicyArguments = None,
     pictures: Pictures = False,
+    against: Against = None,
     output: Output = Path("out"),
     *,
     engine: EngineOptions,
@@ -62,11 +68,14 @@ def bench(
     The same command resumes an interrupted run.
     """
     from lirs_validation.bench.experiment import BenchExperiment
+    from lirs_validation.bench.policies import PolicyChoice
     from lirs_validation.bench.tasks import task_set
     from lirs_validation.sweep.sweep import Sweep
 
     tasks = task_set(set_name)
     chosen = _with_sources(tasks.chosen(task, split), data)
+    if against is not None:
+        PolicyChoice(against).check(task)
     choices = _read_policies(policies, arguments or [], chosen[0], data)
     experiments = [
         BenchExperiment(
@@ -82,7 +91,7 @@ def bench(
     ]
     sweep = Sweep(experiments, output, manifest=manifest_of_command(), retry_failed=engine.retry_failed)
     try:
-        run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
+        run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices, against))
     except OutputError:
         raise
     except WctError as error:  # a start or a goal of the set
@@ -142,7 +151,11 @@ def _read_policies(
 
 
 def _show(
-    output: Path, tasks: TaskSet, chosen: Sequence[BenchTask], policies: Sequence[PolicyChoice]
+    output: Path,
+    tasks: TaskSet,
+    chosen: Sequence[BenchTask],
+    policies: Sequence[PolicyChoice],
+    against: str | None,
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
     from lirs_validation.bench.results import read_results
@@ -164,7 +177,21 @@ def _show(
         if result.policy in policies:
             counted = f"{result.score.count} of {len(chosen)} {task} tasks of {tasks.name} ({split})"
             out.print(score_line(result, counted), markup=False, highlight=False, soft_wrap=True)
+    if against is not None:
+        _tell_differences(results, against)
     out.print(str(path), markup=False, highlight=False, soft_wrap=True)
+
+
+def _tell_differences(results: Sequence[PolicyResult], against: str) -> None:
+    from lirs_validation.report.bench_table import difference_line
+
+    others = [result for result in results if result.policy.name == against]
+    if not others:
+        err.print(f"no episodes of {against} in the folder: no differences", markup=False, highlight=False)
+    for result in results:
+        for other in others:
+            if result.policy != other.policy:
+                out.print(difference_line(result, other), markup=False, highlight=False, soft_wrap=True)
 
 
 def _tell_failures(result: PolicyResult) -> None:

@@ -14,6 +14,7 @@ from lirs_validation.bench.experiment import RECORD, BenchExperiment
 from lirs_validation.bench.policies import PolicyChoice
 from lirs_validation.bench.results import read_results, share_of_bound
 from lirs_validation.bench.tasks import BenchTask, TaskSet
+from lirs_validation.report.bench_table import difference_line
 from lirs_validation.sweep.experiment import Outcome
 
 COURSE = BenchTask(
@@ -100,3 +101,15 @@ def test_who_is_given_the_truth_is_marked(tmp_path: Path, monkeypatch: pytest.Mo
         write(tmp_path, policy, {"a": 0.1})
     marked = {name for name, result in results(tmp_path).items() if result.privileged}
     assert marked == {"astar", "own_policies:Plain", "own_policies:Knowing"}
+
+
+def test_differences_are_paired_over_common_tasks(tmp_path: Path) -> None:
+    write(tmp_path, "straight", {"a": 0.1, "b": 0.7})
+    write(tmp_path, "astar", {"a": 0.3, "b": 0.9})
+    write(tmp_path, "random", {"b": 0.4})
+    found = results(tmp_path)
+    line = difference_line(found["astar"], found["straight"])
+    assert line == "astar - straight: +0.200 [0.200, 0.200], paired over 2 tasks"
+    assert difference_line(found["random"], found["straight"]).startswith("random - straight: -0.300")
+    del found["random"].episodes["b"]
+    assert difference_line(found["random"], found["straight"]) == "random - straight: no common tasks"

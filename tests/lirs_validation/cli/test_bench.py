@@ -71,8 +71,11 @@ def test_a_policy_has_one_score_beside_what_ran_before(bench: Any, tmp_path: Pat
     pictures = sorted((tmp_path / "out").glob("*/episode.png"))
     assert len(pictures) == 2
 
-    code, said, told = bench("my_policies:Ahead", "astar")
+    code, said, told = bench("my_policies:Ahead", "astar", "--against", "straight")
     assert code == 0
+    assert "my_policies:Ahead - straight: +0.000 [0.000, 0.000], paired over 2 tasks" in said
+    assert "astar - straight: +0.5" in said
+    assert "straight - straight" not in said
     rows = [line.split()[0] for line in said.splitlines() if line.startswith((" astar", " my_", " straight"))]
     assert rows[0] == "astar*"
     assert set(rows) == {"astar*", "my_policies:Ahead", "straight"}
@@ -125,6 +128,7 @@ def test_a_policy_that_fails_costs_its_own_episode(bench: Any, tmp_path: Path) -
     [
         (("nowhere:Policy",), "policy 'nowhere:Policy': no module 'nowhere' is installed or in "),
         (("my_policies:Behind",), "my_policies has no class 'Behind'; classes with act: Ahead, NotBehind"),
+        (("straight", "--against", "fastest"), "unknown policy 'fastest'; legal: astar, frontier"),
         (
             ("fastest",),
             "unknown policy 'fastest'; legal: astar, frontier, go_to_goal, module:name of your own",
