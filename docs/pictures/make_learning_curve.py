@@ -1,7 +1,7 @@
-"""Draw the learning curves of examples/train_navigation.py: share of episodes that reach the goal.
+"""Draw the learning curve of examples/train_pretrained.py: SPL of the episodes that the network drove.
 
-python docs/pictures/make_learning_curve.py out/navigation  # writes out/learning_curve.png
-python docs/pictures/make_learning_curve.py out/seed-* -o docs/learning_curve.png  # the tracked one
+python docs/pictures/make_learning_curve.py out/pretrained  # writes out/learning_curve.png
+python docs/pictures/make_learning_curve.py docs/pictures -o docs/learning_curve.png  # the tracked one
 """
 
 from __future__ import annotations
@@ -13,32 +13,29 @@ import numpy as np
 
 from lirs_wct.drawing.style import BLUE, VERMILLION, new_figure, plain_axes, title
 
-WINDOW = 100
-"""Episodes over which shares are taken."""
+ROBOTS = (("jackal", BLUE, 5), ("turtlebot2", VERMILLION, -5), ("turtlebot3_waffle", "0.55", 0))
+"""Robots that drive floor plans in each third round, their colors, and offsets of their names."""
 
 
 def main() -> None:
-    """Draw success and collisions of each training."""
+    """Draw a line for each robot on floor plans."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folders", nargs="+", type=Path, help="what the example wrote, a folder a seed")
+    parser.add_argument("folder", type=Path, help="folder with the example's curve.csv")
     parser.add_argument("-o", "--output", type=Path, default=Path("out/learning_curve.png"))
     given = parser.parse_args()
     figure = new_figure(4.6, 2.4)
     axes = figure.subplots()
-    for folder in given.folders:
-        episodes = np.genfromtxt(
-            folder / "curve.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
-        )
-        steps = np.convolve(episodes["steps"], np.full(WINDOW, 1 / WINDOW), "valid") / 1000
-        for name, color in (("success", BLUE), ("collision", VERMILLION)):
-            share = np.convolve(episodes[name], np.full(WINDOW, 1 / WINDOW), "valid")
-            axes.plot(steps, share, color=color, linewidth=0.9)
-            if folder == given.folders[0]:
-                axes.annotate(name, (steps[-1], share[-1]), (4, 0), textcoords="offset points", color=color,
-                              fontsize=8, va="center", annotation_clip=False)  # fmt: skip
-    plain_axes(axes, "thousand environment steps", f"share of the last {WINDOW} episodes")
+    rounds = np.genfromtxt(
+        given.folder / "curve.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
+    )
+    for robot, color, up in ROBOTS:
+        own = rounds[(rounds["robot"] == robot) & (rounds["physics"] == 0) & (rounds["episodes"] > 0)]
+        axes.plot(own["choices"] / 1000, own["spl"], color=color, linewidth=0.9)
+        axes.annotate(robot, (own["choices"][-1] / 1000, own["spl"][-1]), (4, up), textcoords="offset points",
+                      color=color, fontsize=8, va="center", annotation_clip=False)  # fmt: skip
+    plain_axes(axes, "thousand choices in the data", "SPL of a round")
     axes.set_ylim(0, 1)
-    title(axes, "PPO on LIRS/Navigation-v1")
+    title(axes, "Imitation of the shortest route")
     given.output.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(given.output, dpi=110)
 

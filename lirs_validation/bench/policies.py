@@ -20,6 +20,7 @@ import numpy as np
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, StraightAhead
+from lirs_envs.pretrained import Pretrained
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_validation.bench.tasks import TASKS, BenchTask
 from lirs_validation.driving.choice import MARGIN
@@ -251,6 +252,7 @@ BASELINES: Mapping[str, Baseline] = {
     "go_to_goal": Baseline(
         lambda env, context: GoToGoal(context), ("navigation", "traverse"), ("scan", "goal")
     ),
+    "pretrained": Baseline(lambda env, context: Pretrained(context), ("navigation",), Pretrained.observe),
     "frontier": Baseline(Explorer, ("navigation", "mapping")),
     "astar": Baseline(OnTrueMap),
 }

@@ -23,6 +23,9 @@ from lirs_wct.sources.source import find_source
 PACKAGES = ("lirs-wct", "mujoco", "gymnasium", "numpy", "scipy", "numba")
 OWN = ("lirs_wct", "lirs_envs", "slam_baselines", "lirs_validation")
 
+CODE = (".py", ".xml", ".npz")
+"""Endings of the files that decide a result."""
+
 
 def versions() -> dict[str, str]:
     """Return the versions of Python, relevant packages and our code (`code`)."""
@@ -36,7 +39,7 @@ def _installed() -> dict[str, str]:
 
 @cache
 def code() -> str:
-    """Return eight hex digits of our code and robots.
+    """Return eight hex digits of our code, robots and weights.
 
     They distinguish two states of one version.
     """
@@ -44,7 +47,7 @@ def code() -> str:
     for package in OWN:
         spec = importlib.util.find_spec(package)
         for folder in (spec.submodule_search_locations or ()) if spec else ():
-            for path in sorted(path for path in Path(folder).rglob("*") if path.suffix in (".py", ".xml")):
+            for path in sorted(path for path in Path(folder).rglob("*") if path.suffix in CODE):
                 digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:8]
 

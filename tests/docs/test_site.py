@@ -50,10 +50,10 @@ def check_copies_of_files(site: Path) -> None:
     """A file of the repository that a page links to is on the site."""
     page = (site / "howto" / "policy.html").read_text()
     if repository_links().repository() is None:
-        (copy,) = re.findall(r'href="\.\./(_downloads/[^"]+train_navigation\.py)"', page)
-        assert (site / copy).read_bytes() == (ROOT / "examples" / "train_navigation.py").read_bytes()
+        (copy,) = re.findall(r'href="\.\./(_downloads/[^"]+train_pretrained\.py)"', page)
+        assert (site / copy).read_bytes() == (ROOT / "examples" / "train_pretrained.py").read_bytes()
     else:
-        assert "/examples/train_navigation.py" in page
+        assert "/examples/train_pretrained.py" in page
 
 
 def repository_links() -> Any:

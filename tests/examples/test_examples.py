@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-import re
 import runpy
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -19,12 +19,12 @@ RUN_BELOW = {
     "build_a_world",
     "drive_with_gymnasium",
     "map_a_log",
-    "train_navigation",
+    "train_pretrained",
     "validate_slam",
     "your_own_mapper",
 }
-RUN_ELSEWHERE = {"live_driver"}
-"""Drives a robot in tests/lirs_validation/live/test_network.py."""
+RUN_ELSEWHERE = {"live_driver", "flat_robots"}
+"""In tests/lirs_validation/live/test_network.py, and by train_pretrained."""
 
 
 def run(name: str, *arguments: str | Path, cwd: Path) -> str:
@@ -84,38 +84,30 @@ def test_your_own_mapper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 @pytest.mark.slow
-def test_train_navigation(tmp_path: Path) -> None:
-    """One update of the policy, whose weights then drive."""
-    pytest.importorskip("stable_baselines3", reason="Stable-Baselines3 is not installed (extra [rl])")
-    from lirs_envs.env import RobotEnv
-    from lirs_envs.policies import PolicyContext
+def test_train_pretrained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A resumed training gives the weights of one in one part, and they drive."""
+    pytest.importorskip("torch", reason="torch is not installed (extra [rl])")
+    from lirs_envs.pretrained import read_weights
 
-    shown = run("train_navigation", "--steps", "1", "-o", tmp_path, cwd=tmp_path)
-    assert re.search(r"\d{4} steps in", shown)
-    header, *episodes = (tmp_path / "curve.csv").read_text().splitlines()
-    assert header == "steps,world,robot,return,seconds,success,collision"
-    assert len(episodes) >= 3
-    example = runpy.run_path(str(EXAMPLES / "train_navigation.py"))
-    office = str(EXAMPLES / "data" / "office.yaml")
-    env = RobotEnv("navigation", world=office, observe=example["OBSERVE"], time_limit=0.6)
-    policy = example["LearnedPolicy"](PolicyContext.of(env.episodes.config), tmp_path / "policy.zip")
-    observation, info = env.reset(seed=0)
-    policy.reset(info)
-    actions = []
-    for _ in range(4):
-        actions.append(policy.act(observation))
-        assert env.action_space.contains(actions[-1])
-        observation, *_ = env.step(actions[-1])
-    assert actions[0].tolist() == actions[1].tolist() != actions[2].tolist() == actions[3].tolist()
+    monkeypatch.syspath_prepend(EXAMPLES)
+    example = runpy.run_path(str(EXAMPLES / "train_pretrained.py"))
+    example["train"].__globals__.update(SECONDS={}, BATCHES=2, LAST_BATCHES=2, ROUND_SECONDS=2.0)
+    for folder, parts in ((tmp_path / "once", (2,)), (tmp_path / "twice", (1, 2))):
+        folder.mkdir()
+        for rounds in parts:
+            example["train"](minutes=5, rounds=rounds, seed=0, folder=folder)
+    once, twice = (read_weights(tmp_path / name / "navigation.npz") for name in ("once", "twice"))
+    assert all((once[name] == twice[name]).all() for name in once)
+    header, *rounds = (tmp_path / "once" / "curve.csv").read_text().splitlines()
+    assert header.startswith("round,robot,world,physics,choices")
+    assert len(rounds) == 2
 
 
-def test_train_navigation_without_stable_baselines(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    monkeypatch.setattr(sys, "argv", ["train_navigation.py", "-o", str(tmp_path / "out")])
-    with pytest.raises(SystemExit) as stopped:
-        runpy.run_path(str(EXAMPLES / "train_navigation.py"), run_name="__main__")
-    assert stopped.value.code == 2
-    assert "needs Stable-Baselines3: pip install '.[rl]'" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
+@pytest.mark.skipif(find_spec("torch") is not None, reason="torch is installed")
+def test_train_pretrained_without_torch(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / "train_pretrained.py"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == "needs torch: pip install '.[rl]'\n"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -242,3 +244,21 @@ def test_its_pictures_are_maps() -> None:
     assert tiled.shape == (2 * single[0], 2 * single[1], 3)
     assert np.ptp(tiled) > 0
     envs.close()
+
+
+@pytest.mark.slow
+def test_the_program_of_the_how_to_learns() -> None:
+    pytest.importorskip("stable_baselines3", reason=REASON)
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "policy.md").read_text(encoding="utf-8")
+    (program,) = (text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "PPO" in text)
+    for given, less in (
+        ("num_envs=16", "num_envs=2"),
+        ("n_steps=256", "n_steps=32"),
+        ("512", "32"),
+        ("120_000", "64"),
+    ):
+        assert given in program
+        program = program.replace(given, less)
+    held: dict[str, Any] = {}
+    exec(program, held)
+    assert held["model"].num_timesteps == 64

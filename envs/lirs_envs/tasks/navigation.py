@@ -54,7 +54,7 @@ class NavigationTask(Task):
         if "goal" in options:
             x, y = point(options["goal"], 2, "goal")
         else:
-            found = _draw_goal(site, start, float(self.stage.difficulty[i]), rng)
+            found = draw_goal(site, start, float(self.stage.difficulty[i]), rng)
             if found is None:
                 return None
             x, y = found
@@ -131,7 +131,7 @@ def _way(site: Site, cost: FloatArray, x: float, y: float) -> float:
     return way
 
 
-def _draw_goal(
+def draw_goal(
     site: Site, start: Pose2, difficulty: float, rng: np.random.Generator
 ) -> tuple[float, float] | None:
     """Return a goal whose distance and roughness follow the difficulty; None = none found."""
