@@ -152,9 +152,10 @@ class HeadingSteering(GoToGoal):
 
 @njit(cache=True, nogil=True)
 def _polar(points: FloatArray, zero: float, sectors: int) -> FloatArray:
-    """Return (2, sectors) 1 / (1 + least distance) and largest distance / 8 m, at most 1, of points (n, 2).
+    """Return the least and the largest distance of points (n, 2) in each sector, scaled.
 
-    The first sector begins opposite to the direction `zero`; without a point both are 0.
+    Row 0 is 1 / (1 + least), row 1 is largest / 8 m, at most 1; without a point both are 0. The first sector
+    begins opposite to the direction `zero`.
     """
     found = np.zeros((2, sectors))
     for k in range(len(points)):
@@ -193,7 +194,7 @@ def _sigmoid(x: Float32Array) -> Any:
 
 
 @cache
-def shipped_weights() -> Weights:
+def load_weights() -> Weights:
     """Return the weights of this package."""
     with resources.as_file(resources.files("lirs_envs") / "weights" / WEIGHTS) as path:
         return read_weights(path)
@@ -225,7 +226,7 @@ class Pretrained(HeadingSteering):
     """
 
     def __init__(self, context: PolicyContext, weights: str | Path | None = None) -> None:
-        self._weights = shipped_weights() if weights is None else read_weights(Path(weights))
+        self._weights = load_weights() if weights is None else read_weights(Path(weights))
         super().__init__(context)
 
     def reset(self, info: Mapping[str, Any]) -> None:

@@ -29,11 +29,11 @@ CODE = (".py", ".xml", ".npz")
 
 def versions() -> dict[str, str]:
     """Return the versions of Python, relevant packages and our code (`code`)."""
-    return {"python": platform.python_version()} | _installed() | {"code": code()}
+    return {"python": platform.python_version()} | _package_versions() | {"code": code()}
 
 
 @cache
-def _installed() -> dict[str, str]:
+def _package_versions() -> dict[str, str]:
     return {p: importlib.metadata.version(p) for p in PACKAGES}
 
 

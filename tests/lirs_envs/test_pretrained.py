@@ -1,4 +1,4 @@
-"""The policy whose weights ship: its network, what it sees, and that it drives out of a dead end."""
+"""The policy whose weights ship: its network, its inputs, its steering."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from lirs_envs.pretrained import (
     Pretrained,
     evaluate,
     initial_memory,
+    load_weights,
     read_weights,
-    shipped_weights,
 )
 from lirs_wct.errors import SourceError
 
@@ -67,7 +67,7 @@ def numpy_scores(weights: Any, inputs: Any) -> Any:
 def test_numpy_gives_the_scores_of_torch() -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed (extra [rl])")
     inputs = np.random.default_rng(0).uniform(-1, 1, (4, 50, FEATURES)).astype(np.float32)
-    weights = shipped_weights()
+    weights = load_weights()
     found = numpy_scores(weights, inputs)
     np.testing.assert_allclose(found, torch_scores(torch, weights, inputs), rtol=0, atol=1e-5)
 
@@ -76,7 +76,7 @@ def test_the_shipped_weights_give_the_stored_scores() -> None:
     """The values were those of torch."""
     stored = np.load(Path(__file__).parent / "pretrained_scores.npy")
     inputs = np.random.default_rng(1).uniform(0, 1, (1, 5, FEATURES)).astype(np.float32)
-    np.testing.assert_allclose(numpy_scores(shipped_weights(), inputs)[0], stored, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(numpy_scores(load_weights(), inputs)[0], stored, rtol=0, atol=1e-5)
 
 
 def test_the_weights_are_small() -> None:
