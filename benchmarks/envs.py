@@ -8,7 +8,8 @@ lengthen those less. Rounds of all that is compared follow each other, and media
 
 The floor is what MuJoCo and the rays need: the recorded controls through `mujoco.batch` alone, and the rays
 of every scan from the recorded poses, both in the same batches. AsyncVectorEnv is measured by the wall, and
-so is what it is compared with. With `--ir-sim`, a step of ir-sim stands beside it (see `ir_sim_step.py`).
+so is what it is compared with. With `--ir-sim`, steps of ir-sim among discs and among squares are compared
+too (see `ir_sim_step.py`).
 """
 
 from __future__ import annotations
@@ -203,11 +204,14 @@ def ir_sim(python: str | None) -> dict[str, float]:
     script = str(Path(__file__).with_name("ir_sim_step.py"))
     # Not with this interpreter's packages.
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    told = subprocess.run([python, script], capture_output=True, text=True, check=False, env=clean)
-    if told.returncode:
-        print(f"ir-sim is left out: {python} says {told.stderr.strip().splitlines()[-1:]}")
-        return {}
-    return {"ir_sim_us": float(told.stdout.split()[-1])}
+    found = {}
+    for shape in ("discs", "squares"):
+        told = subprocess.run([python, script, shape], capture_output=True, text=True, check=False, env=clean)
+        if told.returncode:
+            print(f"ir-sim is left out: {python} says {told.stderr.strip().splitlines()[-1:]}")
+            return {}
+        found[f"ir_sim_{shape}_us"] = float(told.stdout.split()[-1])
+    return found
 
 
 def ratios(times: dict[str, float]) -> dict[str, float]:

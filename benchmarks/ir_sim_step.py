@@ -1,13 +1,14 @@
 """A step of ir-sim with a robot and a lidar: prints microseconds of processor time; for `benchmarks/envs.py`.
 
 Run by an interpreter that has ir-sim (`pip install ir-sim`), which need not have LIRS-WCT. A disc of a
-Husky's size with its lidar (541 beams, 270 deg, 20 m) among 40 discs on 50 m, by random actions that are
-held; flat, without physics of wheels, without noise.
+Husky's size with its lidar (541 beams, 270 deg, 20 m) among 40 discs, or with the argument `squares` among
+40 squares, on 50 m, by random actions that are held; flat, without physics of wheels, without noise.
 """
 
 from __future__ import annotations
 
 import statistics
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -27,17 +28,19 @@ robot:
       - {type: lidar2d, range_min: 0.5, range_max: 20, angle_range: 4.712, number: 541}
 obstacle:
 """
-OBSTACLE = "  - {shape: {name: circle, radius: 1.0}, state: [%.2f, %.2f, 0]}\n"
+SHAPES = {"discs": "{name: circle, radius: 1.0}", "squares": "{name: rectangle, length: 2.0, width: 2.0}"}
+OBSTACLE = "  - {shape: %s, state: [%.2f, %.2f, 0]}\n"
 STEPS, HELD, ROUNDS = 50, 10, 3
 
 
 def main() -> None:
     """Measure."""
+    shape = SHAPES[sys.argv[1] if len(sys.argv) > 1 else "discs"]
     rng = np.random.default_rng(0)
     places = [place for place in rng.uniform(2, 48, (60, 2)) if np.hypot(*(place - 25)) > 4][:40]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "world.yaml"
-        file.write_text(WORLD + "".join(OBSTACLE % tuple(place) for place in places), encoding="utf-8")
+        file.write_text(WORLD + "".join(OBSTACLE % (shape, *place) for place in places), encoding="utf-8")
         env = irsim.make(str(file), display=False, disable_all_plot=True, log_level="ERROR")
     told = []
     for _ in range(ROUNDS):

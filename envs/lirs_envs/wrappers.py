@@ -13,10 +13,10 @@ from gymnasium import spaces
 
 from lirs_envs.episodes.observations import Group
 from lirs_envs.sensing.sensors import Observation
-from lirs_envs.tasks.task import Stage
+from lirs_envs.tasks.task import Stage, Task
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2
-from lirs_wct.arrays import ByteArray, IntArray
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 
 
 class DifficultyPace:
@@ -283,13 +283,18 @@ class MapMemory:
             maps.append(local_map(mapper.map(), self._poses[i], *self._size))
         return np.array(maps)
 
+    def read_poses(self, ids: IntArray) -> FloatArray:
+        """Return (n, 3) x, y, yaw of `T_map_base`, meters and radians."""
+        return np.array([self._poses[i].as_array() for i in ids.tolist()])
 
-def map_group(make_mapper: Callable[[], ScanMapper], *, cells: int = 64, cell: float = 0.25) -> Group:
-    """Return a group of observations with a mapper's local map, for vectors too.
 
-    It goes into `lirs_envs.episodes.observations.GROUPS` under a name of yours. The map is the mapper's and
-    around its own pose, not the truth (see `MapObservation`). Pickled environments need a `make_mapper` that
-    can be pickled.
+def map_groups(
+    make_mapper: Callable[[], ScanMapper], *, cells: int = 64, cell: float = 0.25
+) -> dict[str, Group]:
+    """Return groups of observations `local_map` and `map_pose` from one mapper, for vectors too.
+
+    They go into `lirs_envs.episodes.observations.GROUPS`. Map and pose are the mapper's, not the truth (see
+    `MapObservation`). Pickled environments need a `make_mapper` that can be pickled.
 
     Args:
         make_mapper: returns a new mapper for each episode, such as `partial(make_mapper, "hector")`.
@@ -301,10 +306,23 @@ def map_group(make_mapper: Callable[[], ScanMapper], *, cells: int = 64, cell: f
     """
     if cells < 1 or not 0 < cell < math.inf:
         raise ConfigError(f"a local map needs cells of a size above 0, got {cells} of {cell} m")
-    return Group(
-        lambda stage: spaces.Box(0, 255, (1, cells, cells), np.uint8),
-        memory=lambda stage, task: MapMemory(stage, make_mapper, cells, cell),
-    )
+
+    def memory(stage: Stage, task: Task) -> MapMemory:
+        return MapMemory(stage, make_mapper, cells, cell)
+
+    return {
+        "local_map": Group(lambda stage: spaces.Box(0, 255, (1, cells, cells), np.uint8), memory=memory),
+        "map_pose": Group(
+            lambda stage: spaces.Box(-np.inf, np.inf, (3,), np.float64),
+            memory=memory,
+            recall=MapMemory.read_poses,
+        ),
+    }
+
+
+def map_group(make_mapper: Callable[[], ScanMapper], *, cells: int = 64, cell: float = 0.25) -> Group:
+    """Return the group `local_map` alone, for a name of yours (see `map_groups`)."""
+    return map_groups(make_mapper, cells=cells, cell=cell)["local_map"]
 
 
 def local_map(grid: OccupancyGrid, T_map_base: Pose2, cells: int, cell: float) -> ByteArray:

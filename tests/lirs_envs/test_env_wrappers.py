@@ -22,6 +22,7 @@ from lirs_envs.wrappers import (
     VectorCurriculum,
     local_map,
     map_group,
+    map_groups,
 )
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -132,8 +133,13 @@ def test_a_group_with_maps_is_the_wrapper_for_vectors(rough: World, monkeypatch:
     """Row by row the wrapper's maps of single environments, also those of an episode's end."""
     mapper = partial(make_mapper, "hector")
     monkeypatch.setitem(GROUPS, "my_map", map_group(mapper, cells=32))
+    made = []
+    for name, group in map_groups(lambda: made.append(1) or mapper(), cells=32).items():
+        monkeypatch.setitem(GROUPS, name, group)
     options: dict[str, Any] = {"world": rough, "time_limit": 0.8}
-    vector = RobotVectorEnv(2, "mapping", observe=["my_map"], autoreset_mode="SameStep", **options)
+    vector = RobotVectorEnv(
+        2, "mapping", observe=["my_map", "local_map", "map_pose"], autoreset_mode="SameStep", **options
+    )
     singles = [
         MapObservation(RobotEnv("mapping", observe=["scan"], **options), mapper, cells=32) for _ in "ab"
     ]
@@ -143,6 +149,8 @@ def test_a_group_with_maps_is_the_wrapper_for_vectors(rough: World, monkeypatch:
     for _ in range(12):
         for i in range(2):
             np.testing.assert_array_equal(together["my_map"][i], alone[i]["local_map"])
+            for name in ("local_map", "map_pose"):
+                np.testing.assert_array_equal(together[name][i], alone[i][name])
         together, *_, infos = vector.step(actions)
         for i, env in enumerate(singles):
             alone[i], _, _, over, _ = env.step(actions[i])
@@ -150,6 +158,8 @@ def test_a_group_with_maps_is_the_wrapper_for_vectors(rough: World, monkeypatch:
                 np.testing.assert_array_equal(infos["final_obs"][i]["my_map"], alone[i]["local_map"])
                 alone[i], ends = env.reset()[0], ends + 1
     assert ends == 2
+    assert len(made) == 4, "map and pose come from one mapper an episode"
+    assert np.ptp(together["map_pose"]) > 0.05
     assert {UNKNOWN, FREE} <= set(np.unique(together["my_map"]).tolist())
     with pytest.raises(ConfigError, match="size above 0"):
         map_group(mapper, cells=0)

@@ -43,7 +43,7 @@ def options_of(name: str) -> dict[str, Any]:
     goal = [] if "Mapping" in name else ["goal"]
     return {
         "observe": ["scan", "odometry", "attitude", "seen_map", "height_map", *goal],
-        "randomize": ["friction", "mass", "sensor", drawn],
+        "randomize": ["friction", "mass", "sensor", "pushes", "latency", "slip", drawn],
         "time_limit": 1.0,
     }
 

@@ -27,6 +27,33 @@ from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 B = TypeVar("B", bound=Bodies | SingleBody)
 LEAST = 4
 """Least number of robots in a group: the calls per group cost as much as half a robot's step."""
+LONGEST = 256
+"""Control updates that are remembered."""
+
+
+class LateCommands:
+    """Commands of N robots that take effect some control updates later.
+
+    Attributes:
+        updates: (N,) number of control updates until a command takes effect; less than `LONGEST`.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.updates = np.zeros(count, np.int64)
+        self._given = np.zeros((count, LONGEST, 3))
+        self._turn = np.zeros(count, np.int64)
+
+    def begin(self, k: int) -> None:
+        """Forget the commands of robot `k`."""
+        self._given[k] = 0.0
+
+    def delay(self, ids: IntArray, commands: FloatArray) -> FloatArray:
+        """Return the commands (N, 3) that take effect in this control update of robots `ids`."""
+        present, turns = np.zeros_like(commands), self._turn[ids]
+        self._given[ids, turns] = commands[ids]
+        present[ids] = self._given[ids, (turns - self.updates[ids]) % LONGEST]
+        self._turn[ids] = (turns + 1) % LONGEST
+        return present
 
 
 class RobotGroup(Generic[B]):
@@ -60,6 +87,7 @@ class RobotGroup(Generic[B]):
         self.imu = ImuSensors(noise.imu, count)
         self.track: list[list[float]] | None = None
         self.waypoints: list[Waypoint | None] = [None] * count
+        self._late: LateCommands | None = None
         views = bodies.views
         self._control = make_controllers(robot, body.actuators, views, self.surfaces, self.waypoints)
         self._odometry: WheelOdometries | Odometries
@@ -74,6 +102,17 @@ class RobotGroup(Generic[B]):
     def odometry(self) -> FloatArray:
         """(n, 3) `T_odom_base`: x, y, yaw, meters and radians."""
         return self._odometry.pose
+
+    def set_latency(self, k: int, seconds: float) -> None:
+        """Set the latency of robot `k`'s commands (see `LateCommands`)."""
+        if self._late is None:
+            self._late = LateCommands(self.bodies.count)
+        body = self.bodies.body
+        self._late.updates[k] = round(seconds / (body.timestep * max(body.substeps)))
+
+    def set_slip(self, k: int, share: float) -> None:
+        """Lengthen the measured distance of robot `k` by a share, until it begins."""
+        self._odometry.set_slip(k, share)
 
     def place(self, k: int, world: World, start: Pose2, seed: int) -> None:
         """Put robot `k` at rest on the ground, and the walkers around it on new paths.
@@ -99,6 +138,8 @@ class RobotGroup(Generic[B]):
         self.imu.begin(k, bodies.qpos, bodies.qvel, imu)
         self._odometry.begin(k, bodies.qpos, odometry)
         self._control.begin(k)
+        if self._late is not None:
+            self._late.begin(k)
         self.imu.read(np.array((k,)), bodies.qpos, bodies.specific_force(), dt)
         self.touched[k] = False
 
@@ -118,7 +159,8 @@ class RobotGroup(Generic[B]):
         self.physics_seconds = self.sensor_seconds = 0.0
         for steps in bodies.body.substeps:
             dt = steps * bodies.body.timestep
-            self._control.update(ids, commands, imu.rates, dt, bodies.ctrl)
+            present = commands if self._late is None else self._late.delay(ids, commands)
+            self._control.update(ids, present, imu.rates, dt, bodies.ctrl)
             begun = clock()
             self._walk(ids, dt)
             failed |= bodies.step(some, steps)

@@ -131,6 +131,16 @@ class BatchSimulation:
         group, k = self._places[i]
         return np.asarray(group.bodies.qvel[k])
 
+    def set_latency(self, i: int, seconds: float) -> None:
+        """Delay the commands of robot `i`, by whole control updates."""
+        group, k = self._places[i]
+        group.set_latency(k, seconds)
+
+    def set_slip(self, i: int, share: float) -> None:
+        """Lengthen the measured distance of robot `i` by a share, until its reset."""
+        group, k = self._places[i]
+        group.set_slip(k, share)
+
     def _make_caster(self, i: int) -> Caster:
         data = self._ray_data[i] if self._ray_data else self.body.data
         group, k = self._places[i]

@@ -23,10 +23,19 @@ RANDOMIZED: dict[str, tuple[float, float] | None] = {
     "friction": (0.7, 1.3),
     "mass": (0.9, 1.2),
     "sensor": (0.5, 2.0),
+    "pushes": (0.1, 0.4),
+    "latency": (0.0, 0.1),
+    "slip": (0.0, 0.1),
     "start": None,
     "terrain": None,
 }
-"""Quantities that an episode may randomize, with their default ranges of factors."""
+"""Quantities that an episode may randomize, with their default ranges.
+
+Friction, mass and sensor: factors. Pushes: changes of velocity, m/s. Latency: seconds. Slip: share of the
+distance.
+"""
+LARGEST = {"pushes": 2.0, "latency": 1.0, "slip": 1.0}
+"""Largest legal values; these may also be 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,9 +53,11 @@ class EnvConfig:
         control_hz: steps a second, 5 to 50; the lidar keeps its own rate, and an observation holds its last
             scan.
         observe: groups of observations (see `lirs_envs.episodes.observations.GROUPS`); None = the task's own.
-        randomize: names from `RANDOMIZED`, or a mapping from names to (lowest, highest) factor, None = the
+        randomize: names from `RANDOMIZED`, or a mapping from names to (lowest, highest) value, None = the
             default; None = the task's own. `start`: anywhere free, else the world's first spawn pose;
-            `terrain`: a new course in each episode; `sensor`: deviations of the lidar.
+            `terrain`: a new course in each episode; `sensor`: deviations of the lidar; `pushes`: horizontal
+            impulses about every 5 s; `latency`: time until an action takes effect, drawn for each episode;
+            `slip`: share by which the odometry's distance is too long, drawn about every 5 s.
         rays: ray caster: `builtin` or `mujoco` (see `SimulationConfig`).
         props: bodies in the world: each a `Prop`, or a mapping of its fields with `place` as x, y, yaw.
         actors: number of walkers (see `lirs_envs.walkers`).
@@ -110,7 +121,7 @@ class EnvConfig:
 
     @property
     def factors(self) -> dict[str, tuple[float, float] | None] | None:
-        """Randomized quantities with their ranges of factors; None = the task's own."""
+        """Randomized quantities with their ranges; None = the task's own."""
         if self.randomize is None:
             return None
         if isinstance(self.randomize, str):
@@ -153,7 +164,11 @@ def _range(name: str, factors: Any) -> tuple[float, float]:
     try:
         low, high = factors
     except (TypeError, ValueError):
-        raise ConfigError(f"randomize {name!r} needs (lowest, highest) factor, got {factors!r}") from None
-    if not (is_finite(low) and is_finite(high) and 0 < low <= high):
-        raise ConfigError(f"randomize {name!r} needs 0 < lowest <= highest, finite, got {factors!r}")
+        raise ConfigError(f"randomize {name!r} needs (lowest, highest), got {factors!r}") from None
+    if not (is_finite(low) and is_finite(high) and low <= high):
+        raise ConfigError(f"randomize {name!r} needs lowest <= highest, finite, got {factors!r}")
+    if name in LARGEST and not (low >= 0 and high <= LARGEST[name]):
+        raise ConfigError(f"randomize {name!r} needs values from 0 to {LARGEST[name]:g}, got {factors!r}")
+    if name not in LARGEST and low <= 0:
+        raise ConfigError(f"randomize {name!r} needs factors above 0, got {factors!r}")
     return float(low), float(high)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
-import mujoco
 import numpy as np
 from gymnasium import spaces
 
 from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.observations import Observations
+from lirs_envs.episodes.randomization import Factors, Randomization
 from lirs_envs.episodes.world_cache import cached_world
 from lirs_envs.generators.terrain import generate, scaled_height_range
 from lirs_envs.placement import check_fit
@@ -28,51 +27,6 @@ from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.field_validators import is_finite
 from lirs_wct.kernels import njit
-
-Factors = dict[str, tuple[float, float] | None]
-
-
-class Randomization:
-    """Domain randomization: draw friction, mass and lidar noise of each episode."""
-
-    def __init__(self, simulation: BatchSimulation, factors: Factors) -> None:
-        self._simulation, self._factors = simulation, factors
-        model = simulation.body.model
-        base = model.body("base_link").id
-        self._bodies = np.flatnonzero(model.body_rootid == base)
-        self._geoms = np.flatnonzero(np.isin(model.geom_bodyid, self._bodies))
-        self._nominal = {
-            "geom_friction": model.geom_friction[self._geoms].copy(),
-            "body_mass": model.body_mass[self._bodies].copy(),
-            "body_inertia": model.body_inertia[self._bodies].copy(),
-        }
-        self._noise = simulation.lidar_noise[0]
-
-    @staticmethod
-    def needs_own_models(factors: Factors) -> bool:
-        """Return whether each robot needs its own MuJoCo model."""
-        return bool(factors.keys() & {"friction", "mass"})
-
-    def draw(self, i: int, rng: np.random.Generator) -> None:
-        """Draw the factors of robot `i` for its next episode."""
-        drawn = {
-            name: rng.uniform(*factors) for name, factors in self._factors.items() if factors is not None
-        }
-        if "sensor" in drawn:
-            k, noise = drawn["sensor"], self._noise
-            self._simulation.lidar_noise[i] = replace(
-                noise, sigma=k * noise.sigma, sigma_relative=k * noise.sigma_relative
-            )
-        if not self.needs_own_models(self._factors):
-            return
-        model, nominal = self._simulation.model(i), self._nominal
-        model.geom_friction[self._geoms] = drawn.get("friction", 1.0) * nominal["geom_friction"]
-        mass = drawn.get("mass", 1.0)
-        model.body_mass[self._bodies] = mass * nominal["body_mass"]
-        model.body_inertia[self._bodies] = mass * nominal["body_inertia"]
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-        self._simulation.model_changed(i)
-
 
 TASKS: dict[str, type[Task]] = {
     "mapping": MappingTask,
@@ -236,6 +190,7 @@ class Episodes:
         if self.stage.seen is not None:
             self.stage.seen.begin(i, *self.task.ground(i))
             self._see(np.array((i,)))
+        self._randomization.begin(i)
         self.task.begin(i)
         self.observations.begin(i)
         self._ready[i] = True
@@ -272,6 +227,7 @@ class Episodes:
         taken = self._clip_actions(ids, actions)
         commands = np.zeros((self.count, 3))
         commands[ids, : taken.shape[1]] = taken * self._scale[: taken.shape[1]]
+        self._randomization.disturb(ids)
         self.simulation.advance(ids, commands, self._see if self.stage.seen else None)
         errors = self.simulation.errors
         going = np.array([i for i in ids.tolist() if not errors[i]], np.int64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -48,13 +49,16 @@ class Group:
     Attributes:
         space: function that returns the space of one robot.
         read: function that returns values (n, ...) of some robots in a new array; None = `memory` does.
-        memory: function that returns the group's state for all robots; None = the group has none.
+        memory: function that returns the group's state for all robots; None = the group has none. Groups
+            with the same function share the state.
+        recall: function that returns values (n, ...) of some robots from the state; None = its `read`.
         privileged: whether the values are simulator-only data; `bench` marks policies that get them.
     """
 
     space: Callable[[Stage], spaces.Box]
     read: Callable[[Stage, Task, IntArray], Any] | None = None
     memory: Callable[[Stage, Task], Memory] | None = None
+    recall: Callable[[Any, IntArray], Any] | None = None
     privileged: bool = False
 
 
@@ -76,17 +80,19 @@ class Observations:
                 raise unknown_name("group of observations", name, GROUPS)
         self._names, self._stage, self._task = tuple(names), stage, task
         self.space = spaces.Dict({name: GROUPS[name].space(stage) for name in self._names})
-        made = {name: GROUPS[name].memory for name in self._names}
-        self._memories = {name: make(stage, task) for name, make in made.items() if make is not None}
+        makers = {name: make for name in self._names if (make := GROUPS[name].memory) is not None}
+        made = {make: make(stage, task) for make in makers.values()}
+        self._memories = {name: made[make] for name, make in makers.items()}
+        self._states = tuple(made.values())
 
     def begin(self, i: int) -> None:
         """Begin an episode of robot `i`."""
-        for memory in self._memories.values():
+        for memory in self._states:
             memory.begin(i)
 
     def step(self, ids: IntArray) -> None:
         """Take in a step of robots `ids`."""
-        for memory in self._memories.values():
+        for memory in self._states:
             memory.step(ids)
 
     def read(self, ids: IntArray) -> dict[str, Any]:
@@ -94,8 +100,11 @@ class Observations:
         return {name: self._read_group(name, ids) for name in self.space.spaces}
 
     def _read_group(self, name: str, ids: IntArray) -> Any:
-        read = GROUPS[name].read
-        return self._memories[name].read(ids) if read is None else read(self._stage, self._task, ids)
+        group = GROUPS[name]
+        if group.read is not None:
+            return group.read(self._stage, self._task, ids)
+        memory = self._memories[name]
+        return memory.read(ids) if group.recall is None else group.recall(memory, ids)
 
 
 def _scan_space(stage: Stage) -> spaces.Box:
@@ -121,11 +130,11 @@ def _make_finite(ranges: Float32Array, range_max: float) -> None:
 
 
 class ScanHistory:
-    """Scans of the last steps (N, SCANS, beams), the newest first."""
+    """Scans of the last steps (N, steps, beams), the newest first."""
 
-    def __init__(self, stage: Stage, task: Task) -> None:
+    def __init__(self, stage: Stage, task: Task, steps: int = SCANS) -> None:
         self._stage, self._task = stage, task
-        self._scans = np.zeros((stage.count, SCANS, stage.simulation.config.preset.beams), np.float32)
+        self._scans = np.zeros((stage.count, steps, stage.simulation.config.preset.beams), np.float32)
 
     def begin(self, i: int) -> None:
         """Fill the history of robot `i` with its first scan."""
@@ -137,13 +146,24 @@ class ScanHistory:
         self._scans[ids, 0] = _scan(self._stage, self._task, ids)
 
     def read(self, ids: IntArray) -> Float32Array:
-        """Return (n, SCANS, beams) meters."""
+        """Return (n, steps, beams) meters."""
         return self._scans[ids]
 
 
-def _scans_space(stage: Stage) -> spaces.Box:
-    preset = stage.simulation.config.preset
-    return spaces.Box(0.0, np.float32(preset.range_max), (SCANS, preset.beams), np.float32)
+def scan_history(steps: int) -> Group:
+    """Return a group of the last scans, the newest first.
+
+    Raises:
+        ConfigError: the number of steps is not a whole number from 1 up.
+    """
+    if not (isinstance(steps, int) and not isinstance(steps, bool) and steps >= 1):
+        raise ConfigError(f"a history of scans needs a whole number of steps from 1 up, got {steps!r}")
+
+    def space(stage: Stage) -> spaces.Box:
+        preset = stage.simulation.config.preset
+        return spaces.Box(0.0, np.float32(preset.range_max), (steps, preset.beams), np.float32)
+
+    return Group(space, memory=partial(ScanHistory, steps=steps))
 
 
 def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
@@ -251,7 +271,7 @@ def _local_heights(
 
 GROUPS: dict[str, Group] = {
     "scan": Group(_scan_space, _scan),
-    "scans": Group(_scans_space, memory=ScanHistory),
+    "scans": scan_history(SCANS),
     "sectors": Group(
         lambda stage: spaces.Box(0.0, 1.0, (SECTORS,), np.float32),
         lambda stage, task, ids: scan_sectors(stage.simulation.ranges[ids], stage.simulation.config.preset),
@@ -284,7 +304,8 @@ GROUPS: dict[str, Group] = {
 """Groups by name; more may be added before an environment is made.
 
 scan: (beams,) meters; nothing in range is `range_max`, too near or lost is 0.
-scans: (4, beams) scans of the last four steps, the newest first; at the start all are the first scan.
+scans: (4, beams) scans of the last four steps, the newest first; at the start all are the first scan. For
+    another number of steps, add `scan_history(steps)` under a name.
 sectors: (36,) proximity 1 / (1 + r), r meters the least range in each of 36 sectors of 10 degrees around
     the robot, from straight behind over right, ahead and left; 1 = all its beams are too near or lost, 0 = no
     beam goes there. A scan for small networks, the same for every planar lidar.

@@ -83,6 +83,7 @@ class DistanceNoises:
 
     Attributes:
         scale: (N,) present scale error.
+        slip: (N,) share by which distances are too long on top of it.
         normals: (N, BLOCK) coming normal numbers.
         used: (N,) how many of them are used up.
         parameters: standard deviation, correlation length, meters, and constant error.
@@ -97,11 +98,11 @@ class DistanceNoises:
         self._rngs = [np.random.default_rng(0) for _ in range(count)]
         self.normals = np.zeros((count, BLOCK))
         self.used = np.zeros(count, np.int64)
-        self.scale = np.zeros(count)
+        self.scale, self.slip = np.zeros(count), np.zeros(count)
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
         """Draw a new scale error of robot `i` from its random stream."""
-        self._rngs[i], self.used[i] = rng, BLOCK
+        self._rngs[i], self.used[i], self.slip[i] = rng, BLOCK, 0.0
         self.draw()
         self.scale[i], self.used[i] = self.parameters[0] * self.normals[i, 0], 1
 
@@ -131,7 +132,8 @@ class DistanceNoise(DistanceNoises):
 
     def measure(self, distance: float) -> float:
         """Return the measured distance, meters."""
-        meters: float = measured_distance(*self.coming, distance, self.parameters)
+        turned = distance * (1.0 + float(self.slip[0]))
+        meters: float = measured_distance(*self.coming, turned, self.parameters)
         return meters
 
 
@@ -253,12 +255,16 @@ class WheelOdometries:
             ids,
             (qpos, rates, attitude),
             self._joints,
-            (noises.scale, noises.normals, noises.used),
+            (noises.scale, noises.normals, noises.used, noises.slip),
             noises.parameters,
             dt,
             self._angles,
             self.pose,
         )
+
+    def set_slip(self, i: int, share: float) -> None:
+        """Lengthen the measured distance by a share, until robot `i` begins again."""
+        self._noises.slip[i] = share
 
     def read(self, ids: IntArray) -> None:
         """Do nothing: the pose is always up to date."""
@@ -269,7 +275,7 @@ def _integrate_wheels(
     ids: IntArray,
     motion: tuple[FloatArray, FloatArray, FloatArray],
     joints: WheelJoints,
-    noise: tuple[FloatArray, FloatArray, IntArray],
+    noise: tuple[FloatArray, FloatArray, IntArray, FloatArray],
     parameters: tuple[float, float, float],
     dt: float,
     angles: FloatArray,
@@ -283,7 +289,7 @@ def _integrate_wheels(
     """
     used_up = False
     qpos, rates, attitude = motion
-    scale, normals, used = noise
+    scale, normals, used, slip = noise
     for n in range(len(ids)):
         i = ids[n]
         left, right = mean_angle(qpos[i], joints.left), mean_angle(qpos[i], joints.right)
@@ -294,7 +300,7 @@ def _integrate_wheels(
             at,
             (scale[i : i + 1], normals[i], used[i : i + 1]),
             parameters,
-            turned * joints.radius,
+            turned * joints.radius * (1.0 + slip[i]),
             measured,
             dt,
         )

@@ -333,6 +333,12 @@ class Odometries:
                 self._angles[i] = left, right
                 odometry.update((left_turned + right_turned) / 2, *readings, right_turned - left_turned)
 
+    def set_slip(self, i: int, share: float) -> None:
+        """Lengthen the measured distance by a share, until robot `i` begins again."""
+        odometry = self.of[i]
+        assert odometry is not None, "begin comes first"
+        odometry.noise.slip[0] = share
+
     def read(self, ids: IntArray) -> None:
         """Update the poses of robots `ids`."""
         for i in ids.tolist():
