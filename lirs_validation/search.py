@@ -347,7 +347,7 @@ def require_cma() -> None:
         import cma  # noqa: F401
     except ImportError:
         raise ConfigError(
-            "the search needs the package cma: pip install 'lirs-wct[search]', or take --search random"
+            "the search needs the package cma: pip install '.[search]', or take --search random"
         ) from None
 
 

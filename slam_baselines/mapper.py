@@ -51,7 +51,7 @@ class Method(NamedTuple):
         """Command that installs the needed package."""
         if not self.extra:
             return f"lirs-wct mappers --install {self.distribution}"
-        return f"pip install 'lirs-wct[{self.extra}]'"
+        return f"pip install '.[{self.extra}]'"
 
     @property
     def distribution(self) -> str:

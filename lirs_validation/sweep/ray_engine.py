@@ -178,7 +178,7 @@ def _ray_session(address: str | None, jobs: int | None) -> Iterator[Any]:
     try:
         import ray
     except ImportError as error:
-        raise ConfigError("--engine ray needs Ray: pip install 'lirs-wct[dist]'") from error
+        raise ConfigError("--engine ray needs Ray: pip install '.[dist]'") from error
     if ray.is_initialized():
         yield ray
         return

@@ -23,7 +23,7 @@ VERTICAL_UNITS = 4099
 """GeoKey of the vertical unit."""
 METERS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Meters in a unit of length (EPSG): meter, foot, US survey foot."""
-EXTRA = "pip install 'lirs-wct[clouds]'"
+EXTRA = "pip install '.[clouds]'"
 GROUND, NOISE = 2, (7, 18)
 """Classes of the ASPRS LAS specification 1.4, table 17."""
 

@@ -40,7 +40,7 @@ class MeshCaster:
             meshes: Any = import_module("embreex.mesh_construction")
         except ImportError:
             raise ConfigError(
-                "the lidar on a mesh with overhangs needs the package embreex: pip install 'lirs-wct[mesh]', "
+                "the lidar on a mesh with overhangs needs the package embreex: pip install '.[mesh]', "
                 "or take rays 'mujoco'"
             ) from None
         # Robust: no ray slips between two triangles.

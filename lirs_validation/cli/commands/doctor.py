@@ -90,7 +90,7 @@ def _checks() -> Iterator[InstallationCheck]:
     yield InstallationCheck("python", f"{platform.python_version()}, {sys.executable}")
     for name in ("lirs-wct", *REQUIRED):
         version = _version(name)
-        yield InstallationCheck(name, version or "-", "" if version else "pip install lirs-wct", needed=True)
+        yield InstallationCheck(name, version or "-", "" if version else "pip install .", needed=True)
     yield from _opengl()
     yield _numba_cache()
     yield _world_cache()
@@ -99,7 +99,7 @@ def _checks() -> Iterator[InstallationCheck]:
         found = {name: _version(name) for name in packages}
         text = ", ".join(f"{name} {version or '-'}" for name, version in found.items())
         yield InstallationCheck(
-            f"[{extra}]", text, "" if all(found.values()) else f"pip install 'lirs-wct[{extra}]'"
+            f"[{extra}]", text, "" if all(found.values()) else f"pip install '.[{extra}]'"
         )
 
 

@@ -27,7 +27,7 @@ def gui(
 ) -> None:
     """Build worlds, drive robots and replay runs in a browser; ends with Ctrl-C."""
     if find_spec("viser") is None:
-        raise ConfigError("the live page needs viser: pip install 'lirs-wct[gui]'")
+        raise ConfigError("the live page needs viser: pip install '.[gui]'")
     from lirs_validation.gui.server import Server
     from lirs_wct.sources.options import BuildOptions
     from lirs_wct.sources.source import find_source

@@ -39,8 +39,8 @@ def test_what_is_needed_and_missing_fails(wct: Any, monkeypatch: pytest.MonkeyPa
     code, out, _ = wct("doctor")
     assert code == 3
     assert "missing" in out
-    assert "pip install lirs-wct" in out
-    assert "pip install 'lirs-wct[gui]'" in out
+    assert "pip install ." in out
+    assert "pip install '.[gui]'" in out
 
 
 @pytest.mark.usefixtures("quick")

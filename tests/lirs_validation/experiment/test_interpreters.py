@@ -209,7 +209,7 @@ def test_the_list_shows_requirements_and_how_to_install(
     assert "inertial readings, a start at rest" in rows["rko-lio"]
     assert "no: lirs-wct mappers --install rko-lio" in rows["rko-lio"]
     assert "organized clouds" in rows["evalio:loam"]
-    assert "pip install 'lirs-wct[slam]'" in rows["small-gicp"]
+    assert "pip install '.[slam]'" in rows["small-gicp"]
     assert run_command("mappers", "--install", "loam") == 2
     assert capfd.readouterr().err.startswith("lirs-wct: unknown system 'loam'; legal: evalio, evalio:ct")
 

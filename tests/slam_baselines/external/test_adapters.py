@@ -138,7 +138,7 @@ def test_what_is_not_installed_is_said_with_the_line_that_installs_it(
 ) -> None:
     monkeypatch.setattr(mappers, "find_spec", lambda package: None)
     method = CLOUD_MAPPERS[name]
-    by_extra = f"pip install 'lirs-wct[{method.extra}]'"
+    by_extra = f"pip install '.[{method.extra}]'"
     install = by_extra if method.extra else f"lirs-wct mappers --install {method.distribution}"
     message = f"mapper {name} needs the package {method.distribution}: {install}"
     with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
