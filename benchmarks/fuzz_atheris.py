@@ -1,0 +1,148 @@
+"""Coverage-guided damaged bytes against one reader: it returns a value or raises a WctError.
+
+    python benchmarks/fuzz_atheris.py tum --seconds 60
+
+Needs the package atheris, which is in no extra. A crash prints its traceback and leaves the bytes in the
+working folder (crash-*).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fuzz_seeds import KINDS, write_seeds
+
+from lirs_envs.sensing.sensors import read_noise
+from lirs_validation.bench.tasks import task_set
+from lirs_validation.falsify.cases import read_search_limits
+from lirs_validation.logs.reference import read_trajectory
+from lirs_validation.metrics.relative_pose_error import read_constraints
+from lirs_validation.record.verdict import read_limits
+from lirs_validation.sweep.suites import read_yaml_fields
+from lirs_wct.errors import WctError
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.drive_csv import read_commands, read_imu
+from lirs_wct.formats.elevation import read_raster
+from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.meshes.mesh_reader import read_mesh
+from lirs_wct.formats.point_clouds import read_points
+from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.topics import Topics
+from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.waypoints import read_waypoints
+
+
+@dataclass(frozen=True)
+class Reader:
+    """A reader of files.
+
+    Attributes:
+        read: takes a path.
+        seed: kind of `fuzz_seeds` whose file it reads, or the file's name and text.
+    """
+
+    read: Callable[[Path], Any]
+    seed: str | tuple[str, str]
+
+
+def _bag(path: Path) -> Any:
+    return read_bag(path, Topics())
+
+
+def _task_set(path: Path) -> Any:
+    return task_set(str(path))
+
+
+READERS = {
+    "noise": Reader(read_noise, ("noise.yaml", "lidar:\n  sigma: 0.01\nfaults:\n  dust: 0.1\n")),
+    "limits": Reader(read_limits, ("limits.yaml", "drift: 0.05\naccept: []\n")),
+    "search_limits": Reader(read_search_limits, ("search.yaml", "slope: [0, 10]\nspeed: [0.2, 1]\n")),
+    "suite": Reader(read_yaml_fields, ("suite.yaml", "worlds: [simple]\nseconds: 5\n")),
+    "trajectory": Reader(read_trajectory, ("a.tum", "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")),
+    "tum": Reader(read_tum, ("a.tum", "0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")),
+    "relations": Reader(read_constraints, ("a.relations", "0 1 0.1 0 0 0 0 0\n")),
+    "task_set": Reader(_task_set, "task_set"),
+    "commands": Reader(read_commands, "commands"),
+    "imu": Reader(read_imu, "imu"),
+    "waypoints_csv": Reader(read_waypoints, "waypoints_csv"),
+    "waypoints_yaml": Reader(read_waypoints, "waypoints_yaml"),
+    "map_yaml": Reader(read_map, "map_yaml"),
+    "carmen": Reader(read_carmen, "carmen"),
+    "bag_mcap": Reader(_bag, "bag_mcap"),
+    "bag_db3": Reader(_bag, "bag_db3"),
+    "bag_ros1": Reader(_bag, "bag_ros1"),
+    "ascii_pgm": Reader(read_picture, "ascii_pgm"),
+    "picture_png": Reader(read_picture, "gray8_png"),
+    "ascii_grid": Reader(read_raster, "asc"),
+    "stl": Reader(read_mesh, "mesh_binary_stl"),
+    "stl_text": Reader(read_mesh, "mesh_ascii_stl"),
+    "obj": Reader(read_mesh, "mesh_hill_obj"),
+    "ply": Reader(read_mesh, "mesh_binary_ply"),
+    "collada": Reader(read_mesh, "mesh_hill_dae"),
+    "glb": Reader(read_mesh, "mesh_hill_glb"),
+    "cloud_ply": Reader(read_points, "cloud_ply"),
+    "pcd": Reader(read_points, "cloud_binary_pcd"),
+}
+"""Readers by name. GDAL and laspy read in a process of their own: `fuzz_inputs.py` covers them."""
+
+
+def write_reader_seeds(folder: Path, names: tuple[str, ...] = tuple(READERS)) -> dict[str, Path]:
+    """Write a valid file for each reader; return the paths by name."""
+    named = {READERS[name].seed for name in names}
+    kinds = [kind for kind in KINDS if kind.name in named]
+    if kinds:
+        write_seeds(folder, kinds)
+    files = {kind.name: folder / kind.name / kind.file for kind in kinds}
+    found = {}
+    for name in names:
+        seed = READERS[name].seed
+        if isinstance(seed, str):
+            found[name] = files[seed]
+        else:
+            found[name] = folder / name / seed[0]
+            found[name].parent.mkdir(parents=True)
+            found[name].write_text(seed[1], encoding="utf-8")
+    return found
+
+
+def read_bytes(name: str, path: Path, data: bytes) -> None:
+    """Read a file of these bytes in place of a valid one; a WctError is an answer."""
+    path.write_bytes(data)
+    with contextlib.suppress(WctError):
+        READERS[name].read(path)
+
+
+def main() -> None:
+    """Fuzz one reader for a time."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("reader", choices=READERS)
+    parser.add_argument("--seconds", type=int, default=60)
+    given = parser.parse_args()
+    import atheris
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_reader_seeds(Path(folder) / "seeds", (given.reader,))[given.reader]
+        corpus = Path(folder) / "corpus"
+        corpus.mkdir()
+        (corpus / "seed").write_bytes(path.read_bytes())
+        atheris.instrument_all()
+        limits = [
+            f"-max_total_time={given.seconds}",
+            "-timeout=30",
+            "-rss_limit_mb=4096",
+            "-print_final_stats=1",
+        ]
+        atheris.Setup([sys.argv[0], *limits, str(corpus)], lambda data: read_bytes(given.reader, path, data))
+        atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()
