@@ -25,7 +25,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 from rich.console import Console
 
-from lirs_validation.config import MANUAL, RunConfig
+from lirs_validation.config import CLIENT, RunConfig
 from lirs_validation.live import run as live_run
 from lirs_validation.live.dds import CONFIG, DdsNode, raw_type
 from lirs_validation.live.graph import PUBLISHED
@@ -74,7 +74,7 @@ def main() -> None:
 
 def driven(lidar: str, reliability: str, seconds: float, domain: int) -> tuple[LiveRun, int]:
     """Return a live drive, and the number of messages that a client in another process received."""
-    config: dict[str, Any] = {"lidar": lidar, "seconds": seconds, "driver": MANUAL, "mapper": "client"}
+    config: dict[str, Any] = {"lidar": lidar, "seconds": seconds, "driver": CLIENT, "mapper": "client"}
     command = [sys.executable, __file__, "--client", reliability, "--domain", str(domain)]
     client = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:

@@ -46,7 +46,7 @@ DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN", "goal":
 """Drivers, and the argument that each needs."""
 NOISE_LEVELS, NOISE_FILES = ("none", "simulated", "datasheet"), (".yaml", ".yml")
 """Noise levels of a lidar, and suffixes of a file of sensor noise."""
-MANUAL = "manual"
+MANUAL, CLIENT = "manual", "client"
 """Driver of a record that a person drove on the live page; `replay:RUN` repeats it."""
 
 AXES, RECORDING = "Axes of a sweep: every combination is run", "ROS 2 bags (no ROS needed)"
@@ -76,13 +76,13 @@ class SourceOptions(BuildOptions):
 
 
 def driver_parts(text: str) -> tuple[str, str]:
-    """Return kind and argument of a driver, such as `frontier`, `goal:X,Y`, `replay:RUN` or `manual`.
+    """Return kind and argument of a driver, such as `frontier`, `goal:X,Y`, `replay:RUN` or `client`.
 
     Raises:
         ConfigError: the text is none of these.
     """
-    if text == MANUAL:
-        return MANUAL, ""
+    if text in (MANUAL, CLIENT):
+        return text, ""
     kind, colon, path = text.partition(":")
     if kind not in DRIVERS or bool(DRIVERS[kind]) != bool(path) or (colon and not path):
         legal = ", ".join(f"{name}:{argument}" if argument else name for name, argument in DRIVERS.items())

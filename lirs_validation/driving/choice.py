@@ -12,7 +12,7 @@ import numpy as np
 from lirs_envs.placement import can_stand
 from lirs_envs.robots.catalog import ROBOTS
 from lirs_envs.robots.robot import Robot
-from lirs_validation.config import MANUAL, TOUR, RunConfig, driver_parts
+from lirs_validation.config import CLIENT, MANUAL, TOUR, RunConfig, driver_parts
 from lirs_validation.driving.coverage import CoverageDriver, plan_coverage
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.frontier_route import FrontierRoute
@@ -144,11 +144,11 @@ def _automatic(config: RunConfig) -> tuple[str, str]:
     """Return kind and path of a driver that drives by itself.
 
     Raises:
-        ConfigError: it is `manual`.
+        ConfigError: it is `manual` or `client`.
     """
     kind, path = driver_parts(config.driver)
-    if kind == MANUAL:
-        raise ConfigError("manual: a person drove in the live page; replay:RUN drives the same again")
+    if kind in (MANUAL, CLIENT):
+        raise ConfigError(f"driver {kind}: a person or client drove; replay:RUN drives the same again")
     return kind, path
 
 

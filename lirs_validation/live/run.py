@@ -18,7 +18,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.command import Twist
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.config import FRONTIER, MANUAL, RunConfig, run_name
+from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
 from lirs_validation.driving.choice import make_driver, start_pose
 from lirs_validation.driving.standing import StandingDriver
 from lirs_validation.experiment.cost import compile_timer
@@ -70,7 +70,7 @@ def live(
     A request for a new start ends a drive, and the next one begins.
 
     Args:
-        config: of the run; its mapper is one of ours or the client's name, its driver `manual` for /cmd_vel.
+        config: of the run; its mapper is one of ours or the client's name, its driver `client` for /cmd_vel.
         options: connection and pace.
         out: folder that receives the runs' folders; None = nothing is written.
         progress: of the work.
@@ -152,7 +152,7 @@ class _Session:
         bridge = Bridge(self._middleware, self._options, simulation, sensor_errors(config), T_map_start)
         mapper = self._mapper(bridge, simulation, T_map_start)
         own = None
-        if config.driver != MANUAL:
+        if config.driver != CLIENT:
             own = make_driver(scenario.world, self._robot, config, mapper.map)
             own = StandingDriver(own, config.stand) if config.stand else own
         start = self._first @ T_map_start if own is None else own.start

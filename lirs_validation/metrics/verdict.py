@@ -283,16 +283,17 @@ def _no_gain(figures: VerdictFigures, limits: VerdictLimits) -> list[Reason]:
 
 
 def _poor_map(figures: VerdictFigures, limits: VerdictLimits) -> list[Reason]:
-    reference = figures.reference_false_occupied or 0.0
-    elevation = figures.reference_elevation_rmse or 0.0
+    reference, elevation = figures.reference_false_occupied, figures.reference_elevation_rmse
+    most_false = None if reference is None else reference + limits.false_occupied
+    most_rmse = None if elevation is None else elevation + limits.elevation_rmse
     checks = (
         ("F1 aligned", figures.f1_aligned, limits.f1_aligned, False),
-        ("false occupied, aligned", figures.false_occupied, reference + limits.false_occupied, True),
-        ("elevation RMSE, aligned", figures.elevation_rmse, elevation + limits.elevation_rmse, True),
+        ("false occupied, aligned", figures.false_occupied, most_false, True),
+        ("elevation RMSE, aligned", figures.elevation_rmse, most_rmse, True),
         ("elevation seen", figures.elevation_seen, limits.elevation_seen, False),
     )
     return [
         Reason(name, value, limit)
         for name, value, limit, most in checks
-        if value is not None and (value > limit if most else value < limit)
+        if value is not None and limit is not None and (value > limit if most else value < limit)
     ]

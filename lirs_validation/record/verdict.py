@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from lirs_validation.config import FRONTIER
+from lirs_validation.config import CLIENT, FRONTIER
 from lirs_validation.metrics.verdict import (
     LIMITS,
     Reason,
@@ -103,6 +103,9 @@ def _quality_sentence(quality: Entry) -> str:
     clauses = []
     if residual is not None:
         clauses.append(f"walls seen again lie {residual:.2f} m apart ({revisit_agreement(residual)})")
+    elif quality.get("wall_thickness") is not None:
+        thick = f"walls are {quality['wall_thickness']:.3f} m thick"
+        clauses.append(f"no place is seen by two passes, so that its path cannot be checked; {thick}")
     if second.get("difference") is not None:
         apart = second["revisit_residual"]
         own = "" if apart is None else f" (walls {apart:.2f} m apart)"
@@ -124,7 +127,7 @@ def run_figures(entry: Entry) -> VerdictFigures:
     return VerdictFigures(
         status=entry["status"],
         has_reference=True,
-        uses_estimate=driver.partition(":")[0] == FRONTIER,
+        uses_estimate=driver.partition(":")[0] in (FRONTIER, CLIENT),
         robot_lengths=robot_lengths,
         error=value_at(entry, "trajectory.ate_rmse"),
         odometry_error=value_at(entry, "trajectory.odometry_ate_rmse"),
@@ -162,7 +165,8 @@ def _lead(lead: str, kind: VerdictClass, entry: Entry, limits: VerdictLimits) ->
     cause = cause_of(kind, entry)
     if kind == "not evaluated" and not cause:
         needed = limits.robot_lengths * value_at(entry, "world.robot_length")
-        cause = f"it drove {value_at(entry, 'trajectory.length'):.1f} m, at least {needed:.1f} m are needed"
+        length = value_at(entry, "trajectory.length")
+        cause = f"it drove {length:.1f} m, at least {needed:.1f} m are needed (--seconds)"
     return f"{lead}: {cause.rstrip('.')}." if cause else f"{lead}."
 
 

@@ -11,7 +11,7 @@ from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
 from lirs_validation.cli.console import err, out
 from lirs_validation.cli.progress import progress_bar
 from lirs_validation.cli.typer_options import with_options
-from lirs_validation.config import MANUAL, RUN_AXES, RunConfig, SourceOptions
+from lirs_validation.config import CLIENT, RUN_AXES, RunConfig, SourceOptions
 from lirs_validation.live.options import LiveOptions
 from lirs_wct.errors import ConfigError
 
@@ -41,7 +41,7 @@ def live(
     from lirs_validation.live.run import live as drive_live
 
     given = {name: _single(name, value) for name, value in run.items()}
-    given = {"seconds": SECONDS, "driver": MANUAL, "mapper": live.client, **given}
+    given = {"seconds": SECONDS, "driver": CLIENT, "mapper": live.client, **given}
     config = RunConfig(source=source, build=options, **given)
     with progress_bar(source, err) as progress:
         for result in drive_live(config, live, out=output, progress=progress, announce=_tell):

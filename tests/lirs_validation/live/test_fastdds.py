@@ -49,7 +49,7 @@ def drive(program, domain, folder, monkeypatch, scans, clouds, *, seconds, speed
     command = [program, domain, scans, clouds, speed, folder / "received", *best_effort]
     client = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, text=True)
     try:
-        config = {"driver": "manual", "mapper": "client", "seconds": seconds, **run}
+        config = {"driver": "client", "mapper": "client", "seconds": seconds, **run}
         (result,) = live(RunConfig(source="simple", **config), options)
         output = client.communicate(timeout=60)[0]
     finally:
@@ -114,7 +114,7 @@ def test_best_effort_scans_arrive_unchanged(program, domain, tmp_path, monkeypat
 def test_50_clients_that_are_killed_do_no_harm(program, domain, tmp_path):
     """The 51st drives the robot, on a slow machine too: it has 30 s to be discovered."""
     options = LiveOptions(domain=domain, rate=1.0)
-    config = RunConfig(source="simple", driver="manual", mapper="client", seconds=45.0, lidar="vlp16")
+    config = RunConfig(source="simple", driver="client", mapper="client", seconds=45.0, lidar="vlp16")
     command = [program, domain, 10**6, 10**6, 0.3, tmp_path / "received"]
     script = 'for k in $(seq 50); do timeout -s KILL 0.$((k % 5 + 1)) "$@"; done; exec "$@"'
     clients = subprocess.Popen(

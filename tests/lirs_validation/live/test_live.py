@@ -37,7 +37,7 @@ def _scenario():
 
 def drive(network, monkeypatch, options=LOCKSTEP, out=None, **run):
     monkeypatch.setattr(live_run, "open_middleware", lambda *_: network)
-    given = {"seconds": 0.4, "mapper": options.client, "driver": "manual", **run}
+    given = {"seconds": 0.4, "mapper": options.client, "driver": "client", **run}
     return list(live(RunConfig(source="simple", **given), options, out=out))
 
 
@@ -62,7 +62,7 @@ def test_the_client_drives_and_the_record_counts_its_answers(monkeypatch, tmp_pa
     assert (result.bridge.published, result.bridge.answered, result.bridge.late) == (51, 51, 0)
     record = read_record(result.run.folder)
     assert record["config"]["mapper"] == "client"
-    assert record["config"]["driver"] == "manual"
+    assert record["config"]["driver"] == "client"
     assert record["mapper"]["used"] == record["mapper"]["received"] == 51
     assert record["trajectory"]["length"] > 0.6
     # Without map -> odom the client's path is the odometry.
@@ -154,7 +154,7 @@ def test_messages_between_two_drives_are_not_for_the_next_one(monkeypatch):
     answers = {0: [reset]}
     network = net.FakeNetwork(lambda topic, message: answers.pop(0, []) if topic == "/scan" else [])
     monkeypatch.setattr(live_run, "open_middleware", lambda *_: network)
-    config = RunConfig(source="simple", seconds=1.0, mapper="client", driver="manual")
+    config = RunConfig(source="simple", seconds=1.0, mapper="client", driver="client")
     drives = live(config, LiveOptions(rate=1000.0))
     next(drives)
     network.send(reset, net.stamped(10**9, 1.0))

@@ -52,7 +52,7 @@ def lockstep(domain, **given):
 
 
 def drive(options, out=None, **run):
-    given = {"mapper": options.client, "driver": "manual", **run}
+    given = {"mapper": options.client, "driver": "client", **run}
     (result,) = live(RunConfig(source="simple", **given), options, out=out)
     return result
 

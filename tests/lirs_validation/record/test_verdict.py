@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from lirs_validation.metrics.verdict import VerdictLimits
+from lirs_validation.metrics.verdict import VerdictFigures, VerdictLimits, classify
 from lirs_validation.record.verdict import judge, judge_log, read_limits
 from lirs_wct.errors import ConfigError
 
@@ -112,3 +113,23 @@ def test_unusable_limits_are_one_line(tmp_path: Path, text: str, message: str) -
     assert str(caught.value).startswith(f"{path}: ")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_client_that_drives_into_a_dead_end_loses_its_way() -> None:
+    stuck = ENTRY | {"status": "stuck", "reason": "did not move"}
+    by_hand = stuck | {"config": ENTRY["config"] | {"driver": "manual"}}
+    by_client = stuck | {"config": ENTRY["config"] | {"driver": "client"}}
+    assert (judge(by_hand).kind, judge(by_client).kind) == ("not evaluated", "loses its way")
+
+
+def test_a_share_of_false_cells_decides_only_next_to_that_of_the_true_poses() -> None:
+    figures = VerdictFigures(status="ok", error=0.01, odometry_error=1.0, false_occupied=0.5)
+    assert classify(figures)[0] == "works"
+    assert classify(replace(figures, reference_false_occupied=0.1))[0] == "path only"
+
+
+def test_a_log_of_one_pass_states_its_walls_and_what_they_do_not_tell() -> None:
+    log = {"name": "hall", "status": "ok", "reason": "", "config": {"mapper": "hector"}}
+    sentence = judge_log(log | {"quality": {"revisit_residual": None, "wall_thickness": 0.021}}).sentence
+    assert "No place is seen by two passes, so that its path cannot be checked" in sentence
+    assert "walls are 0.021 m thick" in sentence
