@@ -23,6 +23,8 @@ COMMON: Mapping[str, tuple[str, ...]] = {
     "info": ("--robot", *_SOURCE, "-o"),
     "view": ("-o", "--oblique", *_SOURCE),
     "collide": ("--robot", "--seconds", "--seeds", "-o", "--terrain", *_SOURCE),
+    "tune": ("--robot", "--mapper", "--lidar", "--seconds", "--drives", "-o", "--repeats", "--unseen", "--seed",
+             "--within", "--parameters", "--reference", "--relations"),
     "twin": ("-o", "--lidar", "--mapper", "--replay", "--draws", "--reference", "--relations", "--fov",
              "--range-max", "--scan-topic", "--odom-topic", "--seed"),
     "live": ("--robot", "--lidar", "--seconds", "-o", "--middleware", "--domain", "--ros", "--lockstep",
