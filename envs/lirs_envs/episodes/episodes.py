@@ -300,6 +300,9 @@ class Episodes:
         poses = np.empty((self.count, 3))
         _planar(self.simulation.T_world_base, poses)
         reasons = np.array(self._reasons, dtype=object)
+        of_task = self.task.infos()
+        if "success" in of_task:
+            of_task["success"] &= ~np.isin(self._reasons, list(self._accidents))
         return {
             "T_world_base": poses,
             "time": self._steps * self.simulation.period,
@@ -307,7 +310,7 @@ class Episodes:
             "timeout": self.truncated.copy(),
             "reason": reasons,
             "redrawn": self._redrawn.copy(),
-            **self.task.infos(),
+            **of_task,
         }
 
 
