@@ -277,23 +277,17 @@ def ros_text(drives: TuneDrives, tuned: Case) -> tuple[str, str]:
 
 def again(drives: TuneDrives, tuned: Case) -> str:
     """Return the command that runs the tuned values and the defaults again."""
-    target, held = drives.target, drives.target.parameters or "none"
+    target, values = drives.target, drives.text(tuned)
+    options: dict[str, Any] = changed(target) | {"mapper": target.mapper}
     if isinstance(target, MapConfig):
-        command = [
-            "lirs-wct",
-            "map",
-            target.log,
-            "--mapper",
-            target.mapper,
-            "--parameters",
-            drives.text(tuned),
-        ]
-        return shlex.join(command)
-    flags = {name: found.flags[0] for name, found in declared(RunConfig)}
-    options = changed(target) | {"mapper": target.mapper, "parameters": f"{held};{drives.text(tuned)}"}
-    options["seed"] = f"{drives.seeds[1][0]}-{drives.seeds[1][-1]}"
-    pairs = [(flags[name], str(value)) for name, value in options.items()]
-    return shlex.join(["lirs-wct", "validate", target.source, *(word for pair in pairs for word in pair)])
+        command, source, options["parameters"] = "map", target.log, values
+    else:
+        command, source = "validate", target.source
+        options["parameters"] = f"{target.parameters or 'none'};{values}"
+        options["seed"] = f"{drives.seeds[1][0]}-{drives.seeds[1][-1]}"
+    flags = {name: found.flags[0] for name, found in declared(type(target))}
+    pairs = [(flags[name], str(value)) for name, value in options.items() if name in flags]
+    return shlex.join(["lirs-wct", command, source, *(word for pair in pairs for word in pair)])
 
 
 def write_results(out: Path, drives: TuneDrives, tuned: Case, found: UnseenComparison) -> tuple[Path, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from lirs_validation.config import RunConfig
+from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.verdict import VerdictFigures
 from lirs_validation.tune import TuneOptions
 from lirs_validation.tune import search as search_module
@@ -145,3 +146,18 @@ def test_nothing_to_evaluate_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(search_module, "measure_run", lambda config: TuneScore(None, reason="stuck"))
     with pytest.raises(ConfigError, match="no drive can be evaluated: stuck"):
         tune(drives(tmp_path / "out"))
+
+
+def test_the_printed_command_of_a_log_names_its_truth_and_seed(tmp_path: Path) -> None:
+    log = MapConfig(log="hall.clf", mapper="gmapping_original", reference="truth.tum", seed=4)
+    made = TuneDrives(log, TuneOptions(), search_space(log.mapper, "", None), tmp_path)
+    tuned = made.space.easiest.with_value("linearUpdate", 0.3)
+    command = search_module.again(made, tuned)
+    assert command.startswith("lirs-wct map hall.clf ")
+    for words in (
+        "--reference truth.tum",
+        "--seed 4",
+        "--mapper gmapping_original",
+        "--parameters linearUpdate=0.3",
+    ):
+        assert words in command
