@@ -47,7 +47,7 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
 ) -> None:
     """Two poses earned an ATE of 0.000 and `ok`."""
     monkeypatch.setattr(
-        "lirs_validation.experiment.mapper_process.mapper_named", lambda name, seed: few(kept)
+        "lirs_validation.experiment.mapper_process.mapper_named", lambda *_: few(kept)
     )
     run = validate("simple", seconds=3, out=tmp_path)
     assert run.folder is not None

@@ -174,7 +174,7 @@ def test_scans_that_a_mapper_does_not_receive_are_counted(monkeypatch: pytest.Mo
     made = [QueueingMapper()]
     monkeypatch.setattr(
         "lirs_validation.experiment.mapper_process.mapper_named",
-        lambda name, seed: made.append(QueueingMapper()) or made[-1],
+        lambda *_: made.append(QueueingMapper()) or made[-1],
     )
     record = validate("simple", mapper="hector", seconds=1).record
     assert made[-1].given == 26
