@@ -46,9 +46,7 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
     kept: slice | tuple[int, ...], coverage: float, ate: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Two poses earned an ATE of 0.000 and `ok`."""
-    monkeypatch.setattr(
-        "lirs_validation.experiment.mapper_process.mapper_named", lambda *_: few(kept)
-    )
+    monkeypatch.setattr("lirs_validation.experiment.mapper_process.mapper_named", lambda *_: few(kept))
     run = validate("simple", seconds=3, out=tmp_path)
     assert run.folder is not None
     record = read_run(run.folder).entry
