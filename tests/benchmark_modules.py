@@ -1,7 +1,5 @@
 """Scripts under benchmarks/ as modules."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from types import ModuleType

@@ -1,7 +1,5 @@
 """Compile the kernels into numba's cache, each once: workers of pytest would each compile them."""
 
-from __future__ import annotations
-
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path

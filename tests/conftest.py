@@ -1,7 +1,5 @@
 """Shared fixtures: the folder of real inputs, quiet numba."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

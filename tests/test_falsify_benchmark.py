@@ -1,7 +1,5 @@
 """The published cases of `benchmarks/falsify.csv` can be written, and fail again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 

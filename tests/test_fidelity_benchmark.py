@@ -1,7 +1,5 @@
 """The fidelity benchmark's own arithmetic: agreement by medians, and runs that lack an original."""
 
-from __future__ import annotations
-
 from types import ModuleType
 
 import pytest

@@ -1,7 +1,5 @@
 """A small fixed sample of damaged inputs; `benchmarks/fuzz_inputs.py` runs more."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

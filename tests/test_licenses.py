@@ -1,7 +1,5 @@
 """No run-time dependency is under the GPL or the AGPL, by what its distribution declares."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from importlib.metadata import Distribution, distribution

@@ -1,7 +1,5 @@
 """The study of quality figures: its stored rows, and the logs that it makes worse."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path

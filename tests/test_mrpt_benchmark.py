@@ -1,7 +1,5 @@
 """Logs in MRPT's binary format, which its programs read."""
 
-from __future__ import annotations
-
 import gzip
 import shutil
 import subprocess

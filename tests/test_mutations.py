@@ -1,7 +1,5 @@
 """The mutations that the tests are tried with: each is a program, and another one."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 from types import ModuleType

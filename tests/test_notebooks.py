@@ -1,7 +1,5 @@
 """The notebooks run from top to bottom, show their pictures, and print little."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -3,8 +3,6 @@
 python tests/test_public_interface.py
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

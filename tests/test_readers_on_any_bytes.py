@@ -1,7 +1,5 @@
 """Every reader answers any bytes with a value or a WctError; `benchmarks/fuzz_atheris.py` searches longer."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The README's own size and sentences stay within `style_limits.toml`.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

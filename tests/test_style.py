@@ -1,7 +1,5 @@
 """Size and language of the product stay within the limits of style_limits.toml."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess

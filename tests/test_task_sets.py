@@ -1,7 +1,5 @@
 """The sets of tasks that ship are what their script draws."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from pathlib import Path

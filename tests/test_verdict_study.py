@@ -1,7 +1,5 @@
 """The study of `verdict`: its stored tables and models, and a small version of it."""
 
-from __future__ import annotations
-
 import json
 from importlib.resources import files
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the pages name exists: files, commands, options of environments."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The site builds without a warning, and holds what a reader looks up."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import subprocess

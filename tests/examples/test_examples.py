@@ -1,7 +1,5 @@
 """Every program under examples/ runs on the inputs that ship, as a newcomer would run it."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import subprocess

@@ -1,7 +1,5 @@
 """Small synthetic worlds for the simulation's tests."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What cannot be is refused in one clear sentence, before MuJoCo is entered; the simulation stays usable."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

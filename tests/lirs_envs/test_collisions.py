@@ -1,7 +1,5 @@
 """The deepest contact of a robot and whether its body touches."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

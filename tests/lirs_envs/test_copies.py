@@ -1,7 +1,5 @@
 """A copy of a simulation in mid-run goes on bit for bit, and leaves its original alone."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

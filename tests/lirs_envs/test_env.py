@@ -1,7 +1,5 @@
 """Every environment keeps Gymnasium's contract, with every robot, and says clearly what it cannot do."""
 
-from __future__ import annotations
-
 import copy
 import gc
 import json

@@ -1,7 +1,5 @@
 """Arguments of environments that are not legal: one sentence, never a raw error, never silence."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Props and rays as options of environments."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from typing import Any

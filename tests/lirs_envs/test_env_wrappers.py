@@ -1,7 +1,5 @@
 """Wrappers: a difficulty that follows success, and what a mapper makes of the scans."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The policies without learning: what they answer to what they see, and that they arrive."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

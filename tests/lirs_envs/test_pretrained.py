@@ -1,7 +1,5 @@
 """The policy whose weights ship: its network, its inputs, its steering."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

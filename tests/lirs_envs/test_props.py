@@ -1,7 +1,5 @@
 """Props and static robots: touched, seen by the lidar, and never mistaken for the robot itself."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The adapter to Stable-Baselines3: against its interface, and against itself where it is installed."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The simulation's contract: repeatable, replayable, honest about what it cannot do."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

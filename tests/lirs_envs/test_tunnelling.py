@@ -1,7 +1,5 @@
 """No robot ever sinks into ground or walls, wherever it is driven. The long matrix: benchmarks/robots.py."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """N environments as one: the same to the bit as N single ones, at any number of threads."""
 
-from __future__ import annotations
-
 import copy
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Walkers: where they walk, that they are seen and touched, and that they come again."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

@@ -1,7 +1,5 @@
 """Wheels collide with what is steeper than their robot climbs, and with nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Records for tests: of the form that runs write, with figures as one wishes."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

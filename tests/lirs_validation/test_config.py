@@ -1,7 +1,5 @@
 """One added field of a run's options is an axis, an option, a control and a documented attribute."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Any
 

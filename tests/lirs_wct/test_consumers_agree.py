@@ -1,7 +1,5 @@
 """One world, consumers that agree: Gazebo's mesh, MuJoCo's ground, contact grid and laser see one source."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Causes of errors in plain words."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Validators of fields: what is legal, what is refused, and in which words."""
 
-from __future__ import annotations
-
 import math
 import re
 from types import SimpleNamespace

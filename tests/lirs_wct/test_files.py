@@ -1,7 +1,5 @@
 """Atomic writing: all or nothing, at every way out."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The user's files in a folder that is written again: concurrent programs, kills, refused writes."""
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import multiprocessing

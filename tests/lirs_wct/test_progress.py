@@ -1,7 +1,5 @@
 """Long work tells how far it has come: never backwards, never beyond the end."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A source becomes a world, and a folder gives the same world back."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Branch and bound finds what trying every pose finds."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The group axioms of poses, and agreement with SciPy's rotations."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What must hold for any field and any ray."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st

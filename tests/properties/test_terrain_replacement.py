@@ -1,7 +1,5 @@
 """A simulation whose terrain was replaced equals one that was made with that terrain."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle

@@ -3,8 +3,6 @@
 The environment variable GAZEBO_CHECK names the folder with the programs sdfchk, meshchk and physchk.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The place on earth of a world file, as gz-sim's NavSat reads it (Debian's python3-ignition-math)."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

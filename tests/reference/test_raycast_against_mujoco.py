@@ -4,8 +4,6 @@ Elsewhere MuJoCo is no oracle: along the border, from inside the solid and on ex
 differ from the triangles.
 """
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 import pytest

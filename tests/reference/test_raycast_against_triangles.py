@@ -1,7 +1,5 @@
 """Our traversal against every triangle by brute force, in all the awkward directions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Rays on true meshes: Embree against every triangle by brute force, and against MuJoCo's own mesh rays."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from typing import get_args

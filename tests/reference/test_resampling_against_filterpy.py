@@ -1,7 +1,5 @@
 """Systematic resampling against filterpy's, fed with the same random number."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from filterpy.monte_carlo import systematic_resample as filterpys

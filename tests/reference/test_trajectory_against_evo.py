@@ -1,7 +1,5 @@
 """Our planar trajectory errors against evo, an independent implementation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

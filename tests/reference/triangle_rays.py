@@ -1,7 +1,5 @@
 """Brute force: every ray against every triangle and every wall cell, in double precision."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A large site: streets between buildings, seen from afar and driven through with a scan almost a meter."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Worlds that can be computed on paper, and what a laser sees in them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

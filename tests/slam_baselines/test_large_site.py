@@ -1,7 +1,5 @@
 """The large site is what tests of memory and of sparse scans take it for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Kernels for symmetric 3x3 matrices against NumPy."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slam_baselines.linalg import invert3, moved_covariance, solve3

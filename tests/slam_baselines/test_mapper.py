@@ -1,7 +1,5 @@
 """What all methods offer alike: resolution, need of odometry, localization in a known map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Names of mappers in sentences and folders."""
 
-from __future__ import annotations
-
 import pytest
 
 from slam_baselines.mapper import file_name, short_name

@@ -1,7 +1,5 @@
 """Parameters of a mapper as text and as keywords."""
 
-from __future__ import annotations
-
 import pytest
 
 from lirs_validation.experiment.mapper_loading import mapper_named

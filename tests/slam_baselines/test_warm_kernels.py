@@ -1,7 +1,5 @@
 """After the warm-up no update compiles: every kernel has met the types that it will meet."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

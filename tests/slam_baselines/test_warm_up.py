@@ -1,7 +1,5 @@
 """The warm-up leaves no kernel to be compiled on the clock."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Many robots at once: each does bit for bit what a simulation of its own does."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Threads that share work: each piece is done once, and what raises ends the run."""
 
-from __future__ import annotations
-
 import copy
 import sys
 from functools import partial

@@ -1,7 +1,5 @@
 """Observation groups with a state for each robot."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """Scaled observations: sectors of a scan, the direction of a goal."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pushes, latency and slip: disturbances during an episode."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from typing import Any

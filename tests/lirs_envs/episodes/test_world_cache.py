@@ -1,7 +1,5 @@
 """Built worlds on disk: by content, whole or not at all, and never in the way."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Floor plans: one building, all of whose rooms a robot can reach."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Courses look like what they are called, and have a gentle way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

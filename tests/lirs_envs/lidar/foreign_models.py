@@ -1,7 +1,5 @@
 """Twenty MuJoCo models in the styles of users, and brute force over the triangles of their height fields."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

@@ -1,7 +1,5 @@
 """A small room for the lidar's tests, and rings of beams."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """MuJoCo's own rays in place of the builtin ones: the same world, the same robot, the same noise."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Where a laser map's floor has a hole, a ray goes through it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

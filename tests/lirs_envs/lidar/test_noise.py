@@ -1,7 +1,5 @@
 """Noise of the laser is what it claims: chi-square tests over 1e5 beams."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bundles of beams: a fan meets what each of its beams meets alone, from every place, in every order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Lidars with rings: clouds of a sweep, and the planar scan among them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Rolling scans: motion distorts them, de-skewing with the true motion restores them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

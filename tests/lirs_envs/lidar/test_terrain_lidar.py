@@ -1,7 +1,5 @@
 """The lidar for any MuJoCo model: against brute force, and what it leaves alone."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

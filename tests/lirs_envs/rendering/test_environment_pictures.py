@@ -1,7 +1,5 @@
 """The environments' render modes: one, and N at once."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

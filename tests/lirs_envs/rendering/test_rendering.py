@@ -1,7 +1,5 @@
 """What pictures of a simulation show, and what they say where they cannot be made."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from collections.abc import Callable

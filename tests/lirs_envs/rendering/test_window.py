@@ -1,7 +1,5 @@
 """Render mode human: a window on a screen, or one sentence."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The quadrotor hovers, steps, follows terrain and meets walls."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Every robot does what its data sheet says: on the flat, on slopes, against obstacles."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Faults of sensors: lag, field of view, dust, slip."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

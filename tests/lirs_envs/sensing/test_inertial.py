@@ -1,7 +1,5 @@
 """Inertial readings near 200 Hz: exact means of the motion, their rate, noise and bias."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

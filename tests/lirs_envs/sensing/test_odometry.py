@@ -1,7 +1,5 @@
 """Odometry and IMU are as wrong as they claim; the filter knows how wrong it is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

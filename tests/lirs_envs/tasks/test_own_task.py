@@ -1,7 +1,5 @@
 """Tasks of other packages: the program of the how-to, and what is refused."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Accidents are never cheaper than collisions, contact has a limit, and weights are options."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Seen ground: against beams that are followed centimeter by centimeter."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Path lengths over the free cells of a site."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

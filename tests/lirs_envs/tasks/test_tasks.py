@@ -1,7 +1,5 @@
 """Tasks: rewards that add up to what they stand for, ends that are told, goals that can be reached."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

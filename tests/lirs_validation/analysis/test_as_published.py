@@ -1,7 +1,5 @@
 """Verdicts of methods as published and with attitude, by world, and the sentence that follows."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import pytest

@@ -1,7 +1,5 @@
 """Which differences are significant: against SciPy's tests, on differences that are known."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

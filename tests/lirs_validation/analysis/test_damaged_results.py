@@ -1,7 +1,5 @@
 """Folders of results that were cut off, emptied or filled with nonsense: named in one line, no traceback."""
 
-from __future__ import annotations
-
 import copy
 import json
 import shutil

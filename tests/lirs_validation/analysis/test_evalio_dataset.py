@@ -1,7 +1,5 @@
 """Export of a run's bag as a data set of evalio, with a fake of its classes."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Iterator

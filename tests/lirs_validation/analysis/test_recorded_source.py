@@ -1,7 +1,5 @@
 """A record knows the very files of its source: another of that name is not taken for it."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Finished runs in other programs' formats."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

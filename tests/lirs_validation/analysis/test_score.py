@@ -1,7 +1,5 @@
 """Scoring a run's own files gives the run's own figures; what does not fit the run is said."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

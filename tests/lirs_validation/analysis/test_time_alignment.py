@@ -1,7 +1,5 @@
 """Trajectories of other programs: another rate, another clock, another frame."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

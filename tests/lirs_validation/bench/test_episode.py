@@ -1,7 +1,5 @@
 """Episodes: what a policy does wrong costs its own episode, what it is worth is what was driven."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

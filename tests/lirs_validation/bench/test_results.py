@@ -1,7 +1,5 @@
 """Results of a folder: whose scores stand beside each other, and who knew what no robot knows."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Scores against figures worked out by hand, and the interval against what it promises."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Worlds of tasks: made alike each time, or found by their content wherever they lie."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

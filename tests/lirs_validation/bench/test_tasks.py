@@ -1,7 +1,5 @@
 """The sets as they ship: whole, split by world, and large enough without any file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

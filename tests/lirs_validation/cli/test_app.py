@@ -1,7 +1,5 @@
 """The command line as a user meets it: one line and exit code 2 for bad input, nothing left behind."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import subprocess
 import sys

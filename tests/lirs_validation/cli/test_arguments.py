@@ -1,7 +1,5 @@
 """Lists in arguments: names and seeds, one reader each for every command."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Methods as published by their names in `validate`, `map` and `score`, one after the other."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

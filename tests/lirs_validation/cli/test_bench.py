@@ -1,7 +1,5 @@
 """`bench` from end to end: one score, a table with what ran before, resuming; what is wrong in one line."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every option of `build` at the command line does what it says; `info` and `convert`."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """An option is declared once: command line, help, checks and a run's command are made from that."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The help of every command ends with examples that its own parser takes."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

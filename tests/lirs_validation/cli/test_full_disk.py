@@ -1,7 +1,5 @@
 """A full disk says so in one line, and leaves nothing half-written."""
 
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

@@ -1,7 +1,5 @@
 """Help: few options in order of use, all with `--help-all`; the shell completes names."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Slopes of `info` by strips are those of the whole surface."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Ctrl-C while files are written leaves nothing half-written, and what was there before stays."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Progress in a log file: a line every ten seconds, none in a terminal."""
 
-from __future__ import annotations
-
 import io
 import time
 

@@ -1,7 +1,5 @@
 """`record` and `--bag`: a run's folder that is a bag, where it is put, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

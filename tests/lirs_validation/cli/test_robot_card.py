@@ -1,7 +1,5 @@
 """`lirs-wct robot`: data, picture, URDF."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 

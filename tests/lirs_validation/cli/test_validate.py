@@ -1,7 +1,5 @@
 """`validate` over axes: what is wrong is said before anything runs; what failed is in table and exit code."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

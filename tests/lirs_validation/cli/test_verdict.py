@@ -1,7 +1,5 @@
 """`lirs-wct verdict`: options, exit codes and the files of a short decision."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

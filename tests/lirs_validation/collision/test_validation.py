@@ -1,7 +1,5 @@
 """Collision validation finds what it is for, and lets pass what is sound."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

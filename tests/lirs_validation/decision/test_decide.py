@@ -1,7 +1,5 @@
 """Decision: drives until decided, which count, what is tried then, and the files of the result."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Generator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Forecast: information of scans, features of sites, and the stored models."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

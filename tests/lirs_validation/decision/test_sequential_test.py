@@ -1,7 +1,5 @@
 """Sequential test: bounds, error rates on random streams, and the exact interval."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Pictures: north is up, light comes from the north-west, all panels show the same square meters."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

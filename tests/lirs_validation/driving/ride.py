@@ -1,7 +1,5 @@
 """A robot without physics, and places to drive it in."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The coverage driver on a robot without physics: it covers ground, hits nothing, knows when it is stuck."""
 
-from __future__ import annotations
-
 import math
 import time
 from pathlib import Path

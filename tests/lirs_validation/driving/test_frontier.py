@@ -1,7 +1,5 @@
 """The explorer: it maps what can be reached, keeps to the known, and follows the mapper, right or wrong."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

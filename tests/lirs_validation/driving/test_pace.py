@@ -1,7 +1,5 @@
 """The driver asks of each robot what it can do."""
 
-from __future__ import annotations
-
 import pytest
 
 from lirs_envs.robots.catalog import ROBOTS

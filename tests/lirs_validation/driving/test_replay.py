@@ -1,7 +1,5 @@
 """A replay: the same commands give the same truth bit for bit, whatever maps; what does not fit is named."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where robots start: at the pose that was asked for, or where the largest that fits can drive."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

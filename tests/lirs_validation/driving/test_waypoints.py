@@ -1,7 +1,5 @@
 """Waypoints from a file to the drive: formats, bad files, bad places, the order and the yaw."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

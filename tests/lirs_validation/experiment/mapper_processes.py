@@ -1,7 +1,5 @@
 """The processes of mappers that a process has started."""
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from pathlib import Path

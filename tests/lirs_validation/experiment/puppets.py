@@ -1,7 +1,5 @@
 """A simulation, its driver and a mapper, each of which can fail at a tick."""
 
-from __future__ import annotations
-
 import time as clock
 
 import numpy as np

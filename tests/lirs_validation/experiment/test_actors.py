@@ -1,7 +1,5 @@
 """Walkers in a run: the mapper sees them, the true maps do not hold them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

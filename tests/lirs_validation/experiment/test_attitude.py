@@ -1,7 +1,5 @@
 """A run without attitude: no mapper learns how the robot is tilted, a user's own included."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Runs of mappers that read point clouds, ours or anybody's, from the drive to the report."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

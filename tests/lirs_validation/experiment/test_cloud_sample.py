@@ -1,7 +1,5 @@
 """The clouds that are kept: spread over the drive, and never more than fit."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a run costs, and whether other runs shared the CPU."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

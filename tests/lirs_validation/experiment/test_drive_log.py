@@ -1,7 +1,5 @@
 """Log of a drive: its size in memory, and the observations that it holds."""
 
-from __future__ import annotations
-
 import tracemalloc
 from dataclasses import replace
 

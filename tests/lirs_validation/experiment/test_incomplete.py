@@ -1,7 +1,5 @@
 """A trajectory that leaves out scans is no result, however well its few poses fit: in runs and logs."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 

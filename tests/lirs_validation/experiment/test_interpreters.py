@@ -1,7 +1,5 @@
 """A mapper's process with another interpreter, and private environments of systems."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A mapper changes nothing that it is judged by, and ends nothing but its own run."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Anybody's mapper by `module:name`: what is missing is said, and what it hands over is looked at."""
 
-from __future__ import annotations
-
 import math
 import re
 import sys

@@ -1,7 +1,5 @@
 """A mapper's process: what is asked of it, and how it ends."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

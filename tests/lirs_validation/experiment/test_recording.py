@@ -1,7 +1,5 @@
 """A drive's bag: what it holds, that it changes nothing else, and that mapping it gives the same path."""
 
-from __future__ import annotations
-
 import errno
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A whole run: what it writes, that it repeats to the byte, that failures are told."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Each third-party system that is installed, here or in its private environment, follows a short drive."""
 
-from __future__ import annotations
-
 import pytest
 
 from lirs_validation import validate

@@ -1,7 +1,5 @@
 """A mapper beside the drive, in a process or a thread: the bytes of one thread, and nothing that hangs."""
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The command on real drives: a failure from the search to its replay."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Parameters of a case, their limits, and the words for a cause."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Planted defects are visible to the search's objective: known cases where hector keeps its way."""
 
-from __future__ import annotations
-
 import pytest
 
 from lirs_validation.falsify import FalsifyOptions

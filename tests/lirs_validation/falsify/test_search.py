@@ -1,7 +1,5 @@
 """Search, confirmation and resumption with synthetic drives."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The live page inside a notebook."""
 
-from __future__ import annotations
-
 import sys
 from importlib.util import find_spec
 from pathlib import Path

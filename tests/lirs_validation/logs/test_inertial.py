@@ -1,7 +1,5 @@
 """Inertial readings beside a log: each scan gets its own, and the laser its height."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A log wherever a source may be: mapped once, into the output folder, and its map used from then on."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Bags as logs: the same trajectory as from the log of the same run, and every refusal one line."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

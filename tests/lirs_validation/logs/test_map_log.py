@@ -1,7 +1,5 @@
 """From a log to a map, a path and a record, held against a room that is known."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

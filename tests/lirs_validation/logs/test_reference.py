@@ -1,7 +1,5 @@
 """A reference trajectory is told by its first word: a number is TUM, a name is CARMEN."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

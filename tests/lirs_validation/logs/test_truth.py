@@ -1,7 +1,5 @@
 """What is known about a log follows its lines when their stamps are repaired."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Agreement of occupied cells, against a search of all pairs: maps turned, shifted, of two resolutions."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The alignment as an error of the start frame, aligned map metrics, coverage of the scans."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Poses of one moment, against a search of all pairs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

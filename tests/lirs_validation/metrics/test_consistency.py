@@ -1,7 +1,5 @@
 """Scans contradict each other where a trajectory is wrong, and not where it is right."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Elevation maps of points on surfaces that are known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

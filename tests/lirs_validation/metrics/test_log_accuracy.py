@@ -1,7 +1,5 @@
 """Accuracy of a mapped log's trajectory against a reference."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

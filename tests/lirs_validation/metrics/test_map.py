@@ -1,7 +1,5 @@
 """Map scores: what a ruler says."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict
 from pathlib import Path

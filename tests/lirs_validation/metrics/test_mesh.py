@@ -1,7 +1,5 @@
 """The distance of a world's mesh from its surface."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

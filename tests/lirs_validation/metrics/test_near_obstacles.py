@@ -1,7 +1,5 @@
 """Points near steep faces and wall cells, against plain geometry on cells that are not square, anywhere."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

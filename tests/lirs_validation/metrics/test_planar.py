@@ -1,7 +1,5 @@
 """Poses of the plane by the array, against `Pose2` one by one and against an independent alignment."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The relation metric against cases computed by hand."""
 
-from __future__ import annotations
-
 import gzip
 import math
 from pathlib import Path

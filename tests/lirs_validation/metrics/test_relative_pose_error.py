@@ -1,7 +1,5 @@
 """Pairs of poses by path and by time, by hand; errors of their motion against `Pose2`."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -1,7 +1,5 @@
 """The forecast: what the beams of a scan meet, in worlds where geometry gives the answer."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

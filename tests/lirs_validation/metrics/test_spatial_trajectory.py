@@ -1,7 +1,5 @@
 """Trajectory errors in space: what they are of known motions, and beside evo's."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Structural similarity against a plain twin of Wang's equations, and against scikit-image where it is."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

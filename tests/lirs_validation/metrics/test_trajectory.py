@@ -1,7 +1,5 @@
 """Trajectory errors: what is known without a computer."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One rule says whether a place was lost, and one whether a trajectory leaves out scans."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import pytest

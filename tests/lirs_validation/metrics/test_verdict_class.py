@@ -1,7 +1,5 @@
 """Classes of verdicts: the first rule that applies decides."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import get_args
 

@@ -1,7 +1,5 @@
 """One catalog of metrics: what it holds, records hold; what is added to it, every table shows."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

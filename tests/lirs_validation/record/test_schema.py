@@ -1,7 +1,5 @@
 """Records of every status fit the shipped schema; damaged ones are named, and skipped."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import fields

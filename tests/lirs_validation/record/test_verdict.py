@@ -1,7 +1,5 @@
 """Sentence of a verdict, counts of several, and the file of limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The charts of a report."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The report: one page that needs nothing else, failures first, every number one of the records'."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """The report in a browser: no table is cut, on a screen of 1300 pixels and on paper; images are loaded."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

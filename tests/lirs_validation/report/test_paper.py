@@ -1,7 +1,5 @@
 """The paper's tables and findings beside ours."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from lirs_validation.record.formatting import significant

@@ -1,7 +1,5 @@
 """Tables: as wide as the screen allows, no name broken, failures first, figures as recorded."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

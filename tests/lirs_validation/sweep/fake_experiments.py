@@ -1,7 +1,5 @@
 """Experiments that take no time, and experiments that behave badly in every way that a mapper can."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

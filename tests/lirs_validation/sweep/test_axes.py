@@ -1,7 +1,5 @@
 """Crossing of run options, suites, and engines by their options."""
 
-from __future__ import annotations
-
 from itertools import groupby
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A sweep that is killed or interrupted: nothing half-written, nobody left behind, and it goes on."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Ray runs every experiment at least once, and its result is there once, whatever happens to the workers."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A run of a sweep: which results are kept, what a failed one leaves, the same bytes from every engine."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A sweep keeps what is finished, writes down what failed, and tells of every experiment once."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

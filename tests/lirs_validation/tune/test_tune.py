@@ -1,7 +1,5 @@
 """Tuning with planted scores: best value, resumption, same bytes, names and bad input."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

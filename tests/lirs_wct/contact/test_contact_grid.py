@@ -1,7 +1,5 @@
 """The contact grid keeps its budget, as an independent measure confirms, and is no finer than it must be."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

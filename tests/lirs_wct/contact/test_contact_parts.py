@@ -1,7 +1,5 @@
 """A true mesh cut into convex parts, body by body."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Thin parts of a body's surface: its triangles outside, nothing beyond it, no gap between."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Values in Jupyter: a picture or a table, and a line of text that fits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

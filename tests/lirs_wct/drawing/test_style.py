@@ -1,7 +1,5 @@
 """Figures as files: laid out and drawn as Matplotlib does it, but once."""
 
-from __future__ import annotations
-
 from io import BytesIO
 from pathlib import Path
 from unittest.mock import patch

@@ -1,7 +1,5 @@
 """The picture of a world: nothing of it leaves the figure, whatever the world's proportions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """What is seen is what is touched: spheres come to rest on the true surface, whatever MuJoCo touches."""
 
-from __future__ import annotations
-
 import sys
 from typing import get_args
 

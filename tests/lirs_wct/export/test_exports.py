@@ -1,7 +1,5 @@
 """What other programs get of a world: GLB, USD, gz-sim's file, and a map for planners."""
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is written looks as it should, in the pictures that MuJoCo draws and in files that trimesh reads."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Converted meshes keep their texture, and what is lost is told; trimesh's own reading is the oracle."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A world in MuJoCo is the same world: heights, walls, the right way up and round."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Written MJCF holds nothing that an old MuJoCo refuses; `.ci/run` loads it with the oldest."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

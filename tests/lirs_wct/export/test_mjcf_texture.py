@@ -1,7 +1,5 @@
 """The ground in MuJoCo wears what Gazebo's mesh wears, laid the same way."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Commands and inertial readings of a drive: exact round trips, and errors for damaged files."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Readers in a process with limits."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """ROS maps: a YAML and a picture, read as map_server reads them, pixel by pixel."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A file reads others in its own folder or package only, and nothing from a network."""
 
-from __future__ import annotations
-
 import json
 import socket
 import struct

@@ -1,7 +1,5 @@
 """TUM trajectories: quaternions xyzw in the file, wxyz inside."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

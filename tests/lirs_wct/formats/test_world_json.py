@@ -1,7 +1,5 @@
 """A world's two files: every field comes back, and what is damaged is named."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Clouds: types and shapes are what every reader may rely on."""
 
-from __future__ import annotations
-
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np

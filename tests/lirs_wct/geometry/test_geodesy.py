@@ -1,7 +1,5 @@
 """Lengths of degrees on ellipsoids, against differences of points and published values."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

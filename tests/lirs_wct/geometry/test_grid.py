@@ -1,7 +1,5 @@
 """The occupancy grid: three states, one frame, cells found again."""
 
-from __future__ import annotations
-
 import math
 import warnings
 

@@ -1,7 +1,5 @@
 """Grids sampled on others over the same ground."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Height fields anywhere, with cells that are not square, against their triangles one by one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Triangle meshes as arrays, against trimesh."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Rectangles that cover a mask once, and few of them."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis.extra import numpy as hnp

@@ -1,7 +1,5 @@
 """Scans: which beam looks where, and which readings are hits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

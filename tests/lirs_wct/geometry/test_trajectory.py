@@ -1,7 +1,5 @@
 """Trajectories: arrays hold poses one by one; one pose costs the same, however long the trajectory is."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -1,7 +1,5 @@
 """An overview sees the whole box, from outside, and not from farther than it must."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 

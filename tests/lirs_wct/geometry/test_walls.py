@@ -1,7 +1,5 @@
 """Walls of a laser map: cells, corners, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

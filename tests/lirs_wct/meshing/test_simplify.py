@@ -1,7 +1,5 @@
 """Few triangles within a budget, held at and between pixels."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

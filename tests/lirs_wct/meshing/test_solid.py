@@ -1,7 +1,5 @@
 """The solid is closed, faces outward, and its top is the height field."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Tiles: together the mesh, none too large, no cracks."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 

@@ -1,7 +1,5 @@
 """Cube projection: continuous from ground to skirt, normals right, nothing moved."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

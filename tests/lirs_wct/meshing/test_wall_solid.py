@@ -1,7 +1,5 @@
 """A laser map as one closed solid: as large as its cells, closed where they touch at corners."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which free area of a laser map is meant: where it was made, or what reaches around most behind walls."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

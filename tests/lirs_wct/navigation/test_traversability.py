@@ -1,7 +1,5 @@
 """Where a robot may be: away from walls, steep ground, the border, and the unknown."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """The bundled worlds are what they claim to be."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """A picture that is too large is refused in one line that says what it would take."""
 
-from __future__ import annotations
-
 import pickle
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Laser maps become walls on a level floor."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

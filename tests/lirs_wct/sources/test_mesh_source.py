@@ -1,7 +1,5 @@
 """A mesh file becomes a world: its heights from above, its own triangles in the files."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Names of worlds in any script."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Squares cut out of surfaces and maps: which nodes and cells are kept, and where they lie."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

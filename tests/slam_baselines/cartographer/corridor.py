@@ -1,7 +1,5 @@
 """A corridor that leads around a block, and scans in it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

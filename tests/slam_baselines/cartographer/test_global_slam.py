@@ -1,7 +1,5 @@
 """The pose graph as it grows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

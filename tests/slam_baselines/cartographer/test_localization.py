@@ -1,7 +1,5 @@
 """Localization in a known map: a room, a real map with simulated scans, a bundled world."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from pathlib import Path

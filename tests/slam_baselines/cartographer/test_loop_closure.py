@@ -1,7 +1,5 @@
 """Loop closure: candidates, search, verification."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cartographer as a whole: a ring driven twice, a real log."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Memory on a large site: it goes with what matching needs, not with the area that each submap saw."""
 
-from __future__ import annotations
-
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.large_site import drive_site
 

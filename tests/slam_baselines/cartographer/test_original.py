@@ -1,7 +1,5 @@
 """Cartographer as published: the C++ program's own trajectories, and the whole mapper in a room."""
 
-from __future__ import annotations
-
 import gzip
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Parts of Cartographer as published, each against an independent computation."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

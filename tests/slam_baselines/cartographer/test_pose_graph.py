@@ -1,7 +1,5 @@
 """The pose graph: derivatives, a square loop, outliers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

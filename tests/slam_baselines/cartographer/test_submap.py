@@ -1,7 +1,5 @@
 """Submaps overlap, and finish when they have seen enough."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

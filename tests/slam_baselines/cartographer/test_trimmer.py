@@ -1,7 +1,5 @@
 """Memory goes with the area: submaps of places seen often enough are forgotten, every scan's pose is not."""
 
-from __future__ import annotations
-
 from dataclasses import FrozenInstanceError
 
 import numpy as np

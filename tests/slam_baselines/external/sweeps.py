@@ -1,7 +1,5 @@
 """A short drive of a Husky with a ring lidar, for the adapters' tests."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from lirs_envs.robots.catalog import make_robot

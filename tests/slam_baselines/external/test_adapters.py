@@ -1,7 +1,5 @@
 """Other people's systems behind the protocol `CloudMapper`."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace

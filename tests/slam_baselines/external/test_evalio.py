@@ -1,7 +1,5 @@
 """Pipelines of evalio behind `CloudMapper`, with a fake extension."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Odometry whose poses have times of their own: frames, waiting for readings, deskewing."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The first meters of gmapping on uneven ground: the gyro's bias found and taken out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Maps in shared patches: copy on write, growth, and the same cells as one plain map."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

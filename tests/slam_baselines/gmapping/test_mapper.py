@@ -1,7 +1,5 @@
 """GMapping as a whole: a synthetic room with bad odometry, and a slice of a real log."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The memory of many maps on a site that is seen from afar."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """GMapping as published: the C++ original's own trajectories, seed by seed, and what it must not use."""
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import gzip

@@ -1,7 +1,5 @@
 """The improved proposal in a room that is known: offsets are recovered, corridors keep the odometry."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Weights and resampling, on a toy whose posterior is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

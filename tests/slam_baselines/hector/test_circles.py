@@ -1,7 +1,5 @@
 """The odometry's calibration in the loop with the mapper that it serves: minutes of one kind of step."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

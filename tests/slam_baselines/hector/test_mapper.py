@@ -1,7 +1,5 @@
 """The whole method: a room, a hill, bad input, real logs."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """HectorSLAM as published: beside the C++ original on its own runs, and what it must not use."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

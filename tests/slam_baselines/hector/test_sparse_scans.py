@@ -1,7 +1,5 @@
 """Scans a meter apart: far walls are dots in a single scan, and are drawn as walls nevertheless."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

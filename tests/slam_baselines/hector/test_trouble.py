@@ -1,7 +1,5 @@
 """Difficult drives: sharp turns, slides on slopes, blind scans, wrong or missing odometry."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

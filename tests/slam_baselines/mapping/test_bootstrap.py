@@ -1,7 +1,5 @@
 """The schedule of the start-up refinement."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lirs_wct.geometry.pose import Pose2

@@ -1,7 +1,5 @@
 """Separation of ground and walls: only proven walls count, and vertical faces are proven."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A growing grid holds every box that it was asked for."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """Scans move with their keyframes, and only with them."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The update's rules: every cell at most once a scan, a hit wins, walls are not worn away from above."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Traces of scans against a plain twin; one trace serves maps of any extent."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """A map of one scan of the room."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

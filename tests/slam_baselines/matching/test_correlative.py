@@ -1,7 +1,5 @@
 """The correlative search."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The matcher's gradient against differences, and offsets that it must find."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

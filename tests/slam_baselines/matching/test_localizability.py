@@ -1,7 +1,5 @@
 """The localizability monitor: walls are believed, hillsides are not, and each shows within seconds."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Registration: when it searches, and what it rejects."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The tracking monitor: "lost" means the same in every mapper."""
 
-from __future__ import annotations
-
 import pytest
 
 from lirs_wct.errors import ConfigError

@@ -1,7 +1,5 @@
 """Calibration finds systematic odometry errors, and leaves unobservable gains unchanged."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Several steps at once lead where they lead one after the other."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A gyro's bias: as well known as the filter says, never far beyond the data sheet, learned all the way."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

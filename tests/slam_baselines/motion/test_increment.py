@@ -1,7 +1,5 @@
 """The motion increment: gyro, odometry and the gyro's bias."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

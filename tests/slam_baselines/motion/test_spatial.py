@@ -1,7 +1,5 @@
 """Dead reckoning in space by planar odometry and attitude."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hits are interpolated along walls, and nowhere else."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

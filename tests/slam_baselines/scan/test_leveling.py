@@ -1,7 +1,5 @@
 """A leveled scan has the heights and places that geometry gives it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lidar, wheels and inertial unit fused in space: its parts, and their sum on synthetic ground."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

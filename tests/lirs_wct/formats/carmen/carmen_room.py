@@ -1,7 +1,5 @@
 """CARMEN logs of a room that can be computed on paper."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

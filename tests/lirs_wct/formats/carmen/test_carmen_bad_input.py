@@ -1,7 +1,5 @@
 """Damaged CARMEN logs: what is sound is kept, what is not is counted, what is no log says so in one line."""
 
-from __future__ import annotations
-
 import gzip
 from pathlib import Path
 

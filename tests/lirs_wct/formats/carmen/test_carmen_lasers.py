@@ -1,7 +1,5 @@
 """CARMEN logs: which laser is read, how it sees, where it sits, what its odometry is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

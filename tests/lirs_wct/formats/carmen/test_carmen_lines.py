@@ -1,7 +1,5 @@
 """Lines of a CARMEN log, token by token."""
 
-from __future__ import annotations
-
 import gzip
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """CARMEN logs: what is read, what is skipped, and what is said about it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Odometry of a CARMEN log: which source is taken, and jumps that no robot makes."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 

@@ -1,7 +1,5 @@
 """Stamps that go back, repeat or leap: the order of the file stays, and the stamps rise plausibly."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Repaired stamps against a plain twin: the definition line by line, pools of adjacent violators by hand."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import pairwise

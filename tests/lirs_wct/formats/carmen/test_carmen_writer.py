@@ -1,7 +1,5 @@
 """What a run records as a CARMEN log reads back as it was."""
 
-from __future__ import annotations
-
 import gzip
 import math
 from pathlib import Path

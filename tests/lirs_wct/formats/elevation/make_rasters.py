@@ -3,8 +3,6 @@
 python tests/lirs_wct/formats/elevation/make_rasters.py
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

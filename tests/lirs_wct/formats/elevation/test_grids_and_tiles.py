@@ -1,7 +1,5 @@
 """ASCII grids, HGT files and encoded tiles, against numbers by hand and, where it is there, rasterio."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

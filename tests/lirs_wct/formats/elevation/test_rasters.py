@@ -1,7 +1,5 @@
 """GeoTIFFs as rasterio and PROJ read them, by the values that `make_rasters.py` recorded."""
 
-from __future__ import annotations
-
 import json
 import math
 import warnings

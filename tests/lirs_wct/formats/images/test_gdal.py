@@ -1,7 +1,5 @@
 """Rasters through GDAL: values, units, mask and place of a small file of each kind."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Headers of pictures, byte by byte, and by Pillow as a second writer."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Decoded pictures: sizes that are legal, what is warned of, and the decoder's log left as it was."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Tags of TIFF files made byte by byte."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import struct

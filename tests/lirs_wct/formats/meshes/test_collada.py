@@ -1,7 +1,5 @@
 """The writer of COLLADA: usual and brief files, whole and in pieces."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import collada

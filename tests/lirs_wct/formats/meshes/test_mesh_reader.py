@@ -1,7 +1,5 @@
 """Meshes are read upright, in meters, with one vertex a place."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

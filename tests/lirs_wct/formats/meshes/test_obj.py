@@ -1,7 +1,5 @@
 """OBJ: each corner names what the mesh has, and no more."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

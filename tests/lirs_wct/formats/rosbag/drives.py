@@ -1,7 +1,5 @@
 """A drive of a few scans with every kind of reading, and a map larger than a chunk of MCAP."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

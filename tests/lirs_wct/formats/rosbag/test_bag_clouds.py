@@ -1,7 +1,5 @@
 """Point clouds of bags: layouts of several drivers, invalid points, damaged messages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

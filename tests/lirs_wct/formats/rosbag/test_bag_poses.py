@@ -1,7 +1,5 @@
 """Trajectories in bags: along /tf as SLAM systems publish them, or on a topic of poses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Bags as read: what was written comes back, from every kind of bag, and damage is said."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

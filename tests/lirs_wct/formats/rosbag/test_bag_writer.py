@@ -1,7 +1,5 @@
 """Bags as written: read back by a second, independent reader, field by field."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Bags as recorders leave them: split, compressed, without index, cut off; what is there is read."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import warnings

@@ -1,7 +1,5 @@
 """Point clouds of a scene whose ground is known: hills with houses, trees, wrong points and a gap."""
 
-from __future__ import annotations
-
 import resource
 import struct
 import sys

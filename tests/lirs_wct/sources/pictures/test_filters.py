@@ -1,7 +1,5 @@
 """The options that change a picture before it becomes a terrain."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Suggestion to read a picture as a laser map."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

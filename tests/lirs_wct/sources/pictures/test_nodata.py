@@ -1,7 +1,5 @@
 """Pixels without a height: declared, given, or only suspected."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

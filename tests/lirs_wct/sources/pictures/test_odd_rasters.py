@@ -1,7 +1,5 @@
 """Odd inputs: each works, or is refused in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

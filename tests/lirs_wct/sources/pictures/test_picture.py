@@ -1,7 +1,5 @@
 """Pictures become height fields: what the file says is kept, what it lacks is the documented default."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 import warnings

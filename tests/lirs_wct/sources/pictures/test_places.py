@@ -1,7 +1,5 @@
 """Worlds keep their place on the earth and their heights: world.json, SDF, `info`, neighbors, windows."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every real picture: built, built with a warning, or refused with one clear line."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 
