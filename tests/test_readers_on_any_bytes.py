@@ -1,6 +1,8 @@
 """Every reader answers any bytes with a value or a WctError; `benchmarks/fuzz_atheris.py` searches longer."""
 
 import gzip
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +44,20 @@ def test_a_reader_ends_in_a_value_or_a_wct_error(seeds: dict[str, Path], tmp_pat
         )
 
     holds()
+
+
+HARNESS = Path(__file__).parents[1] / "benchmarks" / "fuzz_inputs.py"
+KINDS = "gray8_png,gray8_jpg,float_tif,asc,vrt,map_yaml,mesh_hill_dae,mesh_binary_stl,world_json,task_set"
+
+
+@pytest.mark.slow
+def test_damaged_inputs_end_in_one_clear_line() -> None:
+    # In a process of its own: it forks, and the tests' process has threads.
+    done = subprocess.run(
+        [sys.executable, HARNESS, "--count", "30", "--seed", "5", "--kinds", KINDS],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "inputs: 30, broken demands: 0" in done.stdout

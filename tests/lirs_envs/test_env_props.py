@@ -1,14 +1,18 @@
-"""Props and rays as options of environments."""
+"""Props, rays and illegal arguments of environments."""
 
 import json
 import pickle
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import lirs_envs  # noqa: F401  registers
+from lirs_envs.env import RobotEnv
+from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.errors import ConfigError
+from lirs_wct.world import World
 
 
 def test_props_and_rays_are_options_of_plain_json() -> None:
@@ -40,3 +44,48 @@ def test_props_and_rays_are_options_of_plain_json() -> None:
 def test_bad_props_and_rays_are_named(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         gym.make("LIRS/Mapping-v2", **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"autoreset_mode": "x"}, "unknown autoreset_mode 'x'; legal: Disabled, NextStep, SameStep"),
+        ({"autoreset_mode": 5}, "unknown autoreset_mode '5'; legal"),
+        ({"threads": -1}, "threads must be a whole number from 1 up, got -1"),
+        ({"threads": True}, "threads must be a whole number from 1 up, got True"),
+        ({"max_episode_steps": 0}, "max_episode_steps must be a whole number from 1 up, got 0"),
+        ({"difficulty": True}, "difficulty of the environment must be within \\[0, 1\\], got True"),
+        ({"difficulty": "hard"}, "difficulty of the environment must be within \\[0, 1\\], got 'hard'"),
+        ({"kind": "waves"}, "kind is for the traverse task alone, the task is navigation, got kind 'waves'"),
+    ],
+)
+def test_options(plane: World, options: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ConfigError, match=sentence):
+        RobotVectorEnv(2, "navigation", world=plane, **options)
+    if not options.keys() & {"autoreset_mode", "threads", "max_episode_steps"}:
+        with pytest.raises(ConfigError, match=sentence):
+            RobotEnv("navigation", world=plane, **options)
+
+
+def test_options_of_reset_and_actions(plane: World) -> None:
+    one = RobotEnv("navigation", world=plane)
+    two = RobotVectorEnv(2, "navigation", world=plane, threads=1)
+    for env in (one, two):
+        with pytest.raises(ConfigError, match="options of reset must be a mapping or None, got 5"):
+            env.reset(seed=0, options=5)  # type: ignore[arg-type]
+        with pytest.raises(ConfigError, match="a difficulty must be 0 to 1, got True"):
+            env.reset(seed=0, options={"difficulty": True})
+        env.reset(seed=0)
+    wrong: list[tuple[Any, str]] = [
+        ([[0.1, 0.2], [0.3]], "got rows of different lengths"),
+        ([["0.1", "0.2"], ["0.3", "0.4"]], "got"),
+        (np.ones((2, 2), np.bool_), "got"),
+        ([0.1, 0.2], "got shape"),
+        (None, "got shape"),
+    ]
+    for actions, got in wrong:
+        with pytest.raises(ConfigError, match=r"actions must be numbers of shape \(2, 2\), " + got):
+            two.step(actions)
+    for action in (["0.1", "0.2"], [0.1, [0.2]], [0.1], "ahead", None):
+        with pytest.raises(ConfigError, match=r"actions must be numbers of shape \(1, 2\)"):
+            one.step(action)  # type: ignore[arg-type]

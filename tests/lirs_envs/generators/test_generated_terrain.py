@@ -1,10 +1,12 @@
-"""Courses look like what they are called, and have a gentle way."""
+"""Courses and floor plans: as they are called, with a way through."""
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
+from lirs_envs.generators.floor_plan import CELL, SIZE, floor_plan
 from lirs_envs.generators.natural import NATURAL_TERRAINS, with_rocks
 from lirs_envs.generators.terrain import (
     HEIGHT_RANGE,
@@ -16,6 +18,7 @@ from lirs_envs.generators.terrain import (
 from lirs_envs.placement import standing_pose
 from lirs_envs.robots.catalog import make_robot
 from lirs_wct.errors import ConfigError
+from lirs_wct.navigation.traversability import traversable
 
 EVERY = [(kind, difficulty, seed) for kind in KINDS for difficulty in (0.0, 0.5, 1.0) for seed in (1, 2)]
 
@@ -137,3 +140,27 @@ def test_natural_terrains_are_seeded_and_rocks_stand_on_them() -> None:
     rocks = with_rocks(np.random.default_rng(3), np.zeros((257, 257)))
     assert 0.4 < rocks.max() < 2.4
     assert 0.001 < np.mean(rocks > 0) < 0.02
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_robot_can_reach_nearly_all_of_the_floor(seed: int) -> None:
+    plan = floor_plan(np.random.default_rng(seed))
+    free = traversable(plan.surface, plan.walls, clearance=0.31 + 0.15, max_slope=0.3)
+    _, _, stats, _ = cv2.connectedComponentsWithStats(free.free.astype(np.uint8), connectivity=4)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    assert areas.max() >= 0.97 * areas.sum()
+    assert areas.max() * 0.1**2 > 0.5 * SIZE[0] * SIZE[1]
+
+
+def test_a_building_is_closed_and_divided() -> None:
+    walls = floor_plan(np.random.default_rng(2)).walls
+    assert walls.shape == (round(SIZE[1] / CELL), round(SIZE[0] / CELL))
+    assert walls.solid[[0, -1], :].all()
+    assert walls.solid[:, [0, -1]].all()
+    assert 0.03 < walls.solid.mean() < 0.2
+
+
+def test_the_same_seed_gives_the_same_plan() -> None:
+    plans = [floor_plan(np.random.default_rng(seed)).walls.solid for seed in (4, 4, 5)]
+    assert np.array_equal(plans[0], plans[1])
+    assert not np.array_equal(plans[0], plans[2])

@@ -1,18 +1,27 @@
 """Tasks: rewards that add up to what they stand for, ends that are told, goals that can be reached."""
 
 import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
+from lirs_envs.episodes.episodes import TASKS, register_task
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Robot
-from lirs_envs.tasks.site import SEEN_CELL
+from lirs_envs.tasks.mapping import MappingTask
+from lirs_envs.tasks.navigation import NavigationTask
+from lirs_envs.tasks.site import SEEN_CELL, make_site
 from lirs_envs.tasks.task import Rewards
 from lirs_envs.tasks.traverse import TraverseTask, course_scale
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import SimulationError
+from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 
@@ -237,3 +246,70 @@ def along_route(route: FloatArray, pose: Pose3, robot: Robot) -> tuple[float, fl
     bearing = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, math.tau)
     ahead, turn = 0.5 * max(0.0, math.cos(2 * bearing)), float(np.clip(1.2 * bearing, -0.8, 0.8))
     return ahead, turn / robot.max_turn_rate
+
+
+@pytest.mark.parametrize("limit", [math.inf, 7.3])
+@pytest.mark.parametrize("robot", ["husky", "turtlebot2"])
+def test_path_lengths_are_those_of_the_general_search(rough: World, robot: str, limit: float) -> None:
+    site = make_site(rough, make_robot(robot))
+    rng, free = np.random.default_rng(0), site.areas > 0
+    for _ in range(4):
+        start = site.draw_start(rng)
+        cell = site.grid.cells((start.x, start.y))
+        weight = np.where(free, 1.0, np.inf)
+        expected = search(weight, cell[None], site.grid.resolution, limit=limit).cost
+        found = site.distances(start.x, start.y, limit)
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+        assert 100 < np.isfinite(found).sum() < free.size
+
+
+def test_no_path_starts_at_a_blocked_cell(rough: World, husky: Robot) -> None:
+    site = make_site(rough, husky)
+    row, col = np.argwhere(site.areas == 0)[100]
+    x, y = site.grid.centers(np.array([(row, col)]))[0].tolist()
+    assert not np.isfinite(site.distances(x, y)).any()
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "howto" / "policy.md"
+
+
+@pytest.fixture
+def wander() -> Iterator[str]:
+    """Run the how-to's program, which registers a task and an environment."""
+    section = PAGE.read_text().partition("## A task of your own")[2]
+    program = re.findall(r"```python\n(.*?)```", section, re.DOTALL)[0]
+    exec(program, {})
+    yield "Mine/Wander-v0"
+    del TASKS["wander"], gym.registry["Mine/Wander-v0"]
+
+
+def test_the_task_of_the_how_to(wander: str, plane: World) -> None:
+    env = gym.make(wander, world=plane, time_limit=2.0)
+    vector = gym.make_vec(
+        wander, num_envs=2, vectorization_mode="vector_entry_point", world=plane, time_limit=2.0
+    )
+    _, first = env.reset(seed=4)
+    vector.reset(seed=4)
+    ahead, truncated, earned = np.array((1.0, 0.0), np.float32), False, 0.0
+    while not truncated:
+        _, reward, terminated, truncated, info = env.step(ahead)
+        _, rewards, *_ = vector.step(np.tile(ahead, (2, 1)))
+        assert rewards[0] == reward
+        assert not terminated
+        earned += float(reward) + 0.1 * 0.1 / 2
+    driven: Any = np.hypot(*(info["T_world_base"] - first["T_world_base"])[:2])
+    assert earned == pytest.approx(driven, rel=1e-3)
+    assert info["reason"] == "timeout"
+
+
+def test_a_task_keeps_its_name() -> None:
+    before = dict(TASKS)
+    register_task("mapping", MappingTask)
+    for name, task, message in (
+        ("mapping", NavigationTask, "belongs to another task, MappingTask"),
+        ("other", dict, "subclass of lirs_envs.tasks.task.Task"),
+        ("other", "Task", "subclass of lirs_envs.tasks.task.Task"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            register_task(name, task)  # type: ignore[arg-type]
+    assert before == TASKS

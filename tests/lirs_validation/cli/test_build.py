@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from lirs_validation.cli.commands.info import STRIP, _slopes
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.contact.contact_parts import prisms
@@ -372,3 +373,10 @@ def test_the_default_budget_is_none_of_what_is_touched(folder: Path) -> None:
     plain, exact = (build_world("hill.png", BuildOptions(size=5, max_error=e)) for e in (None, 0.0))
     assert sum(1 for _ in prisms(plain)) == sum(1 for _ in prisms(exact))
     np.testing.assert_array_equal(plain.mesh.vertices, exact.mesh.vertices)
+
+
+@pytest.mark.parametrize("rows", [2, STRIP, STRIP + 1, 2 * STRIP + 3])
+def test_strips_are_the_whole(rows: int) -> None:
+    z = np.random.default_rng(rows).random((rows, 5)).astype(np.float32)
+    surface = HeightField.centered(z, (0.5, 0.2))
+    np.testing.assert_allclose(_slopes(surface), np.degrees(surface.slope()), rtol=1e-6)

@@ -1,5 +1,6 @@
 """`validate` over axes: what is wrong is said before anything runs; what failed is in table and exit code."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ from lirs_validation import read_record
 from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.errors import MapperError
+from slam_baselines.mapper import MAPPERS
+from tests.command_line import run_command
 from tests.lirs_validation.records import record, saved_whole
 
 
@@ -128,3 +131,28 @@ def test_limits_need_the_gate(wct: Any, tmp_path: Path) -> None:
     assert (code, message.count("\n")) == (2, 1)
     assert "--limits is for --gate" in message
     assert not (tmp_path / "out").exists()
+
+
+OFFICE = Path(__file__).parents[3] / "examples/data/office.yaml"
+"""Walls on level ground: here the methods hold, and rounding does not lead them elsewhere."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in MAPPERS if name.endswith("_original")])
+def test_a_run_mapped_again_from_its_scans_scores_as_the_run(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A log's ranges are in millimeters: all is the same where the method rounds to them itself."""
+    monkeypatch.chdir(tmp_path)
+    assert run_command("validate", str(OFFICE), "--mapper", name, "--seconds", "12", "-o", "runs") == 0
+    (run,) = (tmp_path / "runs").glob("*/record.json")
+    assert run_command("map", str(run.parent / "scans.clf.gz"), "--mapper", name, "-o", "maps") == 0
+    (mapped,) = (tmp_path / "maps").glob("*/estimate.tum")
+    files = ("--trajectory", str(mapped), "--map", str(mapped.with_name("map.yaml")))
+    assert run_command("score", str(run.parent), *files, "-o", "score.json") == 0
+    recorded, scored = (json.loads(path.read_text()) for path in (run, tmp_path / "score.json"))
+    assert recorded["config"]["mapper"] == name
+    ate, again = (entry["trajectory"]["ate_rmse"] for entry in (recorded, scored))
+    rounds = name == "gmapping_original"
+    assert again == pytest.approx(ate, abs=1e-6 if rounds else 1e-3)
+    assert scored["map"]["f1"] == pytest.approx(recorded["map"]["f1"], abs=1e-6 if rounds else 0.03)

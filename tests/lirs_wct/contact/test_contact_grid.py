@@ -4,12 +4,15 @@ import math
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.contact.contact_grid import ContactBudget, ContactGrid, contact_grid, steep_nodes
+from lirs_wct.contact.contact_parts import bodies, convex_parts
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.build import build_world
 
 
@@ -117,3 +120,30 @@ def test_bundled_worlds_take_twice_the_spacing(name: str) -> None:
 def test_bad_budget() -> None:
     with pytest.raises(ConfigError, match="vertical of the contact budget must be a finite number above 0"):
         ContactBudget(vertical=0.0)
+
+
+@pytest.fixture
+def overlapping() -> TriangleMesh:
+    """A slab with four boxes sunk into it, two of them into each other."""
+    slab = trimesh.creation.box((10, 10, 1))
+    boxes = [trimesh.creation.box((2, 2, 3)).apply_translation((x, 0, 1)) for x in (-3, -2, 0, 3)]
+    whole = trimesh.util.concatenate([slab, *boxes])
+    return TriangleMesh(np.asarray(whole.vertices, np.float64), np.asarray(whole.faces, np.int32))
+
+
+def test_bodies_are_closed_and_together_the_mesh(overlapping: TriangleMesh) -> None:
+    pieces = list(bodies(overlapping))
+    assert [len(piece.faces) for piece in pieces] == [12] * 5
+    assert all(piece.is_watertight for piece in pieces)
+    assert sum(piece.volume for piece in pieces) == pytest.approx(overlapping.volume)
+
+
+def test_overlapping_bodies_come_apart(overlapping: TriangleMesh) -> None:
+    """All at once, CoACD crashed or did not come to an end."""
+    pytest.importorskip("coacd", reason="coacd, the extra [mesh], is not installed")
+    parts = list(convex_parts(overlapping))
+    assert len(parts) == 5
+    low = np.array([part.min(axis=0) for part in parts])
+    assert low[:, 2].min() == pytest.approx(-0.5)
+    volumes = sorted(trimesh.convex.convex_hull(part).volume for part in parts)
+    np.testing.assert_allclose(volumes, [12, 12, 12, 12, 100], rtol=1e-6)

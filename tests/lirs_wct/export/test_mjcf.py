@@ -1,19 +1,27 @@
 """A world in MuJoCo is the same world: heights, walls, the right way up and round."""
 
 import math
+import subprocess
+import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
+import cv2
 import mujoco
 import numpy as np
 import pytest
 
+from lirs_wct import BuildOptions, build_world
 from lirs_wct.contact.contact_grid import contact_grid
 from lirs_wct.export.mjcf import world_spec
-from lirs_wct.export.mjcf_file import write_mjcf
+from lirs_wct.export.mjcf_file import OLDEST_MUJOCO, readable_by_old, write_mjcf
+from lirs_wct.export.mjcf_look import spread
+from lirs_wct.export.package import write_package
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
+from lirs_wct.meshing.uv import cube_uv
 from lirs_wct.world import World
 
 
@@ -138,3 +146,104 @@ def test_sleeping_leaves_the_motion_as_it_is(walled: World) -> None:
         mujoco.mj_step(model, data, 600)
         ends.append(data.qpos.copy())
     np.testing.assert_array_equal(ends[0], ends[1])
+
+
+ROOT = Path(__file__).parents[3]
+LATER = {"colorspace", "sleep", "inertia"}
+
+
+@pytest.mark.parametrize("source", ["simple", str(ROOT / "examples/data/office.yaml")])
+def test_no_attribute_of_a_later_version_is_written(source: str, tmp_path: Path) -> None:
+    path = write_mjcf(build_world(source), tmp_path)
+    root = ElementTree.parse(path).getroot()
+    assert not LATER & {name for element in root.iter() for name in element.attrib}
+    assert all("type" not in light.attrib for light in root.iter("light"))
+    assert root.find("option") is None
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.light_type[0] == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+
+
+def test_tiles_of_a_large_mesh_keep_their_inertia() -> None:
+    root = ElementTree.fromstring(
+        "<mujoco><option timestep='.1'><flag sleep='enable' gravity='disable'/></option>"
+        "<asset><mesh inertia='shell'/><mesh inertia='shell'/><mesh/></asset></mujoco>"
+    )
+    readable_by_old(root)
+    assert [mesh.get("inertia") for mesh in root.iter("mesh")] == ["shell", "shell", None]
+    option, flag = root.find("option"), root.find("option/flag")
+    assert option is not None
+    assert flag is not None
+    assert (option.attrib, flag.attrib) == ({"timestep": ".1"}, {"gravity": "disable"})
+
+
+def test_starts_are_sites_on_the_ground_to_which_a_robot_is_attached(tmp_path: Path) -> None:
+    start = Pose2(3.0, -4.0, 0.5)
+    world = build_world("medium", BuildOptions(start=start))
+    model = mujoco.MjModel.from_xml_path(str(write_mjcf(world, tmp_path)))
+    assert model.nsite == len(world.spawn_poses) == 8
+    site = model.site("start")
+    np.testing.assert_allclose(site.pos, (3.0, -4.0, world.surface.height_at(3.0, -4.0)), atol=1e-9)
+    np.testing.assert_allclose(site.quat, (np.cos(0.25), 0, 0, np.sin(0.25)), atol=1e-9)
+
+
+def test_balls_on_the_starts_lie_on_the_ground(tmp_path: Path) -> None:
+    path = write_mjcf(build_world(ROOT / "examples/data/office.yaml"), tmp_path)
+    command = [sys.executable, str(ROOT / "tests/load_mjcf.py"), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "8 balls lie on the ground" in done.stdout
+    assert f"mujoco=={OLDEST_MUJOCO}" in (ROOT / ".ci/run").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    path = tmp_path / "dunes.png"
+    cv2.imwrite(str(path), np.random.default_rng(1).integers(0, 9, (11, 21)).astype(np.uint8))
+    return path
+
+
+@pytest.fixture
+def checks(tmp_path: Path) -> np.ndarray:
+    colors = np.random.default_rng(2).integers(0, 256, (8, 8, 3)).astype(np.uint8)
+    picture = colors.repeat(16, axis=0).repeat(16, axis=1)
+    cv2.imwrite(str(tmp_path / "checks.jpg"), picture)
+    cv2.imwrite(str(tmp_path / "checks.png"), picture)
+    return picture
+
+
+@pytest.mark.parametrize("texture_size", [None, 3.0])
+def test_a_point_has_the_color_that_cube_projection_gives_it(
+    picture: Path, checks: np.ndarray, texture_size: float | None
+) -> None:
+    world = build_world(picture, BuildOptions(size=10, height=0.01))
+    laid = spread(checks, world.surface.size, texture_size or 10.0)
+    dressed = cube_uv(world.mesh, texture_size)
+    assert dressed.normals is not None
+    assert dressed.uv is not None
+    west, south, _, _ = world.surface.bounds
+    seen = 0
+    for face in dressed.faces[(dressed.normals[dressed.faces][..., 2] > 0.9).all(axis=1)]:
+        u, v = dressed.uv[face].mean(axis=0) % 1
+        x, y = dressed.vertices[face, :2].mean(axis=0) - (west, south)
+        # Not at the edge of a check, where half a pixel decides.
+        if min(u * 8 % 1, v * 8 % 1, 1 - u * 8 % 1, 1 - v * 8 % 1) < 0.1:
+            continue
+        on_mesh = checks[int((1 - v) * 128), int(u * 128)]
+        rows, cols = laid.shape[:2]
+        on_ground = laid[int((1 - y / world.surface.size[1]) * rows), int(x / world.surface.size[0] * cols)]
+        np.testing.assert_array_equal(on_ground, on_mesh)
+        seen += 1
+    assert seen > 50
+
+
+@pytest.mark.parametrize("texture", [None, "checks.png", "checks.jpg"])
+def test_the_file_opens_with_its_texture(
+    texture: str | None, picture: Path, checks: np.ndarray, tmp_path: Path
+) -> None:
+    given = None if texture is None else tmp_path / texture
+    world = build_world(picture, BuildOptions(texture=given))
+    folder = write_package(world, tmp_path / "out", formats=("mjcf",))
+    model = mujoco.MjModel.from_xml_path(str(folder / "dunes.xml"))
+    ground = model.geom("ground")
+    on = model.mat_texid[ground.matid[0], mujoco.mjtTextureRole.mjTEXROLE_RGB]
+    assert model.tex(int(on)).name == "ground"
+    assert model.tex_width[on] / model.tex_height[on] == pytest.approx(2, rel=0.05)

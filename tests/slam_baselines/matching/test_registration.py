@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import SUBMAP_REGISTRATION
+from slam_baselines.matching.correlative import SearchConfig, correlative_search
 from slam_baselines.matching.registration import Registration, RegistrationConfig
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 from tests.slam_baselines.matching.room import room_map
@@ -75,3 +76,14 @@ def test_on_uneven_ground_a_poor_match_is_rejected_where_that_is_configured() ->
 def test_illegal_settings_are_refused(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError, match=next(iter(bad))):
         RegistrationConfig(**bad)  # type: ignore[arg-type]
+
+
+def test_the_wider_search_survives_a_sharp_turn() -> None:
+    true = Pose2(0.5, -0.3, 0.4)
+    builder, points = room_map(true)
+    start = true.as_array() + np.array((0.4, -0.3, 0.42))
+    found = correlative_search(
+        builder.pyramid.maps[2].grid, points, np.ones(len(points)), start, SearchConfig()
+    )
+    np.testing.assert_allclose(found[:2], true.as_array()[:2], atol=0.2)
+    assert found[2] == pytest.approx(0.4, abs=0.04)
