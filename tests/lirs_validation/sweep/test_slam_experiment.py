@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -170,12 +172,8 @@ def test_the_name_is_known_before_the_world_is_built(tmp_path: Path) -> None:
             )
 
 
-@pytest.mark.slow
-def test_engines_give_the_same_bytes(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="medium", mapper="gmapping", seconds=4.0))
-    for name, engine in (("a", Serial()), ("b", Processes(jobs=1))):
-        assert [o.status for o in Sweep([experiment], tmp_path / name).run(engine)] == ["ok"]
-    a, b = tmp_path / "a" / experiment.name, tmp_path / "b" / experiment.name
+def assert_same_run(a: Path, b: Path) -> None:
+    """Compare the folders of two runs: all bytes, of the record all but the times."""
     assert {p.name for p in a.iterdir()} == {p.name for p in b.iterdir()}
     for file in a.iterdir():
         if file.name not in ("record.json", "rtf.csv", "overview.png", "manifest-sha256.txt"):
@@ -189,6 +187,28 @@ def test_engines_give_the_same_bytes(tmp_path: Path) -> None:
     assert not one["rtf"]["extrapolated"]
     assert one["cost"]["cpu_seconds"] > 0
     assert one["cost"]["peak_memory"] > 50e6
+
+
+@pytest.mark.slow
+def test_engines_give_the_same_bytes(tmp_path: Path) -> None:
+    experiment = SlamExperiment(RunConfig(source="medium", mapper="gmapping", seconds=4.0))
+    for name, engine in (("a", Serial()), ("b", Processes(jobs=1))):
+        assert [o.status for o in Sweep([experiment], tmp_path / name).run(engine)] == ["ok"]
+    assert_same_run(tmp_path / "a" / experiment.name, tmp_path / "b" / experiment.name)
+
+
+@pytest.mark.slow
+def test_jobs_and_a_cold_cache_give_the_same_bytes(tmp_path: Path) -> None:
+    program = [sys.executable, "-m", "lirs_validation"]
+    command = [*program, "validate", "medium", "--seeds", "1-2", "--seconds", "2"]
+    for jobs, cache in (("1", {}), ("2", {"NUMBA_CACHE_DIR": str(tmp_path / "cache")})):
+        given = [*command, "--jobs", jobs, "-o", str(tmp_path / jobs)]
+        subprocess.run(given, env=os.environ | cache, check=True, stdout=subprocess.DEVNULL)
+    assert list((tmp_path / "cache").rglob("*.nbc")), "the second sweep compiled its kernels"
+    runs = [file.parent for file in (tmp_path / "1").glob("*/record.json")]
+    assert len(runs) == 2
+    for run in runs:
+        assert_same_run(run, tmp_path / "2" / run.name)
 
 
 def test_a_single_cell_with_a_bad_source_says_so_and_leaves_nothing(tmp_path: Path) -> None:
