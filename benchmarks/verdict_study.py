@@ -36,9 +36,8 @@ from lirs_envs.generators.terrain import generate
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.decision import forecast
-from lirs_validation.decision.forecast import LogisticModel
-from lirs_validation.decision.sequential_test import P0, P1, SequentialTest
-from lirs_validation.decision.site_features import FEATURES, SiteFeatures, site_features
+from lirs_validation.decision.forecast import FEATURES, LogisticModel, SiteFeatures, site_features
+from lirs_validation.decision.trials import P0, P1, SequentialTest
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_wct import MapperError, WctError

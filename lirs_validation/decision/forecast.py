@@ -3,18 +3,209 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import math
+from dataclasses import astuple, dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
+from lirs_envs.lidar.mesh_rays import MeshCaster
+from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
+from lirs_envs.lidar.ray_casting import Caster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import RunConfig
-from lirs_validation.decision.site_features import FEATURES, site_features
-from lirs_wct import World
-from lirs_wct.arrays import FloatArray
+from lirs_validation.driving.choice import plan_tour
+from lirs_validation.metrics.near_obstacles import near_obstacle
+from lirs_validation.metrics.scan_support import NEAR, standing_on
+from lirs_wct import Pose2, Pose3, World
+from lirs_wct.arrays import BoolArray, FloatArray
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS
+
+TOURS = 3
+"""Tours along which scans are cast, each from another start."""
+SPACING = 0.5
+"""Meters between scans of a tour."""
+MOST_SCANS = 120
+"""Largest number of scans of a tour."""
+NEIGHBORS = 0.5
+"""Largest gap between neighboring hits of one surface, meters."""
+EVERY_COLUMN, WIDE = 10, 1.0
+"""Columns of a ring lidar of which one is cast, and the largest gap between its neighboring hits, meters."""
+LEAST_SHARE = 0.01
+"""Share of a scan's beams on walls below which it is taken for this."""
+LEAST_INFORMATION = 1e-4
+"""Information per beam below which a scan tells nothing."""
+REVISIT, AFTER = 1.0, 10.0
+"""A tour revisits a place if it comes within REVISIT meters of it after AFTER meters of driving."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteFeatures:
+    """Features of a site for a robot and a lidar; shares are of a scan's beams, quantiles over the scans.
+
+    Attributes:
+        walls: median share of hits on walls.
+        walls_low: 10th percentile of that share.
+        ground: median share of hits on ground, which looks like walls to a planar mapper.
+        position_information: 10th percentile of the logarithm (base 10) of the least information in x and y
+            (see `scan_information`).
+        yaw_information: the same of the information in yaw.
+        loops: share of the path that revisits places.
+    """
+
+    walls: float
+    walls_low: float
+    ground: float
+    position_information: float
+    yaw_information: float
+    loops: float
+
+    @property
+    def vector(self) -> FloatArray:
+        """(6,) features in the order of FEATURES; the first two as logarithms, since few walls are enough."""
+        shares = np.maximum((self.walls, self.walls_low), LEAST_SHARE)
+        return np.array((*np.log10(shares), *astuple(self)[2:]))
+
+
+FEATURES = tuple(entry.name for entry in fields(SiteFeatures))
+
+
+def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures:
+    """Cast scans along tours of a site and return their features.
+
+    Args:
+        world: the site.
+        robot: that drives, with its lidar's mount.
+        config: mapper, lidar, seed and seconds of the drives.
+
+    Raises:
+        ConfigError: the robot fits nowhere in this world.
+    """
+    preset = make_lidar_preset(config.lidar or robot.lidar)
+    preset = preset if config.mapper in ALL_CLOUD_MAPPERS else preset.planar
+    caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
+    tours = [plan_tour(world, robot, replace(config, seed=config.seed + k)).path for k in range(TOURS)]
+    scans = [_look_around(world, robot, preset, caster, pose) for tour in tours for pose in _poses(tour)]
+    walls, ground = _shares([hits for hits, _ in scans], world, preset.beams)
+    position, yaw = np.array([information for _, information in scans]).T
+    return SiteFeatures(
+        walls=float(np.median(walls)),
+        walls_low=float(np.percentile(walls, 10)),
+        ground=float(np.median(ground)),
+        position_information=float(np.percentile(position, 10)),
+        yaw_information=float(np.percentile(yaw, 10)),
+        loops=float(np.mean([_loop_share(tour) for tour in tours])),
+    )
+
+
+def _poses(path: FloatArray) -> list[Pose2]:
+    """Return poses along a path, SPACING meters apart, facing ahead."""
+    steps = np.hypot(*np.diff(path, axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(steps)))
+    at = np.linspace(0.0, along[-1], min(MOST_SCANS, 2 + int(along[-1] / SPACING)))
+    x, y = np.interp(at, along, path[:, 0]), np.interp(at, along, path[:, 1])
+    yaw = np.arctan2(np.gradient(y), np.gradient(x))
+    return [Pose2(*values) for values in np.column_stack((x, y, yaw)).tolist()]
+
+
+def _shares(hits: list[FloatArray], world: World, beams: int) -> tuple[FloatArray, FloatArray]:
+    """Return shares of beams on walls and on ground of scans with hits (n, 2) in the world frame each."""
+    # All scans together: each call copies the surface.
+    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, NEAR)
+    scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
+    walls, ground = (np.bincount(scan[each], minlength=len(hits)) / beams for each in (near, ~near))
+    return walls, ground
+
+
+def _look_around(
+    world: World, robot: Robot, preset: LidarPreset, caster: Caster, pose: Pose2
+) -> tuple[FloatArray, tuple[float, float]]:
+    """Return a scan's hits (n, 2) in the world frame, and its information in position and yaw."""
+    laser = standing_on(world, robot, pose) @ robot.T_base_laser
+    points, hit = _cast(caster, preset, laser, preset.directions)
+    met = points[hit][:, :2]
+    if preset.rings == 1:
+        return met + laser.position[:2], scan_information(met, preset.beams)
+    columns = preset.all_directions.reshape(preset.rings, preset.beams, 3)[:, ::EVERY_COLUMN]
+    cloud, _ = _cast(caster, preset, laser, columns.reshape(-1, 3))
+    return met + laser.position[:2], cloud_information(cloud.reshape(columns.shape))
+
+
+def _cast(
+    caster: Caster, preset: LidarPreset, laser: Pose3, directions: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return end points (n, 3) of beams relative to the sensor, axes of the world, and which are hits.
+
+    The points of the others are NaN.
+    """
+    turned = np.ascontiguousarray(directions @ laser.rotation.T)
+    ranges = caster.ranges(laser.position, turned, preset.range_max)
+    hit = (ranges >= preset.range_min) & (ranges < preset.range_max)
+    return np.where(hit, ranges, np.nan)[:, None] * turned, hit
+
+
+def scan_information(points: FloatArray, beams: int) -> tuple[float, float]:
+    """Return logarithms of a planar scan's information in position and yaw, per beam.
+
+    Fisher information of scan matching with unit noise (Censi, ICRA 2007): the sum of J J^T over hits, with
+    J = (n, p x n) of a hit p with the normal n. The position's is the smallest eigenvalue in x and y; the
+    yaw's is its Schur complement, in square meters.
+
+    Args:
+        points: (n, 2) hits in the order of the beams, relative to the sensor, meters.
+        beams: in a scan.
+    """
+    along = np.diff(points, axis=0)
+    length = np.hypot(*along.T)
+    joined = (length > 0) & (length < NEIGHBORS)
+    normals = np.column_stack((-along[joined, 1], along[joined, 0])) / length[joined, None]
+    middle = (points[:-1][joined] + points[1:][joined]) / 2
+    J = np.column_stack((normals, middle[:, 0] * normals[:, 1] - middle[:, 1] * normals[:, 0]))
+    return _logarithms(J.T @ J / beams)
+
+
+def cloud_information(cloud: FloatArray) -> tuple[float, float]:
+    """Return logarithms of a cloud's information in position and yaw, per point.
+
+    As for a planar scan, with normals in space: J = (n, p x n), with z, roll and pitch eliminated.
+
+    Args:
+        cloud: (rings, columns, 3) end points relative to the sensor, meters; NaN without a hit.
+    """
+    corner, aside, above = cloud[:-1, :-1], cloud[:-1, 1:] - cloud[:-1, :-1], cloud[1:, :-1] - cloud[:-1, :-1]
+    normals = np.cross(aside, above)
+    area = np.linalg.norm(normals, axis=2)
+    with np.errstate(invalid="ignore"):
+        joined = (area > 0) & (np.linalg.norm(aside, axis=2) < WIDE) & (np.linalg.norm(above, axis=2) < WIDE)
+    n, p = normals[joined] / area[joined, None], (corner + (aside + above) / 2)[joined]
+    turn = np.cross(p, n)
+    kept, eliminated = np.column_stack((n[:, :2], turn[:, 2])), np.column_stack((n[:, 2], turn[:, :2]))
+    across: Any = kept.T @ eliminated
+    A = kept.T @ kept - across @ np.linalg.pinv(eliminated.T @ eliminated) @ across.T
+    return _logarithms(A / area.size)
+
+
+def _logarithms(A: Any) -> tuple[float, float]:
+    """Return logarithms of the smallest information (3, 3) in x and y, and of that in yaw given these."""
+    smallest = float(np.linalg.eigvalsh(A[:2, :2])[0])
+    schur = float(A[2, 2] - A[2, :2] @ np.linalg.pinv(A[:2, :2]) @ A[:2, 2])
+    return math.log10(max(smallest, LEAST_INFORMATION)), math.log10(max(schur, LEAST_INFORMATION))
+
+
+def _loop_share(path: FloatArray) -> float:
+    """Return the share of a path's points that revisit places."""
+    steps = np.hypot(*np.diff(path, axis=0).T)
+    along = np.concatenate(([0.0], np.cumsum(steps)))
+    every = np.unique(np.searchsorted(along, np.arange(0.0, along[-1], SPACING)))
+    if not len(every):
+        return 0.0
+    points, at = path[every], along[every]
+    near = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) < REVISIT
+    earlier = at[None] < at[:, None] - AFTER
+    return float((near & earlier).any(axis=1).mean())
+
 
 MODELS = "forecast.json"
 """File of the models in this package; `python benchmarks/verdict_study.py fit` writes it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -9,8 +10,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from scipy.stats import beta
+
 from lirs_validation.config import RunConfig
-from lirs_validation.decision.sequential_test import SequentialTest
 from lirs_validation.metrics.verdict import VerdictClass
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import cause_of, extent_sentences, judge
@@ -18,6 +20,68 @@ from lirs_validation.sweep.experiment import Outcome
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import OutputError
+
+P0, P1 = 0.65, 0.90
+"""Shares of successes: the test rejects a method at P0 and accepts one at P1 ..."""
+ERROR = 0.05
+"""... with at most this share of errors each."""
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class SequentialTest:
+    """State of Wald's sequential probability ratio test (Ann. Math. Stat. 16, 1945).
+
+    Attributes:
+        successes: so far.
+        failures: so far.
+    """
+
+    successes: int = 0
+    failures: int = 0
+
+    @property
+    def log_ratio(self) -> float:
+        """Logarithm of the likelihood of P1 over that of P0."""
+        return self.successes * _SUCCESS + self.failures * _FAILURE
+
+    @property
+    def outcome(self) -> Literal["accepted", "rejected"] | None:
+        """Outcome of the test; None while more observations are needed."""
+        if self.log_ratio >= _BOUND:
+            return "accepted"
+        return "rejected" if self.log_ratio <= -_BOUND else None
+
+    @property
+    def least_more(self) -> int:
+        """Smallest number of observations that can decide."""
+        if self.outcome is not None:
+            return 0
+        up = math.ceil((_BOUND - self.log_ratio) / _SUCCESS)
+        return min(up, math.ceil((self.log_ratio + _BOUND) / -_FAILURE))
+
+    def add(self, success: bool) -> SequentialTest:
+        """Return the state after one more observation."""
+        return SequentialTest(self.successes + success, self.failures + (not success))
+
+    @property
+    def share(self) -> float | None:
+        """Share of successes; None without an observation."""
+        total = self.successes + self.failures
+        return self.successes / total if total else None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Clopper-Pearson interval of the share, as for a fixed number of observations."""
+        tail = (1 - CONFIDENCE) / 2
+        low = beta.ppf(tail, self.successes, self.failures + 1) if self.successes else 0.0
+        high = beta.ppf(1 - tail, self.successes + 1, self.failures) if self.failures else 1.0
+        return float(low), float(high)
+
+
+_SUCCESS, _FAILURE = math.log(P1 / P0), math.log((1 - P1) / (1 - P0))
+_BOUND = math.log((1 - ERROR) / ERROR)
+
 
 FIRST = 10
 """Drives after which a terrain counts as impassable if most of them were not evaluated."""

@@ -24,7 +24,7 @@ from lirs_validation.report.page import render
 from lirs_validation.report.table import ReportTable
 from lirs_validation.search import SearchParameter
 from lirs_validation.sweep.suites import CASE
-from lirs_wct import Pose2, Trajectory, World
+from lirs_wct import MapperError, Pose2, Trajectory, World
 from lirs_wct.drawing.canvas import Canvas, shaded_heights
 from lirs_wct.drawing.style import (
     BLACK,
@@ -40,7 +40,6 @@ from lirs_wct.drawing.style import (
     plain_axes,
     title,
 )
-from lirs_wct.errors import MapperError
 from lirs_wct.files import atomic_write, write_json
 from slam_baselines.mapper import short_name
 

@@ -14,8 +14,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_validation.live.graph import MAP_TYPE, START_POSE, TRANSFORMS_TYPE, TWIST, TWIST_STAMPED, typestore
 from lirs_validation.live.middleware import Received
 from lirs_validation.live.options import LiveOptions
-from lirs_wct import OccupancyGrid, Pose2, Pose3, Trajectory
-from lirs_wct.errors import ConfigError
+from lirs_wct import ConfigError, OccupancyGrid, Pose2, Pose3, Trajectory
 from lirs_wct.formats.rosbag.frames import Frames, pose_of
 from lirs_wct.formats.rosbag.messages import BASE, DRIVEN, MAP, ODOM, transforms
 

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from lirs_validation import cli, validate
 from lirs_validation.analysis.result_folders import RunFolder, read_run
-from lirs_validation.analysis.score import score
-from lirs_validation.analysis.time_alignment import find_time_offset, interpolate_poses
+from lirs_validation.analysis.score import find_time_offset, interpolate_poses, score
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry import Pose2, Trajectory

@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from lirs_validation.cli.app import app
-from lirs_validation.cli.examples import EXAMPLES
+from lirs_validation.cli.help import EXAMPLES
 
 ROOT = Path(__file__).resolve().parents[3]
 PROGRAM = typer.main.get_command(app)

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from lirs_validation.config import RunConfig
-from lirs_validation.decision.changes import changes
-from lirs_validation.decision.decide import Answer, decide
-from lirs_validation.decision.page import write_decision
-from lirs_validation.decision.picture import failure_place
+from lirs_validation.decision.decide import Answer, changes, decide
+from lirs_validation.decision.page import failure_place, write_decision
 from lirs_validation.decision.trials import Trial, TrialDrive
 from lirs_validation.sweep.engines import Serial
 from lirs_validation.sweep.experiment import Outcome

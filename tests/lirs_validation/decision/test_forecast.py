@@ -9,10 +9,11 @@ import pytest
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import RunConfig
-from lirs_validation.decision.forecast import LogisticModel, forecast
-from lirs_validation.decision.site_features import (
+from lirs_validation.decision.forecast import (
     LEAST_INFORMATION,
+    LogisticModel,
     cloud_information,
+    forecast,
     scan_information,
     site_features,
 )

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from lirs_validation.decision.sequential_test import P0, P1, SequentialTest
+from lirs_validation.decision.trials import P0, P1, SequentialTest
 
 
 def outcome_of_stream(share: float, rng: np.random.Generator) -> tuple[str, int]:
