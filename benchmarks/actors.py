@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.sources.build import build_world

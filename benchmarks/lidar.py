@@ -39,7 +39,7 @@ from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField

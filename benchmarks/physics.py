@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.export.mjcf import TERRAIN_GROUP

@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from lirs_envs.robots.command import Twist, Waypoint
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField

@@ -28,7 +28,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lirs_validation.logs.reference import read_reference
+from lirs_validation.logs.map_log import read_reference
 from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.metrics.relative_pose_error import (
     RelativePoseConstraint,

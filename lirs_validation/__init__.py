@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from lirs_validation.logs.log_source import resolve_source
     from lirs_validation.logs.map_log import MappedLog, map_log
     from lirs_validation.record.run_record import RunRecord, read_record
-    from lirs_validation.report.contents import report_of
+    from lirs_validation.report.page import report_of
 
 __all__ = [
     "EmbeddedPage",
@@ -40,7 +40,7 @@ _HOMES = {
     "RunRecord": "record.run_record",
     "read_record": "record.run_record",
     "read_results": "analysis.result_folders",
-    "report_of": "report.contents",
+    "report_of": "report.page",
 }
 
 

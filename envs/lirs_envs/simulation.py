@@ -15,7 +15,7 @@ from lirs_envs.collisions import Collisions
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar
 from lirs_envs.lidar.ray_casting import WalkerCaster, make_caster
 from lirs_envs.placement import check_fit, resolve_start
-from lirs_envs.robots.command import Twist, Waypoint, check_command
+from lirs_envs.robots.robot import Twist, Waypoint, check_command
 from lirs_envs.sensing.inertial import InertialUnit
 from lirs_envs.sensing.sensors import INERTIAL_STREAM, FaultInjector, Observation, sensor_streams
 from lirs_envs.simulation_config import SimulationConfig

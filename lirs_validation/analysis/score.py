@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_validation.logs.reference import read_trajectory
+from lirs_validation.logs.map_log import read_trajectory
 from lirs_validation.metrics import StartAlignment, map_scores, start_alignment, trajectory_errors
 from lirs_validation.metrics.agreement import agreement, decided, sampled
 from lirs_validation.metrics.alignment import MAX_GAP, associated, rigid_alignment

@@ -27,8 +27,8 @@ from lirs_validation.cli.commands.robot_card import robot
 from lirs_validation.cli.commands.validate import record, validate
 from lirs_validation.cli.commands.verdict import falsify, tune, verdict
 from lirs_validation.cli.commands.worlds import build, convert, info, view
-from lirs_validation.cli.console import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.cli.help import Command, epilog
+from lirs_validation.cli.progress import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.interrupts import is_interrupt
 from lirs_wct.errors import MapperError, WctError

@@ -1,39 +1,39 @@
-"""Progress of a command on the screen, and the run of its sweep."""
+"""Consoles and bars of commands: results on stdout, progress and errors on stderr."""
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
-from collections.abc import Callable
-from typing import TYPE_CHECKING
-
-import typer
-
-from lirs_validation.cli.console import RUN_FAILED, err
-from lirs_wct.errors import OutputError
-
-if TYPE_CHECKING:
-    from lirs_validation.config import EngineOptions
-    from lirs_validation.sweep.experiment import Manifest
-    from lirs_validation.sweep.sweep import Sweep
-
-
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from threading import Timer
 from typing import TYPE_CHECKING
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
+from lirs_wct.errors import OutputError
 from lirs_wct.progress import Progress
 
 if TYPE_CHECKING:
+    from lirs_validation.config import EngineOptions
     from lirs_validation.sweep.engines import Executor
-    from lirs_validation.sweep.experiment import Outcome
+    from lirs_validation.sweep.experiment import Manifest, Outcome
     from lirs_validation.sweep.sweep import Sweep
+
+WIDE = 200
+"""Columns of a file or a pipe, which have no width of their own unless COLUMNS says one."""
+
+out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else WIDE)
+err = Console(stderr=True)
+
+RUN_FAILED, BAD_INPUT, GATE_FAILED, INTERRUPTED = 3, 2, 4, 130
+"""Exit codes, beside 0 for success."""
+
 
 STEPS = {
     "read": "reading",

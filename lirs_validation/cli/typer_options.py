@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
-from lirs_validation.cli.console import err
-from lirs_validation.cli.progress import progress_bar
+from lirs_validation.cli.progress import err, progress_bar
 from lirs_validation.config import SourceOptions
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.option import Option, Options, chosen, declared, defaults

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal, Protocol
 
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_wct.geometry import Pose2
 
 Frame = Literal["world", "map"]

@@ -11,8 +11,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.paths import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_validation.driving.driver import Driver, Frame
 from lirs_wct.geometry import Pose2
 

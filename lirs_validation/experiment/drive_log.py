@@ -10,7 +10,7 @@ from typing import Literal, TypeVar, overload
 
 import numpy as np
 
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver, Frame

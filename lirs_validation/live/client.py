@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_validation.live.graph import MAP_TYPE, START_POSE, TRANSFORMS_TYPE, TWIST, TWIST_STAMPED, typestore
 from lirs_validation.live.middleware import Received
 from lirs_validation.live.options import LiveOptions

@@ -11,8 +11,13 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.log_replay import check_log, inertial_readings, log_mapper, replay
-from lirs_validation.logs.map_log import read_log
-from lirs_validation.logs.reference import odometry_accuracy, read_truth, reference_in_time, relations_in_time
+from lirs_validation.logs.map_log import (
+    odometry_accuracy,
+    read_log,
+    read_truth,
+    reference_in_time,
+    relations_in_time,
+)
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.consistency import scan_consistency
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy

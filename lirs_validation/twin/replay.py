@@ -16,8 +16,13 @@ from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.odometry import DistanceNoise
 from lirs_envs.sensing.sensors import SensorNoise
-from lirs_validation.logs.map_log import MappedLog, run_mapping
-from lirs_validation.logs.reference import read_truth, reference_in_time, relations_in_time
+from lirs_validation.logs.map_log import (
+    MappedLog,
+    read_truth,
+    reference_in_time,
+    relations_in_time,
+    run_mapping,
+)
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint

@@ -10,9 +10,8 @@ import pytest
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.drive import DriveConfig
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError

@@ -8,8 +8,7 @@ import pytest
 
 from lirs_envs.lidar.presets import LIDARS
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig, WheelJoints, WheelOdometries
 from lirs_envs.sensing.sensors import Observation, SensorNoise

@@ -15,8 +15,7 @@ from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.obstacle_rays import meet_walkers
 from lirs_envs.lidar.ray_casting import mujoco_hits
 from lirs_envs.props import Prop
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

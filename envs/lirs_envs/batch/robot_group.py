@@ -14,8 +14,8 @@ from lirs_envs.batch.bodies import Bodies, SingleBody
 from lirs_envs.placement import check_settled, standing_pose
 from lirs_envs.props import footprint
 from lirs_envs.robot_model import RobotModel, base_pose, is_tipped
-from lirs_envs.robots.command import Waypoint
 from lirs_envs.robots.drive import make_controllers
+from lirs_envs.robots.robot import Waypoint
 from lirs_envs.sensing.imu import ImuSensors
 from lirs_envs.sensing.odometry import WheelJoints, WheelOdometries
 from lirs_envs.sensing.sensors import Odometries

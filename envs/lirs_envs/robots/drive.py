@@ -8,9 +8,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from lirs_envs.robots.command import Twist, Waypoint
 from lirs_envs.robots.flight import FlyingBody, QuadrotorController
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_wct.arrays import FloatArray, IntArray, RecordArray
 from lirs_wct.field_validators import require_at_least
 from lirs_wct.geometry.heightfield import HeightField

@@ -14,8 +14,7 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from lirs_envs.robots.command import Twist, Waypoint, clip
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist, Waypoint, clip
 from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry import Pose3, wrap_angle

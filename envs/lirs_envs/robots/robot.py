@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.field_validators import is_finite, require_above, require_at_least
 from lirs_wct.geometry import Pose3
 
 ASSETS = Path(__file__).parent / "assets"
@@ -124,3 +124,48 @@ def figures(robot: Robot) -> list[tuple[str, str]]:
 def _wheels(robot: Robot) -> str:
     count = len(robot.left_wheels) + len(robot.right_wheels)
     return f"{count} driven wheels, radius {robot.wheel_radius:g} m, track {robot.track:g} m"
+
+
+@dataclass(frozen=True, slots=True)
+class Twist:
+    """Commanded velocity of the base.
+
+    Attributes:
+        v: forward speed, m/s.
+        omega: turn rate, rad/s, counter-clockwise.
+        climb: change of a flying robot's height above the ground, m/s.
+    """
+
+    v: float = 0.0
+    omega: float = 0.0
+    climb: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Waypoint:
+    """Pose in the world to fly to and hold; only for robots that fly. Meters and radians."""
+
+    x: float
+    y: float
+    z: float
+    yaw: float = 0.0
+
+
+def check_command(robot: Robot, command: object) -> None:
+    """Check a command.
+
+    Raises:
+        ConfigError: it is no command, none for this robot, or not finite.
+    """
+    if isinstance(command, Waypoint) and not robot.flies:
+        raise ConfigError(f"{robot.name} drives: it takes a Twist, got {command}")
+    if not isinstance(command, Twist | Waypoint):
+        raise ConfigError(f"a command must be a Twist or a Waypoint, got {command!r}")
+    c = command
+    if not all(map(is_finite, (c.v, c.omega, c.climb) if isinstance(c, Twist) else (c.x, c.y, c.z, c.yaw))):
+        raise ConfigError(f"a command must be finite, got {command}")
+
+
+def clip(value: float, limit: float) -> float:
+    """Return a value limited to [-limit, limit]."""
+    return max(-limit, min(limit, value))

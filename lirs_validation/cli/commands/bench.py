@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.console import err, out
-from lirs_validation.cli.progress import manifest_of_command, run_sweep
+from lirs_validation.cli.progress import err, manifest_of_command, out, run_sweep
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError

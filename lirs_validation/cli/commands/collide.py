@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.arguments import Sources
-from lirs_validation.cli.console import RUN_FAILED, err, out
-from lirs_validation.cli.progress import progress_bar
+from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
 from lirs_validation.cli.typer_options import mujoco_terrain, with_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.errors import WctError

@@ -16,7 +16,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from lirs_validation.cli.console import RUN_FAILED, out
+from lirs_validation.cli.progress import RUN_FAILED, out
 
 REQUIRED = (
     "mujoco",

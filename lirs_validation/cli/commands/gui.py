@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
-from lirs_validation.cli.console import out
+from lirs_validation.cli.progress import out
 from lirs_wct.errors import ConfigError
 
 

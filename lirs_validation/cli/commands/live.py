@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
-from lirs_validation.cli.console import err, out
-from lirs_validation.cli.progress import progress_bar
+from lirs_validation.cli.progress import err, out, progress_bar
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import CLIENT, RUN_AXES, RunConfig, SourceOptions
 from lirs_validation.live.options import LiveOptions

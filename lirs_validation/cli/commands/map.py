@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from lirs_validation.cli.console import RUN_FAILED, err, out
-from lirs_validation.cli.progress import progress_bar
+from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.map_config import MapConfig
 

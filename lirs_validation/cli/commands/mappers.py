@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.console import err, out
+from lirs_validation.cli.progress import err, out
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from lirs_validation.cli.arguments import read_fields
-from lirs_validation.cli.console import RUN_FAILED, err, out
+from lirs_validation.cli.progress import RUN_FAILED, err, out
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import read_names
 
@@ -49,8 +49,7 @@ def report(
 ) -> None:
     """Report on a folder of results: one HTML page that opens anywhere, offline."""
     from lirs_validation.analysis.result_folders import read_results
-    from lirs_validation.report.contents import report_of
-    from lirs_validation.report.page import page
+    from lirs_validation.report.page import page, report_of
 
     with err.status(f"reading {results}") as status:
         read = read_results(results)

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_envs.robots.command import Twist, clip
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist, clip
 from lirs_validation.config import MANUAL, RunConfig, run_name
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.standing import WrappedDriver

@@ -9,8 +9,7 @@ import pytest
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.lidar.reflection import GROUND, intensities
 from lirs_envs.props import Prop, StaticRobot
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

@@ -11,8 +11,7 @@ from lirs_envs.lidar.lidar import BaseVelocity, Lidar, moved_frames
 from lirs_envs.lidar.noise import LidarNoise, lidar_noise
 from lirs_envs.lidar.presets import LIDARS, RING_LIDARS, LidarPreset
 from lirs_envs.props import Prop
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, moved_frames
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.presets import LIDARS, LidarPreset, ring_directions
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

@@ -9,8 +9,7 @@ import pytest
 from scipy.spatial import ConvexHull
 
 from lirs_envs.robots.catalog import ROBOTS
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError

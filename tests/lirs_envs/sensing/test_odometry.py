@@ -9,8 +9,7 @@ import pytest
 from scipy import stats
 
 from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.command import Twist
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.ekf import EkfConfig, EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensors
 from lirs_envs.sensing.odometry import DistanceNoise, FlowOdometry, OdometryConfig

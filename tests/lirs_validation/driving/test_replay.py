@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_validation import validate
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.replay import ReplayDriver, replay

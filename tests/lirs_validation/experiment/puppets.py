@@ -4,7 +4,7 @@ import time as clock
 
 import numpy as np
 
-from lirs_envs.robots.command import Twist
+from lirs_envs.robots.robot import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_wct.errors import SimulationError

@@ -20,8 +20,7 @@ from lirs_validation.gui.session.finished_run import FinishedRun
 from lirs_validation.metrics.elevation import MOST, CloudSample, ElevationMap, read_elevation
 from lirs_validation.record.run_record import damaged_files, read_record
 from lirs_validation.record.schema import schema_error
-from lirs_validation.report.contents import report_of
-from lirs_validation.report.page import page
+from lirs_validation.report.page import page, report_of
 from lirs_validation.sweep import slam_experiment
 from lirs_validation.sweep.slam_experiment import SlamExperiment
 from lirs_wct.drawing.canvas import Canvas

@@ -24,8 +24,7 @@ from lirs_validation.record.metric_catalog import (
 )
 from lirs_validation.record.schema import record_schema
 from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
-from lirs_validation.report.contents import report_of
-from lirs_validation.report.page import page
+from lirs_validation.report.page import page, report_of
 from lirs_validation.report.run_tables import results_table
 from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.records import entry

@@ -17,8 +17,7 @@ from lirs_validation.analysis.statistics import repeats
 from lirs_validation.record.formatting import significant
 from lirs_validation.record.metric_catalog import metrics_in, metrics_named
 from lirs_validation.report.charts import INK
-from lirs_validation.report.contents import Report, report_of
-from lirs_validation.report.page import page
+from lirs_validation.report.page import Report, page, report_of
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
 from lirs_validation.report.run_tables import group_table, summary_table
 from lirs_validation.report.table import MetricSpread, ReportTable

@@ -6,9 +6,8 @@ from typing import Any
 import pytest
 
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.sweep.collision_experiment import CollisionExperiment
 from lirs_validation.sweep.engines import Limits, Processes, Serial
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.slam_experiment import CollisionExperiment, SlamExperiment
 from lirs_validation.sweep.suites import WALL_LIMIT, cross, make_suite
 from lirs_validation.sweep.sweep import make_executor
 from lirs_wct.errors import ConfigError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lirs_validation.logs.reference import read_reference
+from lirs_validation.logs.map_log import read_reference
 from lirs_validation.metrics.agreement import agreement
 from lirs_validation.metrics.log_accuracy import reference_errors
 from lirs_validation.metrics.map import false_occupied
