@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -23,6 +22,7 @@ from lirs_validation.metrics import (
 )
 from lirs_validation.metrics.alignment import associated
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
+from lirs_validation.metrics.real_time_factor import real_time_factor
 from lirs_validation.metrics.scan_support import observed_support
 from lirs_validation.metrics.trajectory import spatial_errors
 from lirs_validation.metrics.verdict import incompleteness
@@ -30,7 +30,6 @@ from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
 from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct import OccupancyGrid, SimulationError, World
-from lirs_wct.arrays import FloatArray
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
 COUNTED_SCANS = 300
@@ -292,25 +291,3 @@ def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]
         "files": [asdict(file) for file in scenario.files],
         "contact": evaluate_contact(simulation),
     }
-
-
-def real_time_factor(walls: Sequence[float], period: float) -> dict[str, Any]:
-    """Return mean, standard deviation, minimum and series of a drive's real-time factor.
-
-    Args:
-        walls: wall-clock seconds of each tick.
-        period: simulated seconds of a tick.
-    """
-    series = 1.0 / per_second(walls, period)
-    mean = 1.0 / (sum(walls) / (len(walls) * period))
-    return {"mean": mean, "std": float(np.std(series)), "min": float(series.min()), "series": series.tolist()}
-
-
-def per_second(values: Sequence[float], period: float) -> FloatArray:
-    """Return (n,) means per simulated second of per-tick values, over each whole second.
-
-    A last part of a second counts by its share.
-    """
-    ticks = max(1, round(1.0 / period))
-    whole = [values[i : i + ticks] for i in range(0, len(values), ticks)]
-    return np.array([sum(part) / (len(part) * period) for part in whole if part], dtype=np.float64)

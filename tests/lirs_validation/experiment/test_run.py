@@ -11,10 +11,10 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.experiment.evaluation import per_second
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import build_scenario
+from lirs_validation.metrics.real_time_factor import per_second
 from lirs_validation.metrics.verdict import LOST_SECONDS
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.formats.map_server import read_map
