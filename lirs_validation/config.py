@@ -41,9 +41,16 @@ ScanTime = Literal["instant", "rolling"]
 SCAN_TIMES: tuple[ScanTime, ...] = get_args(ScanTime)
 STAND = 3.0
 """Simulated seconds for which inertial systems find gravity and biases before a drive."""
-TOUR, FRONTIER = "tour", "frontier"
-DRIVERS = {TOUR: "", FRONTIER: "", "waypoints": "FILE", "replay": "RUN", "goal": "X,Y"}
-"""Drivers, and the argument that each needs."""
+TOUR, FRONTIER, PRETRAINED = "tour", "frontier", "pretrained"
+DRIVERS = {
+    TOUR: "",
+    FRONTIER: "",
+    "waypoints": ":FILE",
+    "replay": ":RUN",
+    "goal": ":X,Y",
+    PRETRAINED: "[:X,Y]",
+}
+"""Drivers, and the argument that each takes; brackets mark an optional one."""
 NOISE_LEVELS, NOISE_FILES = ("none", "simulated", "datasheet"), (".yaml", ".yml")
 """Noise levels of a lidar, and suffixes of a file of sensor noise."""
 MANUAL, CLIENT = "manual", "client"
@@ -84,8 +91,9 @@ def driver_parts(text: str) -> tuple[str, str]:
     if text in (MANUAL, CLIENT):
         return text, ""
     kind, colon, path = text.partition(":")
-    if kind not in DRIVERS or bool(DRIVERS[kind]) != bool(path) or (colon and not path):
-        legal = ", ".join(f"{name}:{argument}" if argument else name for name, argument in DRIVERS.items())
+    taken = DRIVERS.get(kind)
+    if taken is None or (colon and not path) or (path and not taken) or (not path and taken[:1] == ":"):
+        legal = ", ".join(f"{name}{argument}" for name, argument in DRIVERS.items())
         raise ConfigError(f"unknown driver {text!r}; legal: {legal}")
     return kind, path
 
@@ -98,7 +106,7 @@ def read_drivers(text: str, flag: str = "--driver") -> tuple[str, ...]:
     Raises:
         ConfigError: one is no driver.
     """
-    plain = "|".join(name for name, argument in DRIVERS.items() if not argument)
+    plain = "|".join(name for name, argument in DRIVERS.items() if argument[:1] != ":")
     with_path = "|".join(name for name, argument in DRIVERS.items() if argument)
     drivers = re.split(rf",\s*(?=(?:{plain})\s*(?:,|$)|(?:{with_path}):)", text.strip())
     for driver in drivers:
@@ -232,12 +240,12 @@ class RunConfig(Options):
     driver: str = option(
         TOUR,
         "A tour over the true ground; an explorer on the mapper's map and pose; waypoints (x, y[, yaw] per "
-        "line) or a goal by the true pose; the commands of a finished run.",
+        "line) or a goal by the true pose; the commands of a finished run; the policy that ships.",
         axis=read_drivers,
-        metavar="tour|frontier|waypoints:FILE|replay:RUN|goal:X,Y",
+        metavar="|".join(f"{name}{argument}" for name, argument in DRIVERS.items()),
         panel=AXES,
         check=lambda value, _: driver_parts(value) and None,
-        names=(TOUR, FRONTIER),
+        names=(TOUR, FRONTIER, PRETRAINED),
         shown="driver: {}",
     )
     speed: float = drive_factor(1.0, "Factors of the driver's speed.", "[0.1, 2]", "speed x {:g}")

@@ -9,14 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
+from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.placement import can_stand
+from lirs_envs.policies import PolicyContext
+from lirs_envs.pretrained import Pretrained
 from lirs_envs.robots.catalog import ROBOTS
 from lirs_envs.robots.robot import Robot
-from lirs_validation.config import CLIENT, MANUAL, TOUR, RunConfig, driver_parts
+from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
 from lirs_validation.driving.coverage import CoverageDriver, plan_coverage
 from lirs_validation.driving.driver import Driver
 from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
+from lirs_validation.driving.paths import area_round
+from lirs_validation.driving.policy_driver import PolicyDriver
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
 from lirs_validation.driving.standing import ReversingDriver
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
@@ -37,7 +42,8 @@ def make_driver(
     """Return the config's driver.
 
     Tour and waypoints are planned over the true ground; the mapper sees none of it. The explorer is given the
-    mapper's map, and nothing of the world but where the robot is set down.
+    mapper's map, and nothing of the world but where the robot is set down. The policy that ships is given
+    scans, odometry, and the direction to its goal.
 
     Args:
         world: where it drives.
@@ -49,8 +55,11 @@ def make_driver(
         ConfigError: the robot fits nowhere in this world, or a replay is of another world, robot or lidar.
         SourceError: waypoints or recorded commands cannot be used.
     """
-    if driver_parts(config.driver)[0] == "replay":
-        return replay(Path(driver_parts(config.driver)[1]), config, world.name)
+    kind, argument = driver_parts(config.driver)
+    if kind == "replay":
+        return replay(Path(argument), config, world.name)
+    if kind == PRETRAINED:
+        return _policy_driver(world, robot, config, argument)
     driver = _path_driver(world, robot, config, mapper_map)
     return ReversingDriver(driver, config.reversing) if config.reversing else driver
 
@@ -72,13 +81,35 @@ def _path_driver(
     else:
         start = _start(world, free, robot, config)
     if kind == "goal":
-        waypoints = RoutePoint(start.x, start.y), _goal(path)
+        waypoints = RoutePoint(start.x, start.y), _goal(config.driver)
     if waypoints:
         named = Path(path if kind == "waypoints" else config.driver)
-        check_waypoints(named, waypoints, free, robot.name, lambda place: _cause(world, robot, place)[0])
+        _check_reachable(named, waypoints, free, world, robot)
         return PathDriver(WaypointRoute(waypoints[1:], free, pace, world.surface), start, pace)
     route = FrontierRoute(mapper_map, robot.radius, robot.radius + MARGIN, pace)
     return PathDriver(route, start, pace)
+
+
+def _policy_driver(world: World, robot: Robot, config: RunConfig, goal: str) -> PolicyDriver:
+    """Return the driver of the policy that ships, to a goal or to seeded places one after the other."""
+    free = _drivable(world, robot)
+    start = _start(world, free, robot, config)
+    lidar = make_lidar_preset(config.lidar or robot.lidar)
+    policy = Pretrained(PolicyContext(robot=robot, lidar=lidar, period=lidar.period, seed=config.seed))
+    if goal:
+        place = _goal(config.driver)
+        _check_reachable(Path(config.driver), (RoutePoint(start.x, start.y), place), free, world, robot)
+        goals = np.array([(place.x, place.y)])
+    else:
+        rng = np.random.default_rng((config.seed, PLAN_STREAM))
+        goals = rng.permutation(free.centers(np.argwhere(area_round(free, start))))
+    return PolicyDriver(policy, robot, start, goals)
+
+
+def _check_reachable(
+    named: Path, waypoints: tuple[RoutePoint, ...], free: OccupancyGrid, world: World, robot: Robot
+) -> None:
+    check_waypoints(named, waypoints, free, robot.name, lambda place: _cause(world, robot, place)[0])
 
 
 def plan_tour(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
@@ -126,8 +157,8 @@ def check_driver(config: RunConfig) -> None:
         SourceError: waypoints or recorded commands cannot be read.
     """
     kind, path = _automatic(config)
-    if kind == "goal":
-        _goal(path)
+    if kind == "goal" or (kind == PRETRAINED and path):
+        _goal(config.driver)
     if kind == "waypoints":
         read_waypoints(Path(path))
     if kind == "replay":
@@ -152,15 +183,16 @@ def _automatic(config: RunConfig) -> tuple[str, str]:
     return kind, path
 
 
-def _goal(text: str) -> RoutePoint:
-    """Return the goal of a driver `goal:X,Y`.
+def _goal(driver: str) -> RoutePoint:
+    """Return the goal of a driver such as `goal:X,Y`.
 
     Raises:
         ConfigError: the text is no such place.
     """
-    x, y = numbers("goal:X,Y in meters", 2)(text, "driver")
+    kind, text = driver_parts(driver)
+    x, y = numbers(f"{kind}:X,Y in meters", 2)(text, "driver")
     if not (math.isfinite(x) and math.isfinite(y)):
-        raise ConfigError(f"driver must be goal:X,Y in finite meters, got {text!r}")
+        raise ConfigError(f"driver must be {kind}:X,Y in finite meters, got {text!r}")
     return RoutePoint(x, y)
 
 

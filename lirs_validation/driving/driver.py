@@ -1,10 +1,11 @@
-"""Interface of the drivers: poses in, commands out."""
+"""Interface of the drivers: poses and observations in, commands out."""
 
 from __future__ import annotations
 
 from typing import Literal, Protocol
 
 from lirs_envs.robots.robot import Twist
+from lirs_envs.sensing.sensors import Observation
 from lirs_wct.geometry import Pose2
 
 Frame = Literal["world", "map"]
@@ -33,6 +34,9 @@ class Driver(Protocol):
     def finished(self) -> str:
         """Why nothing is left to drive; empty while there is."""
         ...
+
+    def sense(self, observation: Observation) -> None:
+        """Receive the observation that the next command follows."""
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command for the next tick.

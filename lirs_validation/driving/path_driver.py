@@ -285,6 +285,9 @@ class PathDriver:
         """(n, 2) points of the present path, meters."""
         return self._path.points
 
+    def sense(self, observation: object) -> None:
+        """Ignore the observation; the route knows the ground."""
+
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command for the next tick: wheels that start with a jerk would spin."""
         wanted = self._choose_command(pose, time)

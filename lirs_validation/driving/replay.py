@@ -12,6 +12,7 @@ import numpy as np
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Twist
+from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.driver import Frame
 from lirs_validation.record.run_record import read_record
@@ -48,6 +49,9 @@ class ReplayDriver:
         """Why nothing is left to drive; empty while there is."""
         over = self._given >= len(self._commands.rows)
         return f"the commands of {self._name} end" if over else ""
+
+    def sense(self, observation: Observation) -> None:
+        """Ignore the observation."""
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command that was given at this time; at rest after the last one."""

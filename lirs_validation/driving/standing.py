@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from lirs_envs.robots.robot import Twist
+from lirs_envs.sensing.sensors import Observation
 from lirs_validation.driving.driver import Driver, Frame
 from lirs_wct.geometry import Pose2
 
@@ -38,6 +39,10 @@ class WrappedDriver:
     def finished(self) -> str:
         """Reason for the end of the drive; empty before the end."""
         return self._driver.finished
+
+    def sense(self, observation: Observation) -> None:
+        """Pass an observation on."""
+        self._driver.sense(observation)
 
 
 class StandingDriver(WrappedDriver):

@@ -113,8 +113,12 @@ class Drive:
             yield self._sense(simulation.advance(command))
 
     def _sense(self, observation: Observation) -> Tick:
-        """Return the state of the simulation with an observation; the mapper gets only the latter."""
+        """Return the state of the simulation with an observation.
+
+        The driver and the mapper get only the latter.
+        """
         simulation = self._simulation
+        self._driver.sense(observation)
         has_cloud = self.log.spatial and observation.cloud is not None
         return Tick(
             observation,

@@ -311,6 +311,11 @@ class ClientDriver:
             return "the client asked for a new start"
         return "" if self._driver is None else self._driver.finished
 
+    def sense(self, observation: Observation) -> None:
+        """Pass an observation on to our driver."""
+        if self._driver is not None:
+            self._driver.sense(observation)
+
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command for the next tick."""
         return self._client.command(time) if self._driver is None else self._driver.command(pose, time)

@@ -10,7 +10,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from lirs_validation.config import RunConfig, SourceOptions
+from lirs_validation.config import PRETRAINED, RunConfig, SourceOptions
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.option import Option, Options, Slider, declared, defaults
@@ -175,10 +175,15 @@ def read_run_controls(
 
 
 def to_goal(config: RunConfig, start: tuple[float, float], goal: tuple[float, float]) -> RunConfig:
-    """Return a run that starts at a place, faces a goal and drives there."""
+    """Return a run that starts at a place, faces a goal and drives there.
+
+    The policy that ships drives there where the config has it as driver.
+    """
+    kind = PRETRAINED if config.driver == PRETRAINED else "goal"
+    driver = f"{kind}:{goal[0]},{goal[1]}"
     (x, y), (east, north) = start, goal
     yaw = round(math.atan2(north - y, east - x), 3)
-    return replace(config, driver=f"goal:{east},{north}", build=replace(config.build, start=Pose2(x, y, yaw)))
+    return replace(config, driver=driver, build=replace(config.build, start=Pose2(x, y, yaw)))
 
 
 def without_flags(text: str) -> str:

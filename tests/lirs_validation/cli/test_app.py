@@ -119,6 +119,7 @@ def test_a_list_with_a_missing_name_is_refused(text: str) -> None:
         ("tour", ("tour",)),
         ("tour, frontier,tour", ("tour", "frontier")),
         ("goal:1,-2.5,tour", ("goal:1,-2.5", "tour")),
+        ("pretrained,pretrained:2,3,tour", ("pretrained", "pretrained:2,3", "tour")),
         ("waypoints:a,b.csv,frontier", ("waypoints:a,b.csv", "frontier")),
         (
             "replay:out/x,waypoints:a/tour,b.csv,replay:y",

@@ -66,10 +66,29 @@ def test_a_goal_is_reached_from_the_start_or_named(corridor: Path) -> None:
         run(replace(config, driver="goal:3,5"))
 
 
+def test_the_pretrained_policy_drives_to_a_goal_and_repeats(corridor: Path) -> None:
+    config = RunConfig(source=str(corridor), robot="jackal", driver="pretrained:3,0", seconds=60)
+    config = replace(config, build=replace(config.build, start=Pose2(-3.0, 0.0, 3.0)))
+    first, second = run(config), run(config)
+    end = first.log.truth[-1].to_pose2()
+    assert math.hypot(end.x - 3.0, end.y) < 0.7
+    assert first.record.reason.startswith("the last goal is reached at ")
+    assert [p.to_pose2() for p in first.log.truth] == [p.to_pose2() for p in second.log.truth]
+    with pytest.raises(SourceError, match=r"^pretrained:3,5: waypoint 2 \(3, 5\) is off the map"):
+        run(replace(config, driver="pretrained:3,5"))
+
+
+def test_the_pretrained_policy_roams_without_a_goal(corridor: Path) -> None:
+    found = run(RunConfig(source=str(corridor), robot="jackal", driver="pretrained", seconds=20))
+    steps = np.diff([(p.to_pose2().x, p.to_pose2().y) for p in found.log.truth], axis=0)
+    assert np.hypot(*steps.T).sum() > 4.0
+
+
+@pytest.mark.parametrize("kind", ["goal", "pretrained"])
 @pytest.mark.parametrize("goal", ["3", "3,4,5", "a,b", "nan,1"])
-def test_a_bad_goal_is_refused_before_the_world_is_built(goal: str) -> None:
-    with pytest.raises(ConfigError, match="goal:X,Y"):
-        check_driver(RunConfig(source="simple", driver=f"goal:{goal}"))
+def test_a_bad_goal_is_refused_before_the_world_is_built(goal: str, kind: str) -> None:
+    with pytest.raises(ConfigError, match=f"{kind}:X,Y"):
+        check_driver(RunConfig(source="simple", driver=f"{kind}:{goal}"))
 
 
 def test_starts_are_for_the_largest_robot_that_fits(corridor: Path) -> None:

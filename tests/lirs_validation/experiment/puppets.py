@@ -41,6 +41,9 @@ class Puppet:
             raise SimulationError("the simulation diverged: NaN in qacc")
         return Observation(LaserScan(np.ones(3, np.float32), 0, 0.1, 0.1, 9, self.time), Pose2(), Imu())
 
+    def sense(self, observation: Observation) -> None:
+        pass
+
     def command(self, pose: Pose2, time: float) -> Twist:
         if self._failing("driver"):
             raise ValueError("the driver has a bug")

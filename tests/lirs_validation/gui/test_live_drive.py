@@ -159,6 +159,16 @@ def test_verdict_curve_and_events_follow_the_drive(scenarios: ScenarioCache) -> 
     assert drive.marks == ()
 
 
+def test_the_pretrained_policy_drives_to_the_clicked_goal(scenarios: ScenarioCache) -> None:
+    chosen = RunConfig(source="simple", driver="pretrained", seconds=60.0)
+    config = to_goal(chosen, (-7.0, -13.0), (-1.0, -12.0))
+    assert config.driver == "pretrained:-1.0,-12.0"
+    drive = driven(config, scenarios)
+    while not drive.over:
+        drive.step()
+    assert drive.moment(drive.scans - 1).truth[-1, :2] == pytest.approx((-1.0, -12.0), abs=0.7)
+
+
 def test_a_drive_goes_on_after_it_was_saved(tmp_path: Path, scenarios: ScenarioCache) -> None:
     config = RunConfig(source="simple", seconds=3.0)
     once = driven(config, scenarios).save(tmp_path / "once").record
