@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from dataclasses import dataclass, field
 from functools import cache
+from threading import Lock
 
 import mujoco
 import numpy as np
@@ -21,6 +22,8 @@ DIVERGENCE_WARNINGS = {
     mujoco.mjtWarning.mjWARN_CONTACTFULL: "there are more contacts than memory for them",
     mujoco.mjtWarning.mjWARN_CNSTRFULL: "there are more constraints than memory for them",
 }
+COMPILING = Lock()
+"""A kernel is compiled by one thread; a second one would find the compiler disabled."""
 KINDS: IntArray = np.array([int(kind) for kind in DIVERGENCE_WARNINGS], np.int64)
 
 
@@ -103,13 +106,18 @@ def contact_state(
     return depth, touching
 
 
-@cache
 def compile_contact_state() -> None:
-    """Compile `contact_state` once for arrays of any layout.
+    """Compile `contact_state` once for arrays of any layout, from any thread.
 
     A single contact is contiguous in memory, several are not. Without this, the first single contact of a
     drive would wait for the compiler.
     """
+    with COMPILING:
+        _compile_contact_state()
+
+
+@cache
+def _compile_contact_state() -> None:
     contact_state.compile("Tuple((f8, b1))(f8[:], i4[:, :], f8[:, :], f8[:, ::1], f8[::1])")
     contact_state.disable_compile()
 
