@@ -1,12 +1,11 @@
-"""Interface of the drivers: poses and observations in, commands out."""
+"""Interface of the drivers: poses and scans in, commands out."""
 
 from __future__ import annotations
 
 from typing import Literal, Protocol
 
 from lirs_envs.robots.robot import Twist
-from lirs_envs.sensing.sensors import Observation
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import LaserScan, Pose2
 
 Frame = Literal["world", "map"]
 """Which poses a driver is given: `T_world_base`, the truth, or `T_map_base`, the mapper's latest answer."""
@@ -35,8 +34,8 @@ class Driver(Protocol):
         """Why nothing is left to drive; empty while there is."""
         ...
 
-    def sense(self, observation: Observation) -> None:
-        """Receive the observation that the next command follows."""
+    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
+        """Receive the scan and `T_odom_base` that the next command follows."""
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command for the next tick.

@@ -16,7 +16,7 @@ from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.paths import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry import Pose2, wrap_angle
+from lirs_wct.geometry import LaserScan, Pose2, wrap_angle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,8 +285,8 @@ class PathDriver:
         """(n, 2) points of the present path, meters."""
         return self._path.points
 
-    def sense(self, observation: object) -> None:
-        """Ignore the observation; the route knows the ground."""
+    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
+        """Ignore scan and odometry; the route knows the ground."""
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command for the next tick: wheels that start with a jerk would spin."""

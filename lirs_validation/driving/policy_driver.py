@@ -8,7 +8,6 @@ import numpy as np
 
 from lirs_envs.policies import Policy
 from lirs_envs.robots.robot import Robot, Twist
-from lirs_envs.sensing.sensors import Observation
 from lirs_validation.driving.driver import Frame
 from lirs_wct import LaserScan, Pose2
 from lirs_wct.arrays import Float32Array, FloatArray
@@ -43,10 +42,10 @@ class PolicyDriver:
         """Reason for the end of the drive; empty before the end."""
         return "the last goal is reached" if self._at == len(self._goals) else ""
 
-    def sense(self, observation: Observation) -> None:
+    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
         """Keep scan and odometry for the next command."""
-        self._scan = _finite(observation.scan)
-        self._odometry = observation.odometry.as_array()
+        self._scan = _finite(scan)
+        self._odometry = odometry.as_array()
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the policy's command; at rest after the last goal."""

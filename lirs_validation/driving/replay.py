@@ -12,11 +12,10 @@ import numpy as np
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Twist
-from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.driver import Frame
 from lirs_validation.record.run_record import read_record
-from lirs_wct import ConfigError, Pose2, SourceError
+from lirs_wct import ConfigError, LaserScan, Pose2, SourceError
 from lirs_wct.formats.drive_csv import Commands, read_commands
 
 COMMANDS = "commands.csv"
@@ -50,8 +49,8 @@ class ReplayDriver:
         over = self._given >= len(self._commands.rows)
         return f"the commands of {self._name} end" if over else ""
 
-    def sense(self, observation: Observation) -> None:
-        """Ignore the observation."""
+    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
+        """Ignore scan and odometry."""
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command that was given at this time; at rest after the last one."""

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 from lirs_envs.robots.robot import Twist
-from lirs_envs.sensing.sensors import Observation
 from lirs_validation.driving.driver import Driver, Frame
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import LaserScan, Pose2
 
 
 class WrappedDriver:
@@ -40,9 +39,9 @@ class WrappedDriver:
         """Reason for the end of the drive; empty before the end."""
         return self._driver.finished
 
-    def sense(self, observation: Observation) -> None:
-        """Pass an observation on."""
-        self._driver.sense(observation)
+    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
+        """Pass scan and odometry on."""
+        self._driver.sense(scan, odometry)
 
 
 class StandingDriver(WrappedDriver):

@@ -118,7 +118,7 @@ class Drive:
         The driver and the mapper get only the latter.
         """
         simulation = self._simulation
-        self._driver.sense(observation)
+        self._driver.sense(observation.scan, observation.odometry)
         has_cloud = self.log.spatial and observation.cloud is not None
         return Tick(
             observation,

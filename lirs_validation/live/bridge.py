@@ -19,7 +19,7 @@ from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTe
 from lirs_validation.live.client import Client
 from lirs_validation.live.middleware import Middleware
 from lirs_validation.live.options import LiveOptions
-from lirs_wct import ConfigError, OccupancyGrid, Pose2, Pose3, Trajectory
+from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
 from lirs_wct.formats.rosbag.messages import (
     MAP_TOPIC,
     BagTick,
@@ -311,10 +311,10 @@ class ClientDriver:
             return "the client asked for a new start"
         return "" if self._driver is None else self._driver.finished
 
-    def sense(self, observation: Observation) -> None:
-        """Pass an observation on to our driver."""
+    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
+        """Pass scan and odometry on to our driver."""
         if self._driver is not None:
-            self._driver.sense(observation)
+            self._driver.sense(scan, odometry)
 
     def command(self, pose: Pose2, time: float) -> Twist:
         """Return the command for the next tick."""

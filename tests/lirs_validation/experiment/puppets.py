@@ -41,7 +41,7 @@ class Puppet:
             raise SimulationError("the simulation diverged: NaN in qacc")
         return Observation(LaserScan(np.ones(3, np.float32), 0, 0.1, 0.1, 9, self.time), Pose2(), Imu())
 
-    def sense(self, observation: Observation) -> None:
+    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
         pass
 
     def command(self, pose: Pose2, time: float) -> Twist:
