@@ -103,7 +103,7 @@ def _policy_driver(world: World, robot: Robot, config: RunConfig, goal: str) -> 
     else:
         rng = np.random.default_rng((config.seed, PLAN_STREAM))
         goals = rng.permutation(free.centers(np.argwhere(area_round(free, start))))
-    return PolicyDriver(policy, robot, start, goals)
+    return PolicyDriver(policy, robot, start, goals, (config.speed, config.turn_rate))
 
 
 def _check_reachable(
@@ -153,12 +153,15 @@ def check_driver(config: RunConfig) -> None:
     """Look at the file that a driver needs before the world is built.
 
     Raises:
-        ConfigError: a replay is of another robot, a person drove, or a goal is no place.
+        ConfigError: a replay is of another robot, a person drove, a goal is no place, or a policy would drive
+            backwards.
         SourceError: waypoints or recorded commands cannot be read.
     """
     kind, path = _automatic(config)
     if kind == "goal" or (kind == PRETRAINED and path):
         _goal(config.driver)
+    if kind == PRETRAINED and config.reversing:
+        raise ConfigError(f"driver {PRETRAINED}: reversing must be 0, got {config.reversing:g}")
     if kind == "waypoints":
         read_waypoints(Path(path))
     if kind == "replay":

@@ -114,12 +114,12 @@ def _scan_space(stage: Stage) -> spaces.Box:
 
 def _scan(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
     ranges = stage.simulation.ranges[ids]
-    _make_finite(ranges, np.float32(stage.simulation.config.preset.range_max))
+    make_finite(ranges, np.float32(stage.simulation.config.preset.range_max))
     return ranges
 
 
 @njit(cache=True, nogil=True)
-def _make_finite(ranges: Float32Array, range_max: float) -> None:
+def make_finite(ranges: Float32Array, range_max: float) -> None:
     """Replace ranges without hit by `range_max`, and too short or lost ones by 0."""
     for i in range(ranges.shape[0]):
         for k in range(ranges.shape[1]):
