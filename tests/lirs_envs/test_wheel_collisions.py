@@ -1,13 +1,16 @@
 """Wheels collide with what is steeper than their robot climbs, and with nothing else."""
 
 import math
+import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
+from lirs_envs import collisions
 from lirs_envs.collisions import ContactMonitor, compile_contact_state, contact_state
 from lirs_envs.env import RobotEnv
 from lirs_envs.placement import standing_pose
@@ -118,6 +121,29 @@ def test_ground_that_can_be_driven_is_none(where: str, name: str) -> None:
 DROPS = np.array((-np.inf, 0.8, np.inf))
 """The ground, a wheel of 1 m, the body."""
 CENTERS = np.array(((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)))
+
+
+def test_threads_may_compile_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second thread found the compiler disabled by the first one."""
+
+    class Dispatcher:
+        enabled, calls = True, 0
+
+        def compile(self, signature: str) -> None:
+            self.calls += 1
+            time.sleep(0.05 * self.calls)  # as one compiler that all threads wait for
+            if not self.enabled:
+                raise RuntimeError("compilation disabled")
+
+        def disable_compile(self) -> None:
+            self.enabled = False
+
+    compile_contact_state()
+    monkeypatch.setattr(collisions, "contact_state", Dispatcher())
+    collisions._compile_contact_state.cache_clear()
+    with ThreadPoolExecutor(4) as pool:
+        for done in [pool.submit(compile_contact_state) for _ in range(4)]:
+            done.result()
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
