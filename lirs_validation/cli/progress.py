@@ -70,7 +70,6 @@ def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> 
         OutputError: a result cannot be written.
         typer.Exit: an experiment failed.
     """
-    from lirs_validation.cli.progress import run_with_progress
     from lirs_validation.sweep.sweep import make_executor
 
     executor = make_executor(engine)
