@@ -39,6 +39,8 @@ Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 ScanTime = Literal["instant", "rolling"]
 SCAN_TIMES: tuple[ScanTime, ...] = get_args(ScanTime)
+DRIVABLE = within("(0, 1e6]", "simulated seconds")
+"""Check of a drive's duration; 1e6 s are 12 days."""
 STAND = 3.0
 """Simulated seconds for which inertial systems find gravity and biases before a drive."""
 TOUR, FRONTIER, PRETRAINED = "tour", "frontier", "pretrained"
@@ -323,7 +325,7 @@ class RunConfig(Options):
     seconds: float = option(
         120.0,
         "Simulated seconds to drive in each run.",
-        check=positive,
+        check=DRIVABLE,
         slider=Slider(low=1, high=3600, step=1, neutral=120),
         shown="{:g} s",
     )

@@ -35,6 +35,12 @@ from lirs_wct.errors import MapperError, WctError
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Error numbers of a full disk."""
+PHRASES = {
+    "Value error, ": "",
+    "Input should be a valid integer, unable to parse string as an integer": "must be an integer",
+    "Input should be a valid number, unable to parse string as a number": "must be a number",
+}
+"""Phrases of pydantic, and ours."""
 LONGEST = 900
 """Characters of an error message, at most; of longer ones the middle is omitted."""
 app = typer.Typer(
@@ -106,7 +112,7 @@ def main() -> None:
     except TyperException as error:
         if not error.format_message():  # a bare `lirs-wct`: its help was shown
             sys.exit(BAD_INPUT)
-        _fail(error.format_message())
+        _fail(_plain(error.format_message()))
     except (typer.Abort, KeyboardInterrupt):
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
     except OSError as error:
@@ -121,6 +127,13 @@ def main() -> None:
             raise
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _plain(message: str) -> str:
+    """Return a message of typer without pydantic's phrases."""
+    for theirs, ours in PHRASES.items():
+        message = message.replace(theirs, ours)
+    return message
 
 
 def _fail(message: str, code: int = BAD_INPUT) -> None:

@@ -79,6 +79,8 @@ def mapper_named(name: str, seed: int, parameters: str = "") -> Mapper | CloudMa
         if name not in MAPPERS:
             raise unknown_name("mapper", name, [*MAPPERS, *ALL_CLOUD_MAPPERS, "module:name of your own"])
         return make_mapper(name, seed=seed, **given)
+    if name.startswith("evalio:"):
+        raise unknown_name("mapper", name, [each for each in ALL_CLOUD_MAPPERS if each.startswith("evalio:")])
     maker = own_class(name, "mapper", "update")
     for key in set(given) - set(keywords_taken(maker, given)):
         raise ConfigError(f"mapper {name!r} takes no parameter {key!r}")

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from lirs_validation.config import RunConfig
+from lirs_validation.config import DRIVABLE, RunConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, declared, documented, one_of, option, positive, within
+from lirs_wct.option import Options, declared, documented, one_of, option, within
 
 SEARCHES = ("cma", "random")
 UPPER_BOUND = "astar"
@@ -45,7 +45,7 @@ class FalsifyOptions(Options):
     robot: str = option("husky", "Robot.", metavar="NAME", names=_RUN["robot"].names)
     drives: int = option(150, "Drives of the search, confirmations included.", check=within("[1, 100000]"))
     cases: int = option(3, "Cases after which the search ends.", check=within("[1, 20]"))
-    seconds: float = option(60.0, "Simulated seconds of a drive.", check=positive)
+    seconds: float = option(60.0, "Simulated seconds of a drive.", check=DRIVABLE)
     factor: float = option(
         3.0,
         "A mapper fails if its path error exceeds the limit of `loses its way` by this factor.",

@@ -18,7 +18,7 @@ from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
-from lirs_validation.driving.choice import make_driver, start_pose
+from lirs_validation.driving.choice import check_driver, make_driver, start_pose
 from lirs_validation.driving.standing import StandingDriver
 from lirs_validation.experiment.cost import compile_timer
 from lirs_validation.experiment.mapper_loading import warm_up_mapper
@@ -215,6 +215,8 @@ def _check(config: RunConfig, options: LiveOptions) -> None:
         raise unknown_name("mapper", config.mapper, MAPPERS)
     if config.driver == FRONTIER and maps:
         raise ConfigError(f"driver {FRONTIER} plans on the map of one of our mappers: give --mapper")
+    if config.driver != CLIENT:
+        check_driver(config)
     if config.threads > 1:
         raise ConfigError(f"a live drive has one thread, got --threads {config.threads}")
 

@@ -15,7 +15,7 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.catalog import make_robot
 from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
-from lirs_validation.experiment.mapper_loading import package_versions, source_file
+from lirs_validation.experiment.mapper_loading import interpreter_of, package_versions, source_file
 from lirs_validation.experiment.mapper_process import start_mapper
 from lirs_validation.experiment.mapper_under_test import check_sensors
 from lirs_validation.experiment.run import run
@@ -151,6 +151,7 @@ def _check_names(
     robot: str, lidar: str | None, mapper: str, parameters: str, mapper_python: str | None, frontier: bool
 ) -> None:
     make_lidar_preset(lidar or make_robot(robot).lidar)
+    interpreter_of(mapper, mapper_python)
     driver = "frontier" if frontier else TOUR
     asked = RunConfig(
         source="",

@@ -52,7 +52,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("simple", "--cell-timeout", "-1"), "cell timeout must be a finite number above 0, got -1"),
         (("simple", "--cell-memory", "nan"), "cell memory must be a finite number above 0, got nan"),
         (("--suite", "paper", "--wall-limit", "0"), "wall limit must be a finite number above 0, got 0"),
-        (("--suite", "paper", "--seconds", "0"), "seconds must be a finite number above 0, got 0"),
+        (("--suite", "paper", "--seconds", "0"), "seconds must be within (0, 1e6] simulated seconds, got 0"),
         (
             ("simple", "--driver", "tour,walk"),
             "--driver: unknown driver 'tour,walk'; legal: tour, frontier, ",
@@ -61,6 +61,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("simple", "--driver", "tour,replay:none"), "none/record.json: not a run's record"),
         (("--suite", "paper", "--driver", "frontier"), "leave out --driver"),
         ((), "nothing to validate"),
+        (("simple", "--seconds", "1e30"), "seconds must be within (0, 1e6] simulated seconds, got 1e+30"),
+        (("simple", "--driver", "pretrained:1"), "driver must be pretrained:X,Y in meters, got '1'"),
+        (
+            ("simple", "--driver", "pretrained", "--reversing", ".5"),
+            "pretrained: reversing must be 0, got 0.5",
+        ),
+        (("simple", "--mapper", "evalio:foo"), "unknown mapper 'evalio:foo'; legal: evalio:ct, "),
+        (("simple", "--mapper-python", "/none"), "/none: no such program; --mapper-python takes a Python"),
         (("--suite", "papr"), "unknown suite 'papr'; legal: paper"),
         (("simple", "--suite", "paper", "--robot", "husky"), "leave out --robot, sources"),
         (("--suite", "paper", "--size", "3"), "leave out options of build"),

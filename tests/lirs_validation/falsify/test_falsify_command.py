@@ -90,6 +90,8 @@ def test_the_same_command_writes_the_same_and_another_mapper_takes_the_suite(fol
         (("--mapper", "gmapping", "--policy", "straight"), "and --policy straight: give one"),
         (("--policy", "astar"), "--reference must be another method than astar"),
         (("--drives", "0"), "drives must be within [1, 100000], got 0"),
+        (("--drives", "nan"), "Invalid value for '--drives': must be an integer\n"),
+        (("--seconds", "1e30"), "seconds must be within (0, 1e6] simulated seconds, got 1e+30"),
         (("--search", "grid"), "'grid' is not one of 'cma', 'random'"),
     ],
 )

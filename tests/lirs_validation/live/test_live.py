@@ -216,6 +216,7 @@ def test_ctrl_c_ends_a_drive_and_evaluates_it(monkeypatch, tmp_path):
         ({"mapper": "kiss-icp"}, {}, "live publishes the map of hector"),
         ({"driver": "frontier"}, {}, "give --mapper"),
         ({"threads": 2}, {}, "one thread"),
+        ({"driver": "pretrained", "reversing": 0.5}, {}, "reversing must be 0"),
     ],
 )
 def test_drives_that_cannot_be_are_refused(monkeypatch, run, options, message):
