@@ -180,12 +180,12 @@ def cause_of(kind: VerdictClass, entry: Entry) -> str:
 
 def _few_walls(entry: Entry) -> str:
     """Return a clause on scans without walls; empty if they see some."""
-    walls, beams = value_at(entry, "scans.walls_median"), value_at(entry, "scans.beams")
+    walls = value_at(entry, "scans.walls_median")
     if walls is None or walls > 0:
         return ""
     returns = value_at(entry, "scans.returns_median")
     seen, reach = "no walls" if returns else "nothing", value_at(entry, "scans.range_max")
-    return f"its lidar sees {seen} within {reach:g} m ({walls:.0f} of {beams} beams)"
+    return f"at least half of its scans see {seen} within {reach:g} m"
 
 
 def _path_sentence(figures: VerdictFigures) -> str:

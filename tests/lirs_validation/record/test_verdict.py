@@ -32,7 +32,7 @@ def test_the_sentence_names_cause_errors_map_and_evaluated_part() -> None:
     assert verdict.kind == "adds nothing"
     assert verdict.sentence == (
         "gmapping on jackal adds nothing to the odometry on quarry: "
-        "its lidar sees nothing within 20 m (0 of 541 beams). "
+        "at least half of its scans see nothing within 20 m. "
         "Its path error is 0.205 m after 31 m, the odometry's 0.205 m. Its map is empty. "
         "Evaluated on a window of 50 m of 16 km. "
         "The source's samples are 62 m apart: they do not resolve a robot of 0.64 m."
