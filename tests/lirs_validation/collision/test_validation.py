@@ -327,7 +327,7 @@ def test_the_command(tmp_path: Path) -> None:
         (("simple", "--robot", ","), "--robot must be a list such as a,b,c"),
         (("simple", "--seeds", "5-1"), "--seeds must be a list such as 1-5"),
         (("simple", "--terrain", "mud"), "--terrain must be hfield, mesh, prisms or convex"),
-        (("simple", "--seconds", "0"), "seconds must be a finite number above 0"),
+        (("simple", "--seconds", "0"), "seconds must be within (0, 1e6] simulated seconds, got 0.0"),
         (("nope.png",), "no such file"),
     ):
         assert says in run(*words)[1]
