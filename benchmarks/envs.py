@@ -19,6 +19,7 @@ import copy
 import json
 import os
 import subprocess
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -134,6 +135,13 @@ class Recording:
             self.batch.ctrl[:] = self.controls[k * len(self.substeps) + u]
             self.batch.step(nstep=steps)
 
+    def physics_beside(self, k: int, other: Recording) -> None:
+        """Replay the controls of a step in two threads, of the other recording in the second."""
+        beside = threading.Thread(target=other.physics, args=(k,))
+        beside.start()
+        self.physics(k)
+        beside.join()
+
     def cast(self, k: int) -> None:
         """Cast the rays of a step."""
         for caster, (origin, directions) in zip(self.simulation.casters, self.rays[k], strict=True):
@@ -164,7 +172,7 @@ def main() -> None:
 
 def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
     """Return all figures."""
-    recording = Recording(steps, told)
+    recording, other = Recording(steps, told), Recording(steps, told)
     one, two, several = vector(1), vector(2), vector(len(os.sched_getaffinity(0)))
     sync = SyncVectorEnv([lambda: gym.make("LIRS/Mapping-v2", **TASK) for _ in range(N)])
     sync.reset(seed=0)
@@ -178,6 +186,8 @@ def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
             "sync": (lambda k: sync.step(told[k]), cpu),
             "wall_1": (lambda k: one.step(told[k]), wall),
             "wall_2": (lambda k: two.step(told[k]), wall),
+            "wall_physics_1": (recording.physics, wall),
+            "wall_physics_2": (lambda k: recording.physics_beside(k, other), wall),
         },
         rounds,
         steps,
@@ -219,6 +229,7 @@ def ratios(times: dict[str, float]) -> dict[str, float]:
     return {
         "cpu_over_physics_and_rays": times["vector"] / (times["physics"] + times["rays"]),
         "thread_speedup": times["wall_1"] / times["wall_2"],
+        "physics_thread_speedup": 2 * times["wall_physics_1"] / times["wall_physics_2"],  # two copies
         "marking_over_rays": times["marking"] / times["rays"],
         "sync_over_vector": times["sync"] / times["vector"],
         "async_over_vector": times["wall_async"] / times["wall_all"],
