@@ -16,9 +16,9 @@ from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.scan import LaserScan
-from slam_baselines.gmapping.original.drand48 import Drand48
 from slam_baselines.gmapping.original.hit_maps import NULL_LIKELIHOOD, HitMaps, match_scan
 from slam_baselines.gmapping.original.mapper import (
+    Drand48,
     GmappingOriginalConfig,
     GmappingOriginalMapper,
     ProcessedScan,
