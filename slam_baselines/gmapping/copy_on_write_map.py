@@ -12,16 +12,242 @@ from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import (
     ABSENT,
     BITS,
+    CELLS,
     MASK,
+    MEAN_MEMORY,
+    MEAN_STEPS,
     PATCH,
     Patches,
     PatchTables,
+    Window,
+    new_record,
+    own_patch,
     reserve_patches,
     resize,
+    space_needed,
 )
-from slam_baselines.gmapping.scan_entry import Scratch, enter_scans
-from slam_baselines.mapping.occupancy_map import STEP, UNKNOWN, UpdateConfig
+from slam_baselines.mapping.occupancy_map import ABOVE, STEP, TOP_STEP, UNKNOWN, UpdateConfig
 from slam_baselines.scan.leveling import ScanPoints
+
+NEW, PASSED, WALL, DONE = 0, 1, 2, 4
+"""Marks of a cell: not met yet; met by a beam; a wall not met yet; hit, or a wall with a beam above it.
+
+Bits: a beam adds PASSED whatever the mark, and a cell that bears no other is lowered.
+"""
+
+
+class Scratch(NamedTuple):
+    """Marks of a scan on the cells of a window; all zeros before and after.
+
+    Attributes:
+        marks: (places, 256) uint8, NEW, PASSED, WALL or DONE.
+        marked: (places,) uint8, whether a place has other marks than NEW.
+        line: (n,) int32, scratch for the cells that one beam meets, numbered as in `marks`.
+    """
+
+    marks: ByteArray
+    marked: ByteArray
+    line: Int32Array
+
+    @staticmethod
+    def of(places: int, side: int) -> Scratch:
+        """Return a scratch for windows of a number of places, `side` along the longer side."""
+        line = np.empty((side + 1) * PATCH, np.int32)
+        return Scratch(np.zeros((places, CELLS), np.uint8), np.zeros(places, np.uint8), line)
+
+    def enough(self, window: Window) -> Scratch:
+        """Return a scratch for a window: this one if it is large enough."""
+        places, side = window.rows * window.cols, max(window.rows, window.cols)
+        if len(self.marked) >= places and len(self.line) >= (side + 1) * PATCH:
+            return self
+        return Scratch.of(places, side)
+
+
+class ParticleWindow(NamedTuple):
+    """The window in one particle's map.
+
+    Attributes:
+        table: (rows, cols) its part of the table.
+        patches: all patches.
+        corner: row and column of its first patch in the lattice of patches.
+        base: x and y of the base in cells, cosine and sine of its yaw in cells a meter.
+    """
+
+    table: Any
+    patches: Any
+    corner: Any
+    base: Any
+
+
+@njit(cache=True, nogil=True)
+def enter_scans(
+    maps: Any, window: Any, poses: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any,
+    scratch: Any, first: int,
+) -> Any:  # fmt: skip
+    """Enter a scan into the maps from `first` on, until patches run out.
+
+    Args:
+        maps: MapStack.
+        window: that holds the scan from every pose.
+        poses: (particles, 3) x, y, yaw of `T_map_base`.
+        scan: x and y in the leveled base frame, heights in the map frame.
+        min_slopes: (n,) of each hit.
+        wall_slope: minimum slope from which on a cell is a wall.
+        steps: miss, hit and limit of the log-odds.
+        scratch: of the window.
+        first: map.
+
+    Returns:
+        How many maps are done, and the patches and records that the next one may take.
+    """
+    origin, hits, free = scan
+    res, patches = maps.resolution, maps.patches
+    row0, col0, rows, cols = window
+    for k in range(first, len(poses)):
+        table = maps.tables[k, row0 : row0 + rows, col0 : col0 + cols]
+        needed, records = space_needed(table, patches, len(hits))
+        if patches.free[0] < needed or patches.free_records[0] < records:
+            return k, needed, records
+        c, s = np.cos(poses[k, 2]) / res, np.sin(poses[k, 2]) / res
+        base = poses[k, 0] / res, poses[k, 1] / res, c, s
+        site = ParticleWindow(table, patches, (maps.corner[0] + row0, maps.corner[1] + col0), base)
+        _raise_hits(site, scratch, hits, min_slopes, steps)
+        if wall_slope > 0:
+            _mark_walls(site, scratch, wall_slope)
+        _mark_passed(site, scratch, origin, hits, np.int64(2))
+        _mark_passed(site, scratch, origin, free, np.int64(0))
+        _lower(site, scratch, steps)
+    return len(poses), 0, 0
+
+
+# Each kernel takes a map's beams all at once: to hand tuples of arrays on costs more than a beam.
+@njit(cache=True, nogil=True)
+def _raise_hits(site: Any, scratch: Any, hits: Any, min_slopes: Any, steps: Any) -> None:
+    """Raise the cells where beams end, each once a scan, and move their means."""
+    table, patches, (top, left), (x, y, c, s) = site
+    marks, marked, _ = scratch
+    counts, mean, slopes, tops = patches.hits, patches.mean, patches.min_slope, patches.top
+    for i in range(len(hits)):
+        u, v = x + c * hits[i, 0] - s * hits[i, 1], y + s * hits[i, 0] + c * hits[i, 1]
+        row, col = int(np.floor(v)), int(np.floor(u))
+        r, q = (row >> BITS) - top, (col >> BITS) - left
+        place, cell = r * table.shape[1] + q, ((row & MASK) << BITS) | (col & MASK)
+        p = table[r, q]
+        if p == ABSENT or patches.owners[p] != 1:
+            p = own_patch(table, patches, r, q)
+        q = patches.record[p]
+        if q == ABSENT:
+            q = new_record(patches, p)
+        n = min(counts[q, cell] + 1, MEAN_MEMORY)
+        height = np.int16(hits[i, 2] / TOP_STEP)
+        tops[q, cell] = height if counts[q, cell] == 0 else max(tops[q, cell], height)
+        slopes[q, cell] = max(slopes[q, cell], min_slopes[i])
+        counts[q, cell] = n
+        for axis, part in ((0, u - col), (1, v - row)):
+            before = mean[q, cell, axis]
+            mean[q, cell, axis] = np.uint16(before + (min(part * MEAN_STEPS, MEAN_STEPS - 1.0) - before) / n)
+        if marks[place, cell] == NEW:
+            marks[place, cell], marked[place] = DONE, 1
+            log_odds = patches.log_odds[p, cell]
+            patches.log_odds[p, cell] = min(steps[2], (0 if log_odds == UNKNOWN else log_odds) + steps[1])
+
+
+@njit(cache=True, nogil=True)
+def _mark_walls(site: Any, scratch: Any, wall_slope: int) -> None:
+    """Mark the walls of a map that the scan has not hit."""
+    table, patches, _, _ = site
+    rows, cols = table.shape
+    least = np.int16(wall_slope)
+    for r in range(rows):
+        for c in range(cols):
+            p = table[r, c]
+            if p == ABSENT or patches.record[p] == ABSENT:
+                continue
+            log_odds, min_slope = patches.log_odds[p], patches.min_slope[patches.record[p]]
+            mark = scratch.marks[r * cols + c]
+            scratch.marked[r * cols + c] = 1
+            for cell in range(CELLS):
+                wall = (log_odds[cell] > 0) & (np.int16(min_slope[cell]) >= least)
+                mark[cell] = WALL if wall & (mark[cell] == NEW) else mark[cell]
+
+
+@njit(cache=True, nogil=True)
+def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, spared: int) -> None:
+    """Mark the cells along the beams as passed, except the last steps.
+
+    Two spared steps spare the cell in which a beam ends, since they are as long as it at least.
+    """
+    table, patches, (top, left), (x, y, c, s) = site
+    marked, line, cols = scratch.marked, scratch.line, table.shape[1]
+    marks = scratch.marks.ravel()
+    x0, y0, z0 = x + c * origin[0] - s * origin[1], y + s * origin[0] + c * origin[1], origin[2]
+    for i in range(len(ends)):
+        u, v = x + c * ends[i, 0] - s * ends[i, 1], y + s * ends[i, 0] + c * ends[i, 1]
+        n = int(max(abs(u - x0), abs(v - y0))) + 1
+        count = n + 1 - spared
+        _number_cells(line, count, (x0, y0, (u - x0) / n, (v - y0) / n), top << BITS, left << BITS, cols)
+        met = np.uint8(NEW)
+        for k in range(count):
+            at = np.uintp(line[k])
+            mark = marks[at]
+            met |= mark
+            marks[at] = mark | np.uint8(PASSED)
+            marked[at >> np.uintp(2 * BITS)] = 1
+        if met & WALL:
+            rise = z0, (ends[i, 2] - z0) / n
+            _pass_walls(table, patches.record, patches.top, marks, line[:count], rise)
+
+
+@njit(cache=True, nogil=True)
+def _pass_walls(table: Any, record: Any, top: Any, marks: Any, line: Any, rise: Any) -> None:
+    """Mark the walls that a beam meets first: passed, or done if it passes above."""
+    z, dz = rise
+    for k in range(len(line)):
+        if marks[line[k]] & WALL:
+            place, cell = line[k] // CELLS, line[k] % CELLS
+            highest = top[record[table[place // table.shape[1], place % table.shape[1]]], cell]
+            marks[line[k]] = DONE if (z + k * dz) / TOP_STEP > highest + ABOVE else PASSED
+
+
+@njit(cache=True, nogil=True)
+def _number_cells(line: Any, count: int, ray: Any, row0: int, col0: int, cols: int) -> None:
+    """Fill the first numbers of `line` with the cells of a beam, without branches for SIMD."""
+    x, y, du, dv = ray
+    south, west, across = np.int32(row0), np.int32(col0), np.int32(cols)
+    for i in range(count):
+        row = np.int32(np.int32(np.floor(y + i * dv)) - south)
+        col = np.int32(np.int32(np.floor(x + i * du)) - west)
+        place = np.int32(np.int32(np.int32(row >> BITS) * across) + np.int32(col >> BITS))
+        inside = np.int32(np.int32((row & MASK) << BITS) | np.int32(col & MASK))
+        line[i] = np.int32(np.int32(place << 2 * BITS) | inside)
+
+
+@njit(cache=True, nogil=True)
+def _lower(site: Any, scratch: Any, steps: Any) -> None:
+    """Lower the passed cells, and clear the marks."""
+    table, patches, _, _ = site
+    cols = table.shape[1]
+    miss, least = np.int16(steps[0]), np.int16(-steps[2])
+    for place in range(table.size):
+        if scratch.marked[place] == 0:
+            continue
+        scratch.marked[place] = 0
+        mark = scratch.marks[place]
+        passed = False
+        for cell in range(CELLS):
+            passed |= mark[cell] == PASSED
+        if passed:
+            r, c = place // cols, place % cols
+            p = table[r, c]
+            if p == ABSENT or patches.owners[p] != 1:
+                p = own_patch(table, patches, r, c)
+            log_odds = patches.log_odds[p]
+            for cell in range(CELLS):
+                before = np.int16(log_odds[cell])
+                after = np.int16((np.int16(0) if before == UNKNOWN else before) + miss)
+                after = max(after, least)
+                log_odds[cell] = np.int8(after if mark[cell] == PASSED else before)
+        mark[:] = NEW
 
 
 class PatchMaps(PatchTables[Patches]):
