@@ -14,9 +14,9 @@ from slam_baselines.cartographer.config import (
     SubmapConfig,
     TrimmingConfig,
 )
+from slam_baselines.cartographer.global_slam import Trimmer
 from slam_baselines.cartographer.mapper import CartographerMapper
 from slam_baselines.cartographer.submap import Submap, Submaps
-from slam_baselines.cartographer.trimmer import Trimmer
 from slam_baselines.mapper import make_mapper
 from slam_baselines.mapping.occupancy_map import bounding_box, union_of
 from slam_baselines.scan.leveling import ScanPoints
