@@ -17,7 +17,7 @@ from slam_baselines.cartographer.original.config import (
 )
 from slam_baselines.cartographer.original.local_slam import PoseExtrapolator
 from slam_baselines.cartographer.original.loop_search import LoopSearcher, bound_grids
-from slam_baselines.cartographer.original.optimization import PoseGraphProblem, adjust, pose_tie
+from slam_baselines.cartographer.original.pose_graph import PoseGraphProblem, adjust, pose_tie
 from slam_baselines.cartographer.original.probability_grid import COST, ProbabilityGrid, update_table
 from slam_baselines.cartographer.original.range_data import (
     RangeData,
