@@ -11,8 +11,14 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import Imu, ImuReadings, PointCloud, Pose2, Pose3
 from slam_baselines.mapper import make_cloud_mapper
-from slam_baselines.wheel_lio.mapper import WheelLioConfig, WheelLioMapper
-from slam_baselines.wheel_lio.motion import GRAVITY, Motion, gained_velocity, level
+from slam_baselines.wheel_lio.mapper import (
+    GRAVITY,
+    Motion,
+    WheelLioConfig,
+    WheelLioMapper,
+    gained_velocity,
+    level,
+)
 from slam_baselines.wheel_lio.registration import (
     NOTHING,
     MatchRule,
