@@ -23,7 +23,7 @@ from lirs_validation.analysis.as_published import SUFFIX, conclusion, outcome_of
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.report.run_tables import method_tables
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_validation.sweep.suites import cross
 from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.option import read_names, read_numbers

@@ -27,7 +27,7 @@ from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.record.run_record import maps_clouds
 from lirs_validation.report.table import ReportTable
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_validation.sweep.suites import cross
 from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.option import read_names, read_numbers

@@ -31,8 +31,7 @@ from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.report.run_tables import sweep_tables
 from lirs_validation.sweep.engines import Executor, Processes, Serial
-from lirs_validation.sweep.experiment import Outcome
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress, no_progress

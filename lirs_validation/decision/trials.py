@@ -16,8 +16,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.metrics.verdict import VerdictClass
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import cause_of, extent_sentences, judge
-from lirs_validation.sweep.experiment import Outcome
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import OutputError
 

@@ -20,7 +20,7 @@ from lirs_validation.falsify import FalsifyOptions
 from lirs_validation.falsify.cases import SearchLimits, arena_options, write_case
 from lirs_validation.metrics.verdict import LIMITS, VerdictFigures, classify
 from lirs_validation.search import Case, TrialArchive, trial_key
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, MapperError, SimulationError
 
 GOAL = (11.0, 0.0)

@@ -38,7 +38,7 @@ from lirs_validation.record.run_record import RunRecord, read_record, succeeded
 from lirs_validation.record.verdict import class_counts, judge
 from lirs_validation.report.collision_tables import verdicts_table
 from lirs_validation.report.table import Content, MetricSpread, ReportTable
-from lirs_validation.sweep.slam_experiment import CollisionExperiment, read_verdict
+from lirs_validation.sweep.experiment import CollisionExperiment, read_verdict
 from lirs_validation.sweep.sweep import Sweep
 
 EXTRAPOLATED = "†"

@@ -1,20 +1,39 @@
-"""Experiments, their outcomes, and the manifest of a sweep."""
+"""Experiments of a sweep, their outcomes and manifest; a `SlamExperiment` is one validation run."""
 
 from __future__ import annotations
 
+import json
 import traceback
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from types import NoneType
+from typing import TYPE_CHECKING, Any, Protocol, get_args
 
-from lirs_validation.config import RunConfig
+from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.robots.catalog import make_robot
+from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
+from lirs_validation.driving.choice import check_driver, driver_files
+from lirs_validation.experiment.mapper_loading import interpreter_of, package_versions, source_file
+from lirs_validation.experiment.mapper_process import start_mapper
+from lirs_validation.experiment.mapper_under_test import check_sensors
+from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.interrupts import is_interrupt
-from lirs_validation.record.provenance import machine, versions
-from lirs_validation.record.run_record import SUCCEEDED, Status, plain
-from lirs_wct.errors import MapperError, OutputError, WctError
-from lirs_wct.files import write_json
+from lirs_validation.record.provenance import is_stale, machine, same_source, versions, world_files
+from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status, damaged_files, file_sizes, plain
+from lirs_validation.record.schema import read_whole_record
+from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
+from lirs_wct.files import atomic_folder, write_json
 from lirs_wct.progress import Progress
+from lirs_wct.sources.options import SourceKind
+from lirs_wct.sources.source import find_source
+
+if TYPE_CHECKING:
+    from lirs_validation.collision.validation import CollisionVerdict
 
 MANIFEST = "sweep.json"
 MANIFEST_SCHEMA = 1
@@ -155,3 +174,263 @@ class Manifest:
             OutputError: the folder cannot be written.
         """
         write_json(folder / MANIFEST, {"schema": MANIFEST_SCHEMA} | vars(self), plain)
+
+
+TEXTS = ("world", "robot", "terrain", "diverged")
+"""Fields of a verdict that are text."""
+STATUS = "cell.json"
+"""File with the experiment's outcome and the versions of the code that wrote it."""
+
+
+@dataclass(frozen=True)
+class SlamExperiment:
+    """One validation run of a sweep.
+
+    Attributes:
+        config: configuration of the run.
+        tables: tables of the suite that its metrics belong to; empty outside suites.
+        folder: name of its folder; None = the run's unique name.
+    """
+
+    config: RunConfig
+    tables: tuple[str, ...] = ()
+    folder: str | None = None
+
+    @cached_property
+    def world(self) -> str:
+        """The world's name, known before the world is built."""
+        return world_name(self.config)
+
+    @cached_property
+    def name(self) -> str:
+        """Name of its folder."""
+        return self.folder or run_name(self.config, self.world)
+
+    @property
+    def _packages(self) -> dict[str, str]:
+        return package_versions(self.config.mapper, self.config.mapper_python)
+
+    @property
+    def world_config(self) -> RunConfig:
+        """The config itself."""
+        return self.config
+
+    def check(self) -> None:
+        """Check source, robot, lidar, mapper, and the file of the driver."""
+        c = self.config
+        frontier = driver_parts(c.driver)[0] == "frontier"
+        _check_names(c.robot, c.lidar, c.mapper, c.parameters, c.mapper_python, frontier)
+        check_driver(self.config)
+        world_name(self.config)
+
+    def perform(
+        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
+    ) -> Outcome:
+        """Run the config and write its folder."""
+        record = run(
+            self.config,
+            out=out,
+            progress=progress,
+            scenarios=scenarios,
+            concurrent=concurrent,
+            name=self.folder,
+        ).record
+        return Outcome(experiment=self.name, status=record.status, reason=record.reason, written=True)
+
+    def write_failure(self, out: Path, outcome: Outcome) -> None:
+        """Write a record without metrics, and the traceback."""
+        record = RunRecord(
+            config=self.config,
+            world={"name": self.world},
+            status=outcome.status,
+            reason=outcome.reason,
+            versions=versions() | self._packages,
+        )
+        with atomic_folder(out / self.name) as folder:
+            (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
+            replace(record, file_sizes=file_sizes(folder)).save(folder)
+
+    def find_outcome(self, out: Path) -> Outcome | None:
+        """Return the recorded outcome if the folder is complete and newer than all inputs."""
+        folder = out / self.name
+        try:
+            record = read_whole_record(folder)
+        except SourceError:
+            return None
+        status, reason, limit = record["status"], record["reason"], record["config"]["wall_limit"]
+        if damaged_files(folder, record) or not same_source(self.config, record["world"].get("files", ())):
+            return None
+        inputs = [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
+        if is_stale(folder / "record.json", record.get("versions"), inputs):
+            return None
+        if record["name"] != run_name(self.config, self.world) or not _has_bag(record, self.config):
+            return None
+        if (
+            not package_versions(self.config.mapper, self.config.mapper_python).items()
+            <= record["versions"].items()
+        ):
+            return None
+        if status == "wall limit" and limit != self.config.wall_limit:
+            return None
+        return Outcome(experiment=self.name, status=status, reason=reason, written=True)
+
+    def describe(self) -> dict[str, Any]:
+        """Return name, world and config, and the parts of the suite."""
+        config = asdict(self.config)
+        return {"name": self.name, "world": self.world, "tables": list(self.tables)} | config
+
+
+def _has_bag(record: Mapping[str, Any], config: RunConfig) -> bool:
+    """Whether a run has the bag of its config; a failed run needs none."""
+    if config.bag is None or record["status"] in ("error", "timeout"):
+        return True
+    held = record["config"]
+    return bool((held.get("bag"), held.get("sensors_only")) == (config.bag, config.sensors_only))
+
+
+@cache
+def _check_names(
+    robot: str, lidar: str | None, mapper: str, parameters: str, mapper_python: str | None, frontier: bool
+) -> None:
+    make_lidar_preset(lidar or make_robot(robot).lidar)
+    interpreter_of(mapper, mapper_python)
+    driver = "frontier" if frontier else TOUR
+    asked = RunConfig(
+        source="",
+        robot=robot,
+        lidar=lidar,
+        mapper=mapper,
+        parameters=parameters,
+        mapper_python=mapper_python,
+        driver=driver,
+    )
+    with closing(start_mapper(asked)) as made:
+        check_sensors(made, asked)
+
+
+def world_name(config: RunConfig) -> str:
+    """Return the name that a config's world will have.
+
+    Raises:
+        SourceError: there is no such source.
+    """
+    source = find_source(config.source, config.build)
+    if source.kind is not SourceKind.FOLDER or config.build.name is not None:
+        return source.name
+    path = source.path / "world.json"
+    try:
+        return str(json.loads(path.read_text(encoding="utf-8"))["name"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SourceError(f"{path}: damaged: {reason_of(error)}") from error
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollisionExperiment:
+    """The collision validation of a robot in a world.
+
+    Attributes:
+        source: the world.
+        robot: name.
+        terrain: contact geometry.
+        seconds: simulated time of the random drive.
+        seed: of the random drive.
+    """
+
+    source: str
+    robot: str
+    terrain: ContactGeometry = "hfield"
+    seconds: float = 60.0
+    seed: int = 1
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return run_name(self.world_config, world_name(self.world_config))
+
+    @property
+    def world_config(self) -> RunConfig:
+        """Config that gives the world and the name; its mapper is called `collisions`."""
+        return RunConfig(
+            source=self.source,
+            robot=self.robot,
+            mapper="collisions",
+            terrain=self.terrain,
+            seconds=self.seconds,
+            seed=self.seed,
+        )
+
+    def check(self) -> None:
+        """Check that source and robot exist."""
+        make_robot(self.robot)
+        world_name(self.world_config)
+
+    def perform(
+        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
+    ) -> Outcome:
+        """Check the contacts. A metric over its limit is no failure of the experiment."""
+        from lirs_validation.collision.validation import check_collisions, write_verdicts
+
+        progress("build", 0.0)
+        world = scenarios.scenario(self.world_config).world
+        progress("collide", 0.0)
+        verdict = check_collisions(
+            world, make_robot(self.robot), terrain=self.terrain, seconds=self.seconds, seed=self.seed
+        )
+        outcome = Outcome(experiment=self.name, status="ok", written=True)
+        with atomic_folder(out / self.name) as folder:
+            write_verdicts(folder, [verdict])
+            self._write_status(folder, outcome)
+        return outcome
+
+    def write_failure(self, out: Path, outcome: Outcome) -> None:
+        """Write the outcome and the traceback of a failed experiment."""
+        with atomic_folder(out / self.name) as folder:
+            self._write_status(folder, outcome)
+            (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
+
+    def find_outcome(self, out: Path) -> Outcome | None:
+        """Return the recorded outcome, if this code wrote it after the source's last change."""
+        path = out / self.name / STATUS
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            status, reason, written_by = found["status"], found["reason"], found["versions"]
+            if is_stale(path, written_by, world_files(self.world_config)):
+                return None
+            if status == "ok":
+                read_verdict(out / self.name)
+        except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
+            return None
+        if status not in get_args(Status) or not isinstance(reason, str):
+            return None
+        return Outcome(experiment=self.name, status=status, reason=reason, written=True)
+
+    def describe(self) -> dict[str, Any]:
+        """Return name and config."""
+        return {"name": self.name, "world": world_name(self.world_config), "tables": ["collisions"]} | asdict(
+            self
+        )
+
+    def _write_status(self, folder: Path, outcome: Outcome) -> None:
+        entry = {"status": outcome.status, "reason": outcome.reason, "versions": versions()}
+        text = json.dumps({"config": asdict(self)} | entry, indent=1)
+        (folder / STATUS).write_text(text + "\n", encoding="utf-8")
+
+
+def read_verdict(folder: Path) -> CollisionVerdict:
+    """Read the verdict that an experiment wrote.
+
+    Raises:
+        SourceError: it is missing or damaged.
+    """
+    from lirs_validation.collision.validation import CollisionVerdict
+
+    path = folder / "collisions.json"
+    try:
+        entry = json.loads(path.read_text(encoding="utf-8"))["collisions"][0]
+        verdict = CollisionVerdict(**{f.name: entry[f.name] for f in fields(CollisionVerdict)})
+    except (OSError, ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
+        raise SourceError(f"{path}: not a collision check, or damaged: {reason_of(error)}") from error
+    for name, value in vars(verdict).items():
+        if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in TEXTS):
+            raise SourceError(f"{path}: damaged: {name} is {value!r}")
+    return verdict

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import NOISE_FILES, RUN_AXES, RunConfig
-from lirs_validation.sweep.experiment import Experiment
-from lirs_validation.sweep.slam_experiment import CollisionExperiment, SlamExperiment
+from lirs_validation.sweep.experiment import CollisionExperiment, Experiment, SlamExperiment
 from lirs_wct import BuildOptions, unknown_name
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.formats.yaml_text import load_yaml

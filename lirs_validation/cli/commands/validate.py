@@ -18,8 +18,7 @@ from lirs_wct.errors import ConfigError
 
 if TYPE_CHECKING:
     from lirs_validation.record.verdict import Verdict
-    from lirs_validation.sweep.experiment import Experiment
-    from lirs_validation.sweep.slam_experiment import SlamExperiment
+    from lirs_validation.sweep.experiment import Experiment, SlamExperiment
     from lirs_validation.sweep.sweep import Sweep
 
 FEW = 10
@@ -89,7 +88,7 @@ def record(
 
     The folder is also that of the run: score, export and report take it. Several runs get folders in it.
     """
-    from lirs_validation.sweep.slam_experiment import SlamExperiment
+    from lirs_validation.sweep.experiment import SlamExperiment
 
     experiments = read_experiments(sources, suite, {"bag": "mcap", "stand": STAND, **run}, options)
     if len(experiments) > 1 or not isinstance(experiments[0], SlamExperiment):
@@ -115,7 +114,7 @@ def read_experiments(
     Raises:
         ConfigError: neither or both of sources and suite are given, or an option is not legal.
     """
-    from lirs_validation.sweep.slam_experiment import SlamExperiment
+    from lirs_validation.sweep.experiment import SlamExperiment
     from lirs_validation.sweep.suites import SUITE_FILES, case_options, cross, make_suite, suite_folders
 
     if suite is not None and suite.endswith(SUITE_FILES) and not sources:

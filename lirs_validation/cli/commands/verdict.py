@@ -193,7 +193,7 @@ def _tune_target(
         ConfigError: the options give several runs, or an option does not suit the source.
         WctError: the source or a name cannot be used.
     """
-    from lirs_validation.sweep.slam_experiment import SlamExperiment
+    from lirs_validation.sweep.experiment import SlamExperiment
     from lirs_validation.sweep.suites import cross
     from lirs_wct.sources.options import SourceKind
     from lirs_wct.sources.source import find_source

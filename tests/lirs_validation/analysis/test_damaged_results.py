@@ -16,7 +16,7 @@ from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.page import report_of
 from lirs_validation.report.run_tables import results_table
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import SourceError
 from tests.lirs_validation.records import record, saved, saved_whole
 
@@ -139,7 +139,7 @@ def test_nonsense_in_a_manifest_does_not_matter(
 )
 def test_a_collision_check_that_is_nonsense_is_run_again(text: str, tmp_path: Path) -> None:
     from lirs_validation.record.provenance import versions
-    from lirs_validation.sweep.slam_experiment import CollisionExperiment
+    from lirs_validation.sweep.experiment import CollisionExperiment
 
     check = CollisionExperiment(source="simple", robot="husky")
     folder = tmp_path / check.name

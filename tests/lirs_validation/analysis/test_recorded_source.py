@@ -15,7 +15,7 @@ from lirs_validation.analysis.score import score
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import same_source, source_files
 from lirs_validation.report.pictures import Painter
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from lirs_validation import read_record
-from lirs_validation.sweep.experiment import Outcome
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_wct.errors import MapperError
 from slam_baselines.mapper import MAPPERS
 from tests.command_line import run_command

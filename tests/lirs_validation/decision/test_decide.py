@@ -14,8 +14,7 @@ from lirs_validation.decision.decide import Answer, changes, decide
 from lirs_validation.decision.page import failure_place, write_decision
 from lirs_validation.decision.trials import Trial, TrialDrive
 from lirs_validation.sweep.engines import Serial
-from lirs_validation.sweep.experiment import Outcome
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.formats.tum import write_tum
@@ -56,7 +55,7 @@ def driven(monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
         return Outcome(experiment=experiment.name, status=status, written=True)
 
     monkeypatch.setattr(SlamExperiment, "perform", perform)
-    monkeypatch.setattr("lirs_validation.sweep.slam_experiment.damaged_files", lambda *_: [])
+    monkeypatch.setattr("lirs_validation.sweep.experiment.damaged_files", lambda *_: [])
     return configs
 
 

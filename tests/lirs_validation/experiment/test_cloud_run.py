@@ -21,8 +21,7 @@ from lirs_validation.metrics.elevation import MOST, CloudSample, ElevationMap, r
 from lirs_validation.record.run_record import damaged_files, read_record
 from lirs_validation.record.schema import schema_error
 from lirs_validation.report.page import page, report_of
-from lirs_validation.sweep import slam_experiment
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.drawing.canvas import Canvas
 from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
 from lirs_wct.errors import ConfigError, MapperError
@@ -196,7 +195,7 @@ def test_a_run_by_another_version_of_the_mapper_is_run_again(
 ) -> None:
     experiment = SlamExperiment(still.record.config)
     assert experiment.find_outcome(here / "out") is not None
-    monkeypatch.setattr(slam_experiment, "package_versions", lambda *_: {"kiss-icp": "0.0.1"})
+    monkeypatch.setattr("lirs_validation.sweep.experiment.package_versions", lambda *_: {"kiss-icp": "0.0.1"})
     assert experiment.find_outcome(here / "out") is None
     assert package_versions("hector") == package_versions("still_slam:Still") == {}
     if CLOUD_MAPPERS["kiss-icp"].installed:

@@ -16,7 +16,7 @@ from lirs_validation.experiment.run import run
 from lirs_validation.logs.map_log import run_mapping
 from lirs_validation.map_config import MapConfig
 from lirs_validation.record.run_record import read_record
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics

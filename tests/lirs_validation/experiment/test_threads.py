@@ -21,7 +21,7 @@ from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTe
 from lirs_validation.experiment.run import prepare, run
 from lirs_validation.record.schema import schema_error
 from lirs_validation.sweep.engines import Processes
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.progress import no_progress
 from tests.lirs_validation.experiment.mapper_processes import mapper_processes

@@ -7,7 +7,7 @@ import pytest
 
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.sweep.engines import Limits, Processes, Serial
-from lirs_validation.sweep.slam_experiment import CollisionExperiment, SlamExperiment
+from lirs_validation.sweep.experiment import CollisionExperiment, SlamExperiment
 from lirs_validation.sweep.suites import WALL_LIMIT, cross, make_suite
 from lirs_validation.sweep.sweep import make_executor
 from lirs_wct.errors import ConfigError

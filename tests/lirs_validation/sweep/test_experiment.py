@@ -17,8 +17,7 @@ from lirs_validation.record.provenance import source_files
 from lirs_validation.record.run_record import WITH_RESULTS, Status, read_record
 from lirs_validation.record.schema import read_whole_record
 from lirs_validation.sweep.engines import Processes, Serial
-from lirs_validation.sweep.experiment import Outcome
-from lirs_validation.sweep.slam_experiment import SlamExperiment
+from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import BuildOptions
 from lirs_wct.errors import WctError
