@@ -18,8 +18,7 @@ from lirs_validation.collision.contact_log import ContactRecorder
 from lirs_validation.collision.contact_metrics import energy_gain, penetrations, stuck_seconds
 from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import PERIOD, Leg, places
-from lirs_validation.collision.slope_test import climb
-from lirs_validation.collision.validation import CollisionVerdict, check_collisions, write_verdicts
+from lirs_validation.collision.validation import CollisionVerdict, check_collisions, climb, write_verdicts
 from lirs_validation.report.collision_tables import verdicts_table
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError
