@@ -1,6 +1,5 @@
 """Cartographer as published: the C++ program's own trajectories, and the whole mapper in a room."""
 
-import gzip
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -9,16 +8,16 @@ import numpy as np
 import pytest
 
 from lirs_envs.robots.catalog import make_robot
-from lirs_wct import Imu, Pose2, Trajectory
+from lirs_wct import Imu, Pose2
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.cartographer.original.config import ConstraintBuilderConfig, PoseGraphConfig
 from slam_baselines.cartographer.original.local_slam import TrajectoryBuilder
 from slam_baselines.cartographer.original.mapper import CartographerOriginalConfig, CartographerOriginalMapper
 from slam_baselines.linalg import wrap
 from slam_baselines.mapper import make_mapper
+from tests.slam_baselines.originals import unpacked
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan
 
 RUNS = ("simple-1", "simple-2", "medium-1", "medium-2", "advanced-1", "advanced-2", "willow-1")
@@ -28,12 +27,6 @@ def recorded(folder: Path) -> tuple[list[LaserScan], tuple[Pose2, ...]]:
     """Return scans and odometry of a run; the log rounds the mount, which the original knew."""
     log, mount = read_carmen(folder / "scans.clf.gz"), make_robot("husky").T_base_laser
     return [replace(scan, T_base_laser=mount) for scan in log.scans], log.odometry
-
-
-def unpacked(path: Path, folder: Path) -> Trajectory:
-    tum = folder / path.stem
-    tum.write_bytes(gzip.decompress(path.read_bytes()))
-    return read_tum(tum)
 
 
 @pytest.mark.shared

@@ -2,7 +2,6 @@
 
 import ctypes
 import ctypes.util
-import gzip
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_wct import Imu, Pose2, Trajectory
+from lirs_wct import Imu, Pose2
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.carmen.writer import write_log
-from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.gmapping.original.hit_maps import NULL_LIKELIHOOD, HitMaps, match_scan
 from slam_baselines.gmapping.original.mapper import (
@@ -26,15 +24,10 @@ from slam_baselines.gmapping.original.mapper import (
 )
 from slam_baselines.linalg import wrap
 from slam_baselines.mapper import make_mapper
+from tests.slam_baselines.originals import unpacked
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan
 
 PARAMETERS = GmappingOriginalConfig().matching
-
-
-def unpacked(path: Path, folder: Path) -> Trajectory:
-    tum = folder / path.stem
-    tum.write_bytes(gzip.decompress(path.read_bytes()))
-    return read_tum(tum)
 
 
 @pytest.mark.shared

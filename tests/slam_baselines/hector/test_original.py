@@ -1,6 +1,5 @@
 """HectorSLAM as published: beside the C++ original on its own runs, and what it must not use."""
 
-import gzip
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Imu, Pose2, Trajectory
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.tum import read_tum
 from slam_baselines.hector.original import (
     HectorOriginalConfig,
     HectorOriginalMapper,
@@ -18,13 +16,8 @@ from slam_baselines.hector.original import (
     _interpolate,
 )
 from slam_baselines.mapper import make_mapper
+from tests.slam_baselines.originals import unpacked
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan
-
-
-def unpacked(path: Path, folder: Path) -> Trajectory:
-    tum = folder / path.stem
-    tum.write_bytes(gzip.decompress(path.read_bytes()))
-    return read_tum(tum)
 
 
 @pytest.mark.shared
