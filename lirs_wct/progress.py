@@ -15,7 +15,7 @@ def no_progress(step: str, share: float) -> None:
     """Ignore progress."""
 
 
-def tracked(
+def track(
     items: Iterable[T], total: int, weight: Callable[[T], int], step: str, progress: Progress = no_progress
 ) -> Iterator[T]:
     """Yield the items; after each, report the share of the total weight that has passed."""

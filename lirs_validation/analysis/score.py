@@ -18,7 +18,7 @@ from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.map_log import read_trajectory
 from lirs_validation.metrics import StartAlignment, map_scores, start_alignment, trajectory_errors
-from lirs_validation.metrics.agreement import agreement, decided, sampled
+from lirs_validation.metrics.agreement import agreement, as_stored, sample_like
 from lirs_validation.metrics.alignment import MAX_GAP, associated, rigid_alignment
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.verdict import Verdict, judge
@@ -230,7 +230,7 @@ def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map"
 
 
 def _f1(built: OccupancyGrid, reference: OccupancyGrid) -> float:
-    return agreement(decided(built), decided(reference)).f1 or 0.0
+    return agreement(as_stored(built), as_stored(reference)).f1 or 0.0
 
 
 def _near(a: Pose2, b: Pose2, driven: float) -> bool:
@@ -294,8 +294,8 @@ def _score_map(
 
 
 def _check_place(path: Path, built: OccupancyGrid, reference: OccupancyGrid) -> None:
-    there = ~np.isnan(sampled(decided(built), decided(reference)))
-    if not (there & decided(reference).known).any():
+    there = ~np.isnan(sample_like(as_stored(built), as_stored(reference)))
+    if not (there & as_stored(reference).known).any():
         raise SourceError(
             f"{path}: knows no cell of where the run took place: is its origin given in the map frame, "
             "that of the first base pose?"

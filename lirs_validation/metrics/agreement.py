@@ -112,7 +112,7 @@ def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArr
     return cells[known], np.asarray(distance, dtype=np.float64)
 
 
-def decided(grid: OccupancyGrid) -> OccupancyGrid:
+def as_stored(grid: OccupancyGrid) -> OccupancyGrid:
     """Return the cells as a map file stores them: occupied, free or unknown.
 
     A map is evaluated by this, so that one read from a file, of whatever program, is evaluated like one in
@@ -122,7 +122,7 @@ def decided(grid: OccupancyGrid) -> OccupancyGrid:
     return replace(grid, log_odds=log_odds)
 
 
-def sampled(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
+def sample_like(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
     """Return a grid's log-odds at another grid's cell centers.
 
     NaN where unknown or outside.
@@ -171,7 +171,7 @@ def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
     The built map is read at the centers of the reference's cells. Pictures hold 0 for occupied, 1 for
     free and 0.5 for unknown or undecided cells.
     """
-    moved = OccupancyGrid(sampled(built, reference), reference.resolution)
+    moved = OccupancyGrid(sample_like(built, reference), reference.resolution)
     both = moved.known & reference.known
     if not both.any():
         return None

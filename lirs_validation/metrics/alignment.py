@@ -108,7 +108,7 @@ def planar(trajectory: Trajectory) -> FloatArray:
     return np.column_stack((trajectory.xy, trajectory.yaw))
 
 
-def moved(poses: FloatArray, T_new_frame: Pose2) -> FloatArray:
+def move_poses(poses: FloatArray, T_new_frame: Pose2) -> FloatArray:
     """Return planar poses (n, 3) expressed in another frame."""
     return np.column_stack((T_new_frame.apply(poses[:, :2]), wrap_angles(poses[:, 2] + T_new_frame.yaw)))
 

@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from lirs_validation.metrics.alignment import associated, moved, planar, rigid_alignment, rms, wrap_angles
+from lirs_validation.metrics.alignment import (
+    associated,
+    move_poses,
+    planar,
+    rigid_alignment,
+    rms,
+    wrap_angles,
+)
 from lirs_validation.metrics.relative_pose_error import (
     ConstraintErrors,
     RelativePoseConstraint,
@@ -90,7 +97,7 @@ def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceEr
         return ReferenceErrors(nothing, nothing, nothing, outside, Pose2())
     true, found = planar(reference)[i], planar(estimate)[j]
     T_reference_map = rigid_alignment(found[:, :2], true[:, :2])
-    aligned = moved(found, T_reference_map)
+    aligned = move_poses(found, T_reference_map)
     return ReferenceErrors(
         reference.stamps[i],
         np.linalg.norm(aligned[:, :2] - true[:, :2], axis=1),

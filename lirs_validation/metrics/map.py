@@ -19,10 +19,10 @@ from lirs_validation.metrics.agreement import (
     TOLERANCE,
     CellDistance,
     agreement,
+    as_stored,
     cell_distance,
-    decided,
     map_ssim,
-    sampled,
+    sample_like,
 )
 from lirs_validation.metrics.alignment import StartAlignment
 from lirs_validation.metrics.near_obstacles import near_obstacle
@@ -95,9 +95,9 @@ def map_scores(
         truth: the input laser map, where there is one, in the world frame.
         alignment: of the trajectory that belongs to the built map, where there is one.
     """
-    built, true_pose = decided(built), decided(true_pose)
+    built, true_pose = as_stored(built), as_stored(true_pose)
     own = agreement(built, true_pose)
-    other = NO_AGREEMENT if truth is None else agreement(built, decided(truth))
+    other = NO_AGREEMENT if truth is None else agreement(built, as_stored(truth))
     aligned = None if alignment is None else built.moved(alignment.T_world_aligned)
 
     def false_share(grid: OccupancyGrid, beside: OccupancyGrid) -> float | None:
@@ -133,7 +133,7 @@ def iou(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
     centers of the reference's cells: exact where the two lattices coincide, the nearest cell where the maps
     are turned or shifted against each other.
     """
-    log_odds = sampled(built, reference)
+    log_odds = sample_like(built, reference)
     known = ~np.isnan(log_odds) & reference.known
     a = OccupancyGrid(log_odds, reference.resolution).occupied & known
     b = reference.occupied & known
@@ -158,4 +158,4 @@ def unknown_share(built: OccupancyGrid, reference: OccupancyGrid) -> float | Non
     """Return the share of the reference's known cells that are unknown in the built map."""
     if not reference.known.any():
         return None
-    return float(np.isnan(sampled(built, reference))[reference.known].mean())
+    return float(np.isnan(sample_like(built, reference))[reference.known].mean())

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from lirs_validation.metrics.alignment import (
     MAX_GAP,
     associated,
-    moved,
+    move_poses,
     planar,
     rigid_alignment,
     rms,
@@ -86,8 +86,8 @@ def trajectory_errors(
             f"a trajectory error needs at least 2 poses within {MAX_GAP} s of each other, got {len(i)} of "
             f"{len(truth)} true and {len(estimate)} estimated poses"
         )
-    true, est = planar(truth)[i], moved(planar(estimate)[j], T_world_map or Pose2())
-    aligned = moved(est, rigid_alignment(est[:, :2], true[:, :2]))
+    true, est = planar(truth)[i], move_poses(planar(estimate)[j], T_world_map or Pose2())
+    aligned = move_poses(est, rigid_alignment(est[:, :2], true[:, :2]))
     error = np.linalg.norm(aligned[:, :2] - true[:, :2], axis=1)
     raw = np.linalg.norm(est[:, :2] - true[:, :2], axis=1)
     return TrajectoryErrors(

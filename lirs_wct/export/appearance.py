@@ -131,19 +131,17 @@ def _map_parts(world: World, walls: WallGrid, mesh: TriangleMesh, wear: Wear) ->
     rows, cols = walls.shape
     bounds = (0.0, 0.0, cols * walls.resolution, rows * walls.resolution)
     upright = mesh.vertices[mesh.faces][..., 2].max(axis=1) > 0
-    in_map = _moved(mesh, walls.origin.inverse())
+    in_map = _move(mesh, walls.origin.inverse())
     span = wear.span or max(bounds)
     floor = _only(in_map, ~upright)
     laid = draped_uv(floor, bounds, HALF_PIXEL) if wear.draped else cube_uv(floor, span)
     parts = [Part(wear, laid)]
     if upright.any():
         parts.append(Part(wall_wear(world, walls), wall_uv(_only(in_map, upright), walls.height)))
-    return tuple(
-        replace(part, mesh=_moved(part.mesh, walls.origin)) for part in parts if len(part.mesh.faces)
-    )
+    return tuple(replace(part, mesh=_move(part.mesh, walls.origin)) for part in parts if len(part.mesh.faces))
 
 
-def _moved(mesh: TriangleMesh, T: Pose2) -> TriangleMesh:
+def _move(mesh: TriangleMesh, T: Pose2) -> TriangleMesh:
     vertices = np.column_stack((T.apply(mesh.vertices[:, :2]), mesh.vertices[:, 2]))
     normals = mesh.normals
     if normals is not None:

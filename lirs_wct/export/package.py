@@ -144,7 +144,7 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         return
     settings = world.export_options
     steps.begin("triangles")
-    mesh = _turned(world.file_mesh, settings.rotate_x)
+    mesh = _turn(world.file_mesh, settings.rotate_x)
     if "stl" in kinds:
         progress = steps.begin(f"{world.name}.stl")
         write_stl(_mesh_path(world, folder, "stl"), mesh, progress)
@@ -173,7 +173,7 @@ def _write_textures(world: World, folder: Path) -> list[MeshPart]:
     return [
         MeshPart(
             part.wear.name,
-            _turned(part.mesh, degrees),
+            _turn(part.mesh, degrees),
             f"../{part.wear.write(world, folder).as_posix()}",
         )
         for part in world_parts(world, world.file_mesh)
@@ -191,7 +191,7 @@ def _mesh_path(world: World, folder: Path, kind: str) -> Path:
     return folder / "meshes" / f"{world.name}.{kind}"
 
 
-def _turned(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
+def _turn(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
     return mesh if degrees == 0 else mesh.rotated_x(degrees)
 
 

@@ -12,7 +12,7 @@ from lirs_wct.export.package import FORMATS, write_package
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.progress import Steps, tracked
+from lirs_wct.progress import Steps, track
 from lirs_wct.world import World
 
 
@@ -20,7 +20,7 @@ from lirs_wct.world import World
 def test_tracked_items_pass_and_progress_ends_at_one(weights: list[int]) -> None:
     reported: list[tuple[str, float]] = []
     progress = lambda step, share: reported.append((step, share))  # noqa: E731
-    assert list(tracked(weights, sum(weights), int, "a", progress)) == weights
+    assert list(track(weights, sum(weights), int, "a", progress)) == weights
     assert reported == sorted(reported)
     if sum(weights):
         assert reported[-1] == ("a", 1.0)

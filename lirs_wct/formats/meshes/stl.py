@@ -12,7 +12,7 @@ from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.files import atomic_write
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit
-from lirs_wct.progress import Progress, no_progress, tracked
+from lirs_wct.progress import Progress, no_progress, track
 
 _CHUNK = 1 << 14
 _RECORD = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
@@ -46,7 +46,7 @@ def write_triangles(
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         # The header must not begin with "solid", which marks ASCII.
         file.write(struct.pack("<80sI", b"LIRS-WCT, meters, z up", count))
-        for corners in tracked(chunks, count, len, path.name, progress):
+        for corners in track(chunks, count, len, path.name, progress):
             record = np.zeros(len(corners), dtype=_RECORD)
             record["floats"] = _facets(np.ascontiguousarray(corners))
             file.write(record.data)

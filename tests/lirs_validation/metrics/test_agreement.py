@@ -11,12 +11,12 @@ from lirs_validation.metrics.agreement import (
     Agreement,
     CellDistance,
     agreement,
+    as_stored,
     cell_distance,
     contradicted,
-    decided,
     log_odds_at,
     nearest_occupied,
-    sampled,
+    sample_like,
 )
 from lirs_validation.metrics.map import iou, unknown_share
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -114,7 +114,7 @@ def test_cells_of_another_grid_against_the_cell_under_each_point(seed: int) -> N
         [value(built, center(reference, r, c)) for c in range(reference.shape[1])]
         for r in range(reference.shape[0])
     ]
-    np.testing.assert_array_equal(sampled(built, reference), np.float32(under))
+    np.testing.assert_array_equal(sample_like(built, reference), np.float32(under))
     known = reference.known
     expected = np.isnan(np.array(under))[known].mean() if known.any() else None
     assert unknown_share(built, reference) == (None if expected is None else pytest.approx(expected))
@@ -137,7 +137,7 @@ def test_a_point_outside_is_unknown_on_every_side() -> None:
 def test_what_is_neither_occupied_nor_free_is_undecided() -> None:
     p = np.array([[0.24, 0.26, 0.64, 0.66, UNKNOWN, 0.02]])
     grid = OccupancyGrid.from_probability(p, 0.1, Pose2(1.0, 2.0, 3.0))
-    found = decided(grid)
+    found = as_stored(grid)
     assert found.known.tolist() == [[True, False, False, True, False, True]]
     np.testing.assert_array_equal(
         found.log_odds[found.known], grid.log_odds[[[True, False, False, True, False, True]]]

@@ -19,7 +19,7 @@ from lirs_validation.metrics import (
     map_ssim,
     unknown_share,
 )
-from lirs_validation.metrics.agreement import decided
+from lirs_validation.metrics.agreement import as_stored
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -79,7 +79,7 @@ def test_a_map_is_judged_as_its_file_says_it(tmp_path: Path) -> None:
         written.append(read_map(tmp_path / f"{name}.yaml"))
     again = asdict(map_scores(written[0], written[1], surface=FLAT))
     assert again == asdict(scores)
-    assert decided(built).known.sum() == (built.occupied | built.free).sum() < built.known.sum()
+    assert as_stored(built).known.sum() == (built.occupied | built.free).sum() < built.known.sum()
 
 
 def test_every_score_is_of_its_own_two_maps() -> None:
@@ -97,19 +97,20 @@ def test_every_score_is_of_its_own_two_maps() -> None:
     walls = WallGrid(rng.random((5, 6)) < 0.2, 0.17, Pose2(-3.5, 7.2, 0.4))
     alignment = StartAlignment(T_world_aligned=Pose2(0.3, -0.2, 0.05), shift=1.25, turn=0.75)
     scores = map_scores(built, true_pose, surface=surface, walls=walls, truth=truth, alignment=alignment)
-    own, other = agreement(decided(built), decided(true_pose)), agreement(decided(built), decided(truth))
+    own = agreement(as_stored(built), as_stored(true_pose))
+    other = agreement(as_stored(built), as_stored(truth))
     assert (scores.f1, scores.precision, scores.recall) == (own.f1, own.precision, own.recall)
     assert (scores.f1_input, scores.precision_input, scores.recall_input) == (
         other.f1, other.precision, other.recall,
     )  # fmt: skip
-    assert scores.iou == iou(decided(built), decided(true_pose))
-    assert scores.unknown == unknown_share(decided(built), decided(true_pose))
-    assert scores.to_reference == cell_distance(decided(built), decided(true_pose))
-    assert scores.from_reference == cell_distance(decided(true_pose), decided(built))
-    assert scores.ssim == map_ssim(decided(built), decided(true_pose))
+    assert scores.iou == iou(as_stored(built), as_stored(true_pose))
+    assert scores.unknown == unknown_share(as_stored(built), as_stored(true_pose))
+    assert scores.to_reference == cell_distance(as_stored(built), as_stored(true_pose))
+    assert scores.from_reference == cell_distance(as_stored(true_pose), as_stored(built))
+    assert scores.ssim == map_ssim(as_stored(built), as_stored(true_pose))
     assert scores.occupied_cells == built.occupied.sum()
-    moved = decided(built).moved(alignment.T_world_aligned)
-    assert scores.f1_aligned == agreement(moved, decided(true_pose)).f1
+    moved = as_stored(built).moved(alignment.T_world_aligned)
+    assert scores.f1_aligned == agreement(moved, as_stored(true_pose)).f1
     assert scores.false_occupied_aligned == false_occupied(moved, surface, walls)
     assert scores.reference_false_occupied == false_occupied(true_pose, surface, walls)
     assert (scores.start_shift, scores.start_turn) == (1.25, 0.75)

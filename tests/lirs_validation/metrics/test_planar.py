@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lirs_validation.metrics.alignment import motion, moved, planar, rigid_alignment, rms, wrap_angles
+from lirs_validation.metrics.alignment import motion, move_poses, planar, rigid_alignment, rms, wrap_angles
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.trajectory import Trajectory
 
@@ -31,7 +31,7 @@ def test_arrays_are_poses_one_by_one(seed: int) -> None:
     found = motion(a, b)
     np.testing.assert_allclose(found[:, :2], [(p.x, p.y) for p in between], atol=1e-9)
     np.testing.assert_allclose(wrap_angles(found[:, 2]), [p.yaw for p in between], atol=1e-9)
-    np.testing.assert_allclose(moved(a, T), [(T @ p).as_array() for p in rows(a)], atol=1e-9)
+    np.testing.assert_allclose(move_poses(a, T), [(T @ p).as_array() for p in rows(a)], atol=1e-9)
     np.testing.assert_allclose(
         planar(Trajectory.from_poses(range(5), rows(a))),
         [(p.x, p.y, wrap_angle(p.yaw)) for p in rows(a)],
