@@ -5,9 +5,10 @@
 
 A group (`metrics`, `poses`, `readers`) is a set of modules of which N mutants are drawn; `--module` takes all
 mutants of one file (or N). Samples of different seeds share no mutant. A mutant is killed where a test of its
-module fails, crashes or takes too long; the tests are those of the module's name, else of its folder, without
-real files. Everything runs in a copy of the checkout, each mutant in a fork of a process with the libraries
-loaded. Kernels of a mutated module run as plain Python: numba's cache would hold those of another mutant.
+module fails, crashes or takes too long; the tests are those of the module's name or that import it, else of
+its folder, without real files. Everything runs in a copy of the checkout, each mutant in a fork of a process
+with the libraries loaded. Kernels of a mutated module run as plain Python: numba's cache would hold those of
+another mutant.
 Every survivor is printed; `--survivors` runs those of an earlier `--json` again.
 """
 
@@ -104,14 +105,15 @@ def drawn(modules: Sequence[str], number: int | None, seed: int, root: Path) -> 
 
 
 def tests_of(module: str, root: Path) -> list[str]:
-    """Return the tests with a module's name in theirs, else the nearest folder that mirrors its own."""
+    """Return the tests that have the module's name or import it, else the folder that mirrors its own."""
     path = Path(module)
+    imported = ".".join(path.with_suffix("").parts).removeprefix("envs.") + " import"
     folder = Path("tests", *(part for part in path.parent.parts if part != "envs"))
     named = [
         test
         for place in (folder, "tests/properties", "tests/reference")
         for test in sorted((root / place).glob("test_*.py"))
-        if path.stem in test.stem
+        if path.stem in test.stem or imported in test.read_text(encoding="utf-8")
     ]
     found = [str(test.relative_to(root)) for test in named]
     while not found and not (root / folder).is_dir():

@@ -39,6 +39,8 @@ UNLIMITED = 1e18
 TERRAIN = Effort(0.27e9, 12.1, 2.0, 0.14e-6)
 MAP = Effort(0.32e9, 18.7, 4.0, 0.19e-6)
 FULL_GRID = Effort(0.30e9, 213.0, 3.0, 2.5e-6)
+ROUGH = Effort(0.27e9, 220.0, 2.0, 10e-6)
+"""Effort of terrain that keeps nearly all pixels at the default largest error."""
 SMALLER = {TERRAIN: "--crop or --resize", MAP: "--window", FULL_GRID: "--max-error above 0, or --crop"}
 """Options by which a source of each effort takes less."""
 
@@ -80,7 +82,8 @@ def explain_refusal(error: TooLargeError, kind: SourceKind, options: BuildOption
     memory, seconds = effort(error.pixels)
     takes = f"about {memory / 1e9:.2g} GB of memory and {seconds:.0f} s of processor time"
     if effort is TERRAIN:
-        takes += f", up to {FULL_GRID(error.pixels)[0] / 1e9:.2g} GB if it is rough or has 8 bits"
+        memory, seconds = ROUGH(error.pixels)
+        takes += f", up to {memory / 1e9:.2g} GB and {seconds:.0f} s if it is rough or has 8 bits"
     free = f"{free_memory() / 1e9:.2g} GB are free"
     if error.pixels > options.max_pixels:
         reason = f"{error.reason}; --max-pixels {error.pixels} allows it and takes {takes} ({free})"

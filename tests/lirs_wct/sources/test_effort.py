@@ -52,7 +52,7 @@ def test_a_refusal_says_memory_time_and_the_option(
     )
     found = re.search(r"about (\S+) GB of memory and (\d+) s of processor time.* \(\S+ GB are free\)$", said)
     assert found is not None
-    assert ("up to 0.32 GB if it is rough" in said) == (expected is TERRAIN)
+    assert ("up to 0.29 GB and 3 s if it is rough" in said) == (expected is TERRAIN)
     memory, seconds = expected(SIDE**2)
     assert float(found[1]) == pytest.approx(memory / 1e9, rel=0.05)
     assert float(found[2]) == pytest.approx(seconds, abs=0.5)
