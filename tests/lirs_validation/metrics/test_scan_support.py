@@ -59,6 +59,20 @@ def test_the_robot_stands_as_the_ground_lies() -> None:
     assert T.z == pytest.approx(0.2 * 1.0 + 0.1 * 2.0 + HUSKY.base_height, abs=1e-6)
     flying = standing_on(world, make_robot("quadrotor"), Pose2(1.0, 2.0, 0.3))
     assert (flying.roll, flying.pitch) == pytest.approx((0.0, 0.0))
+    assert flying.z == pytest.approx(0.4 + make_robot("quadrotor").base_height, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("least", "median", "expected"),
+    [
+        (5.0, 5.0, "walls on 5 of 100 beams: enough for planar mapping nearly everywhere"),
+        (4.0, 5.0, "walls on 4 to 5 of 100 beams: too few for planar mapping in some places"),
+        (4.0, 4.0, "walls on 4 of 100 beams: too few for planar mapping"),
+    ],
+)
+def test_a_twentieth_of_the_beams_is_enough(least: float, median: float, expected: str) -> None:
+    found = ScanSupport(robot="husky", beams=100, poses=1, wall_p10=least, wall_median=median)
+    assert found.expectation == expected
 
 
 def test_a_pit_with_steep_walls_is_all_walls_and_one_with_gentle_ones_all_ground() -> None:
@@ -121,5 +135,8 @@ def test_recorded_hits_are_of_walls_where_they_end_at_steep_faces() -> None:
     turned = Pose3.from_pose2(Pose2(0.0, 1.0, math.pi), 0.5)
     found = observed_support(world, [scan, scan], [Pose3(z=0.5), turned])
     hits = float(scan.hits.sum())
+    for aside, walls in ((0.09, True), (0.11, False)):  # of the eastern face, which is at x = 5 ... 5.1
+        short = LaserScan(np.array([5.0 - aside], np.float32), 0.0, 0.1, 0.1, 20.0, 0.0)
+        assert (observed_support(world, [short], [Pose3(z=0.5)])["walls_median"] == 1.0) == walls
     assert found == {"beams": 360, "range_max": 20.0, "returns_median": hits, "walls_median": hits}
     assert hits == (np.abs(np.cos(angles)) > 0.505).sum()
