@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 """Without a handler, trimesh prints a traceback for each texture that it cannot read."""
+PLAIN = (".stl", ".ply")
+"""Suffixes of files with one mesh."""
+FARTHEST = 1e9
+"""Largest coordinate of a vertex, in the file's unit."""
 _HEAD = 1 << 16
 """Bytes of a COLLADA file that contain its <asset>."""
 _UPRIGHT = {
@@ -103,24 +107,26 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
 
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
-    if path.suffix.lower() == ".ply":
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
         require_positions(path)
     files = _referenced_files(path)
     try:
-        loaded = trimesh.load_mesh(path, resolver=files)
+        # Processing drops vertices that are not finite.
+        loaded = trimesh.load_mesh(path, resolver=files, process=suffix not in PLAIN)
     except SourceError:
         raise
     except Exception as error:  # every loader of trimesh raises different errors
         raise SourceError(f"{path}: cannot be read as a mesh: {reason_of(error)}") from error
     if len(getattr(loaded, "faces", ())) == 0:
         raise SourceError(f"{path}: holds no triangles, at least one is needed")
-    if not np.isfinite(loaded.vertices).all():
-        raise SourceError(f"{path}: has vertices that are not finite")
+    if not (np.abs(loaded.vertices) <= FARTHEST).all():
+        raise SourceError(f"{path}: has vertices that are not finite, or farther than {FARTHEST:g} units")
     if loaded.faces.min() < 0 or loaded.faces.max() >= len(loaded.vertices):
         raise SourceError(f"{path}: is damaged: a triangle has a corner that is not in the file")
     for reason in files.refused:
         warnings.warn(f"{reason}; left out", stacklevel=3)
-    return loaded
+    return loaded.process()
 
 
 def _referenced_files(path: Path) -> Any:

@@ -1,6 +1,8 @@
 """Meshes are read upright, in meters, with one vertex a place."""
 
+import re
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -109,6 +111,27 @@ def test_a_corner_that_is_not_in_the_file(tmp_path: Path) -> None:
     path.write_bytes(data.replace(indices, np.array([0, 1, 0xDF000000], "<u4").tobytes()))
     with pytest.raises(SourceError, match=r"a\.glb: "):
         read_upright(path)
+
+
+@pytest.mark.parametrize("number", ["inf", "-inf", "nan", "1e400", "1e39", "-1e200"])
+@pytest.mark.parametrize("suffix", [".stl", ".ply"])
+def test_a_coordinate_that_is_no_place(tmp_path: Path, suffix: str, number: str) -> None:
+    """One bad vertex was dropped with its triangles, and a message on a hole or on a cell followed."""
+    path, box = tmp_path / f"a{suffix}", trimesh.creation.box((4.0, 4.0, 12345.0))
+    kind = {".stl": "stl_ascii", ".ply": "ply"}[suffix]
+    options = {".stl": {}, ".ply": {"encoding": "ascii"}}[suffix]
+    box.export(path, file_type=kind, **options)
+    assert len(read_upright(path).vertices) == 8
+    text = path.read_text()
+    assert "6172.5" in text
+    path.write_text(re.sub(r"-?6172\.50*", number, text, count=1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        with pytest.raises(SourceError) as refused:
+            read_upright(path)
+    assert str(refused.value).startswith(
+        f"{path}: has vertices that are not finite, or farther than 1e+09 units"
+    )
 
 
 def test_a_suffix_that_is_no_mesh(tmp_path: Path) -> None:
