@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import multiprocessing
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -435,13 +436,17 @@ class TrialArchive(Generic[Score]):
 
 
 def _read_archive(path: Path, kind: type[Score]) -> dict[str, Score]:
-    """Return the scores in an archive; an incomplete last line is removed."""
-    if not path.is_file():
-        return {}
-    lines = path.read_bytes().splitlines(keepends=True)
-    whole = [line for line in lines if line.endswith(b"\n")]
-    if whole != lines:
-        path.write_bytes(b"".join(whole))
+    """Return the scores in an archive; make its folder, and remove an incomplete last line."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.is_file():
+            return {}
+        lines = path.read_bytes().splitlines(keepends=True)
+        whole = [line for line in lines if line.endswith(b"\n")]
+        if whole != lines:
+            os.truncate(path, sum(map(len, whole)))
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be opened: {error.strerror or error}") from error
     found: dict[str, Score] = {}
     for number, line in enumerate(whole, start=1):
         try:

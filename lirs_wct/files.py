@@ -32,6 +32,7 @@ GZIP_LEVEL = 1
 """Level of gzip: higher ones hardly shrink sensor noise further and take many times as long."""
 _TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(~?)(|\.[^.]*)")
 """Stem, process, mark and suffix of a temporary name. The mark ~: the folder may hold the user's files."""
+_STAGED = ".staged-"
 _WRITING: set[str] = set()
 """Temporary names that this process is using."""
 
@@ -150,11 +151,39 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         _flush(temporary)
         with _lock(target.parent):
             _replace_folder(target, temporary, shown=path)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
+    except (OSError, OutputError) as error:
+        raise _cannot_write(path, error, hidden=temporary) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         _WRITING.discard(temporary.name)
+
+
+@contextmanager
+def staged_files(folder: Path) -> Iterator[Path]:
+    """Yield a hidden folder inside an existing folder; its files move to that when the block succeeds.
+
+    When the block raises, Ctrl-C included, the files in the folder stay unchanged.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    staged = folder / f"{_STAGED}{os.getpid()}-{secrets.token_hex(4)}"
+    try:
+        remove_orphans(folder, _STAGED)
+        staged.mkdir()
+        yield staged
+        _merge(staged, folder)
+    except (OSError, OutputError) as error:
+        raise _cannot_write(folder, error, hidden=staged) from error
+    finally:
+        shutil.rmtree(staged, ignore_errors=True)
+
+
+def _merge(new: Path, old: Path) -> None:
+    """Move the entries of a folder to another one; files of the same names are replaced."""
+    for path in sorted(new.iterdir()):
+        target = old / path.name
+        _merge(path, target) if target.is_dir() else path.replace(target)
 
 
 @contextmanager
@@ -296,6 +325,10 @@ def _temporary(path: Path, mark: str = "") -> Path:
     return path.with_name(f".{path.stem[:80]}.{number}{mark}{path.suffix}")
 
 
-def _cannot_write(path: Path, error: OSError) -> OutputError:
-    where = f" ({error.filename})" if error.filename and Path(error.filename) != path else ""
-    return OutputError(f"{path}: cannot be written: {error.strerror or error}{where}")
+def _cannot_write(path: Path, error: OSError | OutputError, hidden: Path | None = None) -> OutputError:
+    """Return the error of a path; the message shows it in place of its hidden one."""
+    text = str(error)
+    if isinstance(error, OSError):
+        where = f" ({error.filename})" if error.filename and Path(error.filename) != path else ""
+        text = f"{path}: cannot be written: {error.strerror or error}{where}"
+    return OutputError(text if hidden is None else text.replace(str(hidden), str(path)))

@@ -19,6 +19,7 @@ from lirs_validation.falsify import FalsifyOptions
 from lirs_validation.search import Case, SearchParameter, SearchSpace
 from lirs_validation.sweep.suites import CASE, case_options, read_yaml_fields
 from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.files import atomic_write
 from slam_baselines.mapper import short_name
 
 LEAST_RETURNS = 0.3
@@ -210,7 +211,8 @@ def write_case(
         write_noise(folder / NOISE, case_noise(case, options.robot), "Sensor noise of this case.")
         run["noise"] = NOISE
     text = yaml.safe_dump({"run": run, "parameters": dict(case.values)}, sort_keys=False)
-    (folder / CASE).write_text((f"# {comment}\n" if comment else "") + text, encoding="utf-8")
+    with atomic_write(folder / CASE) as path:
+        path.write_text((f"# {comment}\n" if comment else "") + text, encoding="utf-8")
     return read_case(folder)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from statistics import median
@@ -17,9 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from lirs_validation.experiment.run import run
+from lirs_validation.experiment.run import write_results as write_run
 from lirs_validation.falsify.cases import sentence, write_case
 from lirs_validation.falsify.drives import WORST, CaseDrives, policy_episode, policy_suite, policy_task
 from lirs_validation.falsify.search import LEAST, NEW_SEEDS, FoundCase
+from lirs_validation.record.run_record import RunRecord
 from lirs_validation.report.page import render
 from lirs_validation.report.table import ReportTable
 from lirs_validation.search import SearchParameter
@@ -40,7 +42,7 @@ from lirs_wct.drawing.style import (
     plain_axes,
     title,
 )
-from lirs_wct.files import atomic_write, write_json
+from lirs_wct.files import staged_files, write_json
 from slam_baselines.mapper import short_name
 
 STAGES = {"search": BLUE, "confirmation": VERMILLION, "shrinking": GREEN}
@@ -162,7 +164,7 @@ def search_figure(drives: CaseDrives, found: Sequence[int]) -> Drawing:
 
 RUN = "run"
 """Folder of a case's run."""
-MAPPER_SUITE, POLICY_SUITE = "cases.yaml", "cases.json"
+PAGE, MAPPER_SUITE, POLICY_SUITE = "falsify.html", "cases.yaml", "cases.json"
 CAPTION = (
     "A case is confirmed if the method fails with at least 4 of 5 new seeds, which change tour and noise. "
     "Drives: of the search up to the confirmation. Ratio: median of the path error over the limit of "
@@ -204,19 +206,32 @@ def conclusion(drives: CaseDrives, cases: Sequence[FoundCase]) -> tuple[str, ...
 def write_results(out: Path, drives: CaseDrives, cases: Sequence[FoundCase], command: str) -> Path:
     """Write everything but the archive of drives; return the page's path.
 
+    The results of an earlier search stay until all files are written.
+
     Raises:
         OutputError: a file cannot be written.
     """
-    for old in out.glob(f"case-*/{CASE}"):  # of an earlier search
-        shutil.rmtree(old.parent)
-    written = [_write_case(out, drives, k, found) for k, found in enumerate(cases, start=1)]
-    _write_suite(out, drives, written)
+    with staged_files(out) as staged:
+        _write_files(staged, out, drives, cases, command)
+        for old in out.glob(f"case-*/{CASE}"):
+            shutil.rmtree(old.parent)
+        for name in (MAPPER_SUITE, POLICY_SUITE):
+            (out / name).unlink(missing_ok=True)
+    return out / PAGE
+
+
+def _write_files(
+    folder: Path, out: Path, drives: CaseDrives, cases: Sequence[FoundCase], command: str
+) -> None:
+    """Write the files into a folder whose content moves to `out`."""
+    written = [_write_case(folder, out, drives, k, found) for k, found in enumerate(cases, start=1)]
+    _write_suite(folder, drives, written)
     table = cases_table(written)
     sentences = conclusion(drives, cases)
-    write_json(out / "falsify.json", _summary(drives, written, sentences))
-    _write_text(out / "cases.md", table.as_markdown())
+    write_json(folder / "falsify.json", _summary(drives, written, sentences))
+    (folder / "cases.md").write_text(table.as_markdown(), encoding="utf-8")
     chart = _png(search_figure(drives, [c.found.position for c in written]))
-    (out / "search.png").write_bytes(chart)
+    (folder / "search.png").write_bytes(chart)
     html = render(
         "falsify.html.j2",
         title=f"Failures of {short_name(drives.options.method)}",
@@ -226,7 +241,7 @@ def write_results(out: Path, drives: CaseDrives, cases: Sequence[FoundCase], com
         chart=_data_url(chart),
         command=command,
     )
-    return _write_text(out / "falsify.html", html)
+    (folder / PAGE).write_text(html, encoding="utf-8")
 
 
 def cases_table(cases: Sequence[WrittenCase]) -> ReportTable:
@@ -258,25 +273,36 @@ def parameters_table(case: WrittenCase, parameters: Sequence[SearchParameter]) -
     return ReportTable(f"{case.name}-parameters", f"Parameters of {case.name}", "", headings, rows)
 
 
-def _write_case(out: Path, drives: CaseDrives, number: int, found: FoundCase) -> WrittenCase:
-    """Write the folder of a case, drive it once more, and draw it."""
+def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found: FoundCase) -> WrittenCase:
+    """Write the folder of a case, which moves to `out`; drive it once more, and draw it."""
     name, options = f"case-{number}", drives.options
-    folder, text = out / name, sentence(options, found.case, drives.limits)
+    folder, text = staged / name, sentence(options, found.case, drives.limits)
     config = write_case(folder, found.case, options, method=options.mapper, seed=found.seed, comment=text)
     if options.policy is None:
         paths = None
         try:
-            truth, estimate, _ = run(config, out=folder, name=RUN).log.trajectories()
+            driven = run(config)
+            record = _moved(driven.record, folder, out / name)
+            write_run(folder / RUN, record, driven.log, driven.maps, driven.world)
+            truth, estimate, _ = driven.log.trajectories()
             limit = next((s.limit for s in found.scores if s.limit), 0.0)
             paths = CasePaths(truth, estimate, options.factor * limit)
         except MapperError as error:  # the failure itself: there is no run to draw
-            text = f"{text.removesuffix('.')}: {error}"
+            text = f"{text.removesuffix('.')}: {error}".replace(str(staged), str(out))
     else:
         paths = _policy_paths(drives, found)
     picture = _png(case_figure(World.load(folder), paths, name))
     (folder / "case.png").write_bytes(picture)
     failures = sum(map(drives.fails, found.scores))
     return WrittenCase(name, found, failures, text, picture)
+
+
+def _moved(record: RunRecord, old: Path, new: Path) -> RunRecord:
+    """Return the record of a run whose world moves to another folder."""
+    source, noise = (text.replace(str(old), str(new)) for text in (record.config.source, record.config.noise))
+    files = [file | {"path": file["path"].replace(str(old), str(new))} for file in record.world["files"]]
+    config = replace(record.config, source=source, noise=noise)
+    return replace(record, config=config, world=record.world | {"files": files})
 
 
 def _policy_paths(drives: CaseDrives, found: FoundCase) -> CasePaths:
@@ -290,12 +316,11 @@ def _policy_paths(drives: CaseDrives, found: FoundCase) -> CasePaths:
 
 def _write_suite(out: Path, drives: CaseDrives, cases: Sequence[WrittenCase]) -> None:
     """Write the suite of all cases, for `validate --suite` or `bench --set`."""
-    for name in (MAPPER_SUITE, POLICY_SUITE):
-        (out / name).unlink(missing_ok=True)
     if not cases:
         return
     if drives.options.policy is None:
-        _write_text(out / MAPPER_SUITE, yaml.safe_dump({"cases": [case.name for case in cases]}))
+        names = yaml.safe_dump({"cases": [case.name for case in cases]})
+        (out / MAPPER_SUITE).write_text(names, encoding="utf-8")
         return
     tasks = tuple(policy_task(drives.options, c.found.case, c.found.seed, c.name) for c in cases)
     write_json(out / POLICY_SUITE, policy_suite(tasks))
@@ -310,12 +335,6 @@ def _summary(drives: CaseDrives, cases: Sequence[WrittenCase], sentences: Sequen
         "drives": drives.count,
         "cases": [{"name": c.name, "sentence": c.sentence} | asdict(c.found) for c in cases],
     }
-
-
-def _write_text(path: Path, text: str) -> Path:
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return path
 
 
 def _png(figure: Drawing) -> bytes:

@@ -31,7 +31,7 @@ from lirs_validation.sweep.suites import read_yaml_fields
 from lirs_validation.tune import TuneOptions
 from lirs_validation.tune.drives import TuneScore, measure_part, measure_run
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.files import atomic_write, write_json
+from lirs_wct.files import staged_files, write_json
 from lirs_wct.option import changed, declared
 from slam_baselines.mapper import read_parameters
 from slam_baselines.tunable import TUNABLE, usual_values
@@ -297,17 +297,17 @@ def write_results(out: Path, drives: TuneDrives, tuned: Case, found: UnseenCompa
         OutputError: a file cannot be written.
     """
     sentence = conclusion(drives, tuned, found)
-    for old in ("tuned.yaml", "tuned.lua"):
-        (out / old).unlink(missing_ok=True)
     table = parameters_table(drives, tuned).as_markdown()
     texts = {"tune.md": f"{sentence}\n\n{table}\n\n    {again(drives, tuned)}\n"}
     if found.better:
         name, text = ros_text(drives, tuned)
         texts[name] = text
-    for name, text in texts.items():
-        with atomic_write(out / name) as path:
-            path.write_text(text, encoding="utf-8")
     entry = {"sentence": sentence, "better": found.better, "parameters": drives.text(tuned)}
     entry |= {"values": dict(tuned.values), "drives": drives.archive.count, "unseen": asdict(found)}
-    write_json(out / "tune.json", entry)
+    with staged_files(out) as folder:
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        write_json(folder / "tune.json", entry)
+        for old in ("tuned.yaml", "tuned.lua"):
+            (out / old).unlink(missing_ok=True)
     return tuple(out / name for name in (*texts, "tune.json"))

@@ -19,7 +19,6 @@ from lirs_validation.twin.replay import FACTOR, Replay
 from lirs_validation.twin.result import TwinResult
 from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.drawing.style import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
-from lirs_wct.files import atomic_write
 
 LIMIT = 0.1
 """Largest residual that the picture shows, meters."""
@@ -30,7 +29,7 @@ def write_page(folder: Path, result: TwinResult, command: str) -> Path:
     """Write `twin.html` and its pictures; return the page's path.
 
     Raises:
-        OutputError: a file cannot be written.
+        OSError: a file cannot be written.
     """
     pictures = {"scans": scans_figure(result), "residuals": residual_figure(result.fitted)}
     if result.replay is not None and result.replay.pairs:
@@ -50,8 +49,7 @@ def write_page(folder: Path, result: TwinResult, command: str) -> Path:
         command=command,
     )
     page = folder / "twin.html"
-    with atomic_write(page) as path:
-        path.write_text(html, encoding="utf-8")
+    page.write_text(html, encoding="utf-8")
     return page
 
 
@@ -59,8 +57,7 @@ def _save(drawing: Drawing, path: Path) -> str:
     """Save a drawing; return it as the address of an image on the page."""
     png = BytesIO()
     drawing.savefig(png, dpi=DPI, format="png")
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(png.getvalue())
+    path.write_bytes(png.getvalue())
     return "data:image/png;base64," + base64.b64encode(png.getvalue()).decode()
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lirs_wct.errors import OutputError
-from lirs_wct.files import atomic_folder, atomic_write, remove_orphans
+from lirs_wct.files import atomic_folder, atomic_write, remove_orphans, staged_files
 from lirs_wct.foreign_files import MANIFEST
 
 
@@ -79,6 +79,44 @@ def test_errors_begin_with_the_path(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is a file"), atomic_folder(tmp_path / "file"):
         pass
     assert listing(tmp_path) == ["file", "folder"]
+
+
+def test_an_error_shows_no_hidden_folder(tmp_path: Path) -> None:
+    (tmp_path / "None").mkdir()
+    for folder in (atomic_folder, staged_files):
+        with (
+            pytest.raises(OutputError) as refused,
+            folder(tmp_path / "None") as temporary,
+            atomic_write(temporary / "a.json"),
+        ):
+            pass
+        assert str(refused.value).startswith(f"{tmp_path / 'None' / 'a.json'}: cannot be written: ")
+        assert temporary.name not in str(refused.value)
+    assert list(tmp_path.iterdir()) == [tmp_path / "None"]
+
+
+def test_staged_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
+    (tmp_path / "case").mkdir()
+    for name in ("mine", "page", "case/mine", "case/run"):
+        (tmp_path / name).write_text("old")
+
+    def write(error: BaseException | None = None) -> dict[str, str]:
+        with staged_files(tmp_path) as staged:
+            (staged / "case").mkdir()
+            for name in ("page", "case/run", "case/new"):
+                (staged / name).write_text("new")
+            if error is not None:
+                raise error
+        return {str(p.relative_to(tmp_path)): p.read_text() for p in tmp_path.rglob("*") if p.is_file()}
+
+    for error in (KeyboardInterrupt(), ValueError()):
+        with pytest.raises(type(error)):
+            write(error)
+        assert sorted(p.name for p in tmp_path.rglob("*")) == ["case", "mine", "mine", "page", "run"]
+        assert (tmp_path / "page").read_text() == (tmp_path / "case" / "run").read_text() == "old"
+    mine = {"mine": "old", "case/mine": "old"}
+    assert write() == mine | {"page": "new", "case/run": "new", "case/new": "new"}
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_a_block_that_writes_nothing_is_an_error(tmp_path: Path) -> None:

@@ -136,7 +136,6 @@ def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> N
     check_methods(options)
     if options.search == "cma":
         require_cma()
-    output.mkdir(parents=True, exist_ok=True)
     with process_pool(options.jobs) as pool:
         drives = CaseDrives(options, limits, output, pool)
         found = search.falsify(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))
@@ -172,7 +171,6 @@ def tune(
     space = search.search_space(target.mapper, target.parameters, limits)
     if tuning.search == "cma":
         require_cma()
-    output.mkdir(parents=True, exist_ok=True)
     with process_pool(tuning.jobs) as pool:
         drives = search.TuneDrives(target, tuning, space, output, pool)
         tuned = search.tune(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))

@@ -43,6 +43,9 @@ def test_a_failure_is_found_written_and_replayed_byte_for_byte(
     first = contents(case / "run", DRIVEN)
     (found,) = json.loads((folder / "out" / "falsify.json").read_text())["cases"]
     assert found["drives"] == 6
+    assert json.loads((case / "run" / "record.json").read_text())["config"]["source"] == "out/case-1"
+    files = [path for path in (folder / "out").rglob("*") if path.is_file()]
+    assert not [path for path in files if b"staged" in path.read_bytes()], "paths of a folder that is gone"
     assert (case / "case.png").stat().st_size > 10_000
     assert "case-1" in (folder / "out" / "falsify.html").read_text()
     assert run_command("validate", "--suite", "out/cases.yaml", "-o", "again", "--gate") == 4
