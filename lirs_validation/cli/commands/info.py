@@ -111,10 +111,14 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
 
 def _drivable_text(world: World, robot: str, share: float) -> str:
     """Return the drivable share, unless the source's samples do not resolve the robot."""
-    spacing, length = world.sample_spacing, 2 * ROBOTS[robot].radius
-    if spacing is not None and spacing > length:
-        return f"unknown: samples {spacing:.3g} m apart do not resolve {length:.2g} m"
+    if not _resolves(world, robot):
+        length = 2 * ROBOTS[robot].radius
+        return f"unknown: samples {world.sample_spacing:.3g} m apart do not resolve {length:.2g} m"
     return f"{share:.1f} %, up to {math.degrees(ROBOTS[robot].max_slope):.0f} deg"
+
+
+def _resolves(world: World, robot: str) -> bool:
+    return world.sample_spacing is None or world.sample_spacing <= 2 * ROBOTS[robot].radius
 
 
 def _mesh_error(world: World, facts: WorldFacts) -> str:
@@ -137,9 +141,11 @@ def _support(found: ScanSupport) -> str:
 
 
 def _starts(world: World) -> str:
-    """Return how many there are, and for whom."""
+    """Return how many there are, and for whom if the source's samples resolve that robot."""
     if not world.spawn_poses:
         return "none: no robot on wheels fits"
+    if world.spawn_for and not _resolves(world, world.spawn_for):
+        return f"{len(world.spawn_poses)}, unknown whether {world.spawn_for} can stand between the samples"
     whom = f", for {world.spawn_for} and smaller robots" if world.spawn_for else ""
     return f"{len(world.spawn_poses)}{whom}"
 

@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -127,6 +128,18 @@ def test_gazebo_and_info_are_told(folder: Path, tmp_path: Path) -> None:
     assert re.fullmatch(r"EPSG:3857, 40\.7\d{5} N 74\.0\d{5} W, z = 0 at 680\.\d\d m", line)
     table = facts_table(world, world_facts(world))
     assert ("place on earth", line) in set(zip(*(column.cells for column in table.columns), strict=True))
+
+
+def test_info_promises_no_start_between_coarse_samples(folder: Path) -> None:
+    world = built(folder / "a.asc")
+    for spacing, text in (
+        (0.5, ", for {} and smaller robots"),
+        (30.0, ", unknown whether {} can stand between the samples"),
+    ):
+        sampled = replace(world, ground=replace(world.ground, sample_spacing=spacing))
+        table = facts_table(sampled, world_facts(sampled))
+        rows = dict(zip(*(column.cells for column in table.columns), strict=True))
+        assert rows["start poses"] == f"{len(world.spawn_poses)}{text.format(world.spawn_for)}"
 
 
 def test_a_utm_world_says_that_its_x_axis_is_not_east(tmp_path: Path) -> None:
