@@ -143,7 +143,7 @@ def _spread(report: Report) -> dict[str, str] | None:
     if made is None:
         return None
     caption = (
-        "Every run that succeeded is a dot, the bar their median, the dotted bar their odometry's median; "
+        "Every run that finished is a dot, the bar their median, the dotted bar their odometry's median; "
         "one row a group."
     )
     if made[1]:
@@ -184,7 +184,7 @@ def _tiles(report: Report) -> list[dict[str, Any]]:
     failed = len(entries) - len(good)
     seeds = "seed" if report.seeds[1] == 1 else "seeds"
     tiles: list[dict[str, Any]] = [
-        {"value": f"{len(good)} of {len(entries)}", "name": "runs succeeded", "bad": failed > 0},
+        {"value": f"{len(good)} of {len(entries)}", "name": "runs finished", "bad": failed > 0},
         {
             "value": seeds_text(report.seeds),
             "name": seeds,

@@ -56,7 +56,7 @@ MOST_NAMED = 12
 """Largest number of groups that a caption names one by one."""
 ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
 CAPTION = (
-    "ATE [m], mean over the runs that succeeded, and verdicts of the runs (docs/results.md); those that were "
+    "ATE [m], mean over the runs that finished, and verdicts of the runs (docs/results.md); those that were "
     f"not evaluated are not counted. {WORSE_MARK} {WORSE} in at least one run."
 )
 KINDS: tuple[tuple[str, str, Callable[[Iterable[Entry]], tuple[MethodPair, ...]]], ...] = (
@@ -138,7 +138,7 @@ def group_table(
     groups = by_group(entries)
     fields = _fields(groups)
     kept = _existing(metrics, entries)
-    headings = (*fields, *(("succeeded",) if count else ()), *(metric.heading for metric in kept))
+    headings = (*fields, *(("finished",) if count else ()), *(metric.heading for metric in kept))
     rows = []
     for group, runs in groups.items():
         good = [run for run in runs if succeeded(run)]
@@ -167,7 +167,7 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
     else:
         lines = ["Mean over seeds ± half width of its 95 % interval (Student's t)."]
         if min(seeds) <= 1:
-            lines.append("Without ±: one seed that succeeded.")
+            lines.append("Without ±: one seed that finished.")
     if any(metric.section == "rtf" for metric in metrics):
         lines += _without_rtf(entries)
         if any(e["rtf"] and e["rtf"]["extrapolated"] for e in entries):

@@ -202,7 +202,7 @@ def test_cards_mix_no_methods(tmp_path: Path, other: dict[str, str]) -> None:
     _, mixed = reported(tmp_path)
     assert "<span>median" not in mixed
     assert "<span>RTF</span>" not in mixed
-    assert "<b>3 of 3</b><span>runs succeeded</span>" in mixed
+    assert "<b>3 of 3</b><span>runs finished</span>" in mixed
 
 
 def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> None:
