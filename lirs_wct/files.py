@@ -160,7 +160,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def staged_files(folder: Path) -> Iterator[Path]:
-    """Yield a hidden folder inside an existing folder; its files move to that when the block succeeds.
+    """Yield a hidden folder whose files move into its parent when the block succeeds.
 
     When the block raises, Ctrl-C included, the files in the folder stay unchanged.
 

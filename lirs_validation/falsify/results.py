@@ -274,7 +274,7 @@ def parameters_table(case: WrittenCase, parameters: Sequence[SearchParameter]) -
 
 
 def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found: FoundCase) -> WrittenCase:
-    """Write the folder of a case, which moves to `out`; drive it once more, and draw it."""
+    """Write, drive and draw a case, in a folder that moves to `out`."""
     name, options = f"case-{number}", drives.options
     folder, text = staged / name, sentence(options, found.case, drives.limits)
     config = write_case(folder, found.case, options, method=options.mapper, seed=found.seed, comment=text)
