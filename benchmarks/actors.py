@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.sources.build import build_world

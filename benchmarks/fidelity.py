@@ -34,7 +34,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy.stats import spearmanr
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Trajectory
 from lirs_wct.formats.carmen.log import read_carmen

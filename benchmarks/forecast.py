@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import spearmanr
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache

@@ -38,8 +38,7 @@ from benchmarks.lidar_places import (
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField

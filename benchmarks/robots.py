@@ -22,8 +22,7 @@ from rich.console import Console
 from rich.table import Table
 from robot_figures import LIDAR, Row, figures
 
-from lirs_envs.robots.catalog import ROBOTS, make_robot
-from lirs_envs.robots.robot import Robot, Twist
+from lirs_envs.robots.robot import ROBOTS, Robot, Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions

@@ -20,7 +20,7 @@ from task_plans import COURSE_DIFFICULTIES, PLANS, Plan
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.generators.terrain import KINDS
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, set_entry, task_set
 from lirs_validation.driving.choice import MARGIN
 from lirs_wct.errors import SimulationError, SourceError

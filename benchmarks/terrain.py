@@ -21,7 +21,7 @@ from rich.table import Table
 
 from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, generate
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 

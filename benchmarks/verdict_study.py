@@ -33,7 +33,7 @@ from scipy.optimize import minimize
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.generators.terrain import generate
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.decision import forecast
 from lirs_validation.decision.forecast import FEATURES, LogisticModel, SiteFeatures, site_features

@@ -12,7 +12,7 @@ import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.policies import PolicyContext
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.tasks.navigation import draw_goal
 from lirs_envs.tasks.site import make_site
 from lirs_wct import World

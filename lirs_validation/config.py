@@ -146,7 +146,7 @@ def drive_factor(default: float, text: str, legal: str, shown: str) -> Any:
 
 
 def _robots() -> Collection[str]:
-    from lirs_envs.robots.catalog import ROBOTS
+    from lirs_envs.robots.robot import ROBOTS
 
     return ROBOTS
 

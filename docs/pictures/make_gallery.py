@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import cv2
 
-from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.robots.robot import ROBOTS
 from lirs_validation import validate
 from lirs_validation.cli.commands.robot_card import draw
 from lirs_wct import BuildOptions, World, build_world

@@ -10,7 +10,7 @@ from pathlib import Path
 from rosbags.highlevel import AnyReader
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.inertial import STANDARD_GRAVITY, InertialNoise
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.config import RunConfig

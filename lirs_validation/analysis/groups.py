@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RUN_AXES, RunConfig
 from lirs_validation.record.formatting import Entry
 from lirs_wct.errors import ConfigError

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.analysis.evalio_dataset import export_evalio
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.config import RunConfig, SourceOptions

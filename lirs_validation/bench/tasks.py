@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_envs.generators.terrain import KINDS
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.bench.task_worlds import WorldSpec, read_world
 from lirs_wct.errors import ConfigError, SourceError, WctError, reason_of, unknown_name
 from lirs_wct.field_validators import require_above, require_seed, require_within

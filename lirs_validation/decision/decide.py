@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_envs.lidar.presets import LIDARS, LidarPreset, make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.analysis.as_published import SUFFIX
 from lirs_validation.config import RunConfig
 from lirs_validation.decision.forecast import forecast

@@ -13,8 +13,7 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.placement import can_stand
 from lirs_envs.policies import PolicyContext
 from lirs_envs.pretrained import Pretrained
-from lirs_envs.robots.catalog import ROBOTS
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
 from lirs_validation.driving.coverage import CoverageDriver, plan_coverage
 from lirs_validation.driving.driver import Driver

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.driver import Frame
 from lirs_validation.record.run_record import read_record

@@ -292,7 +292,7 @@ def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
     """
     # Who maps a log does not load the simulator.
     from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
-    from lirs_envs.robots.catalog import make_robot
+    from lirs_envs.robots.robot import make_robot
     from lirs_validation.config import DRIVERS, driver_parts
 
     if not mapper.reads_clouds:

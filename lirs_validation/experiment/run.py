@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import STAND, RunConfig, driver_parts
 from lirs_validation.driving.choice import make_driver

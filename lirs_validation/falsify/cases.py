@@ -12,7 +12,7 @@ import yaml
 
 from lirs_envs.generators.arena import ArenaConfig, arena
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
 from lirs_validation.config import RunConfig
 from lirs_validation.falsify import FalsifyOptions

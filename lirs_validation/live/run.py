@@ -14,8 +14,7 @@ from pathlib import Path
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.placement import can_stand
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot, Twist
+from lirs_envs.robots.robot import Robot, Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, make_driver, start_pose

@@ -13,7 +13,7 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, Protocol, get_args
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
 from lirs_validation.experiment.mapper_loading import interpreter_of, package_versions, source_file

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, make_robot
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid

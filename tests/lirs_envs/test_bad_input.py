@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
 from lirs_envs.robots.drive import DriveConfig
-from lirs_envs.robots.robot import Robot, Twist, Waypoint
+from lirs_envs.robots.robot import Robot, Twist, Waypoint, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError

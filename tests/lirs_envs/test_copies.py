@@ -10,8 +10,7 @@ import pytest
 
 from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.props import Prop
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation

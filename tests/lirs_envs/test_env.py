@@ -28,8 +28,7 @@ from gymnasium.wrappers import (
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.config import EnvConfig
-from lirs_envs.robots.catalog import ROBOTS
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError

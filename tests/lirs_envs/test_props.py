@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.props import Prop, StaticRobot
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot, Twist
+from lirs_envs.robots.robot import Robot, Twist, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

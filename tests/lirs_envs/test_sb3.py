@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.robots.robot import ROBOTS
 from lirs_envs.sb3 import _adapter, as_vec_env, split_infos
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.errors import ConfigError

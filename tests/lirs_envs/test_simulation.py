@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.presets import LIDARS
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot, Twist
+from lirs_envs.robots.robot import Robot, Twist, make_robot
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig, WheelJoints, WheelOdometries
 from lirs_envs.sensing.sensors import Observation, SensorNoise

@@ -7,8 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.robots.catalog import ROBOTS, make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import ROBOTS, Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField

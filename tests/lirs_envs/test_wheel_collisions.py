@@ -15,9 +15,8 @@ from lirs_envs.collisions import ContactMonitor, compile_contact_state, contact_
 from lirs_envs.env import RobotEnv
 from lirs_envs.placement import standing_pose
 from lirs_envs.robot_model import RobotModel
-from lirs_envs.robots.catalog import ROBOTS, make_robot
 from lirs_envs.robots.drive import make_controllers
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import ROBOTS, Twist, make_robot
 from lirs_envs.simulation import ROW, Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.tasks.site import make_site

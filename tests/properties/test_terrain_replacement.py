@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, generate
 from lirs_envs.lidar.ray_casting import mujoco_hits
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import Float32Array

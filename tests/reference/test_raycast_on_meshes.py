@@ -15,7 +15,7 @@ from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Rays, mujoco_hits
 from lirs_envs.lidar.reflection import GROUND
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

@@ -9,8 +9,7 @@ from typing import Any
 from lirs_envs.lidar.noise import NoiseLevel
 from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.props import Prop
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.sensing.odometry import Method, OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation_config import SimulationConfig

@@ -38,7 +38,7 @@ def collide(
     options: SourceOptions,
 ) -> None:
     """Drive robots at random into obstacles and evaluate contacts: penetration, energy, slopes."""
-    from lirs_envs.robots.catalog import make_robot
+    from lirs_envs.robots.robot import make_robot
     from lirs_validation.collision.validation import write_verdicts
     from lirs_validation.report.collision_tables import verdicts_table
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from rich.table import Table
 
-from lirs_envs.robots.catalog import ROBOTS, make_robot
+from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_validation.metrics.scan_support import ScanSupport, scan_support
 from lirs_wct import HeightField, World

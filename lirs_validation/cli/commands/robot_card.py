@@ -32,7 +32,7 @@ def robot(
     ] = None,
 ) -> None:
     """Show a robot's data and draw its picture, or export it for RViz."""
-    from lirs_envs.robots.catalog import make_robot
+    from lirs_envs.robots.robot import make_robot
     from lirs_envs.robots.urdf import robot_urdf
 
     who, out = make_robot(name), Console()

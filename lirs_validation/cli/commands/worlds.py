@@ -103,7 +103,7 @@ def info(
     options: SourceOptions,
 ) -> None:
     """Print facts of a source: size, heights, slopes, drivable area, walls in sight, mesh."""
-    from lirs_envs.robots.catalog import make_robot
+    from lirs_envs.robots.robot import make_robot
     from lirs_validation.cli.commands.info import facts_table, world_facts
     from lirs_wct.sources.build import build_world
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts

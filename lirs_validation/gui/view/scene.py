@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.gui.session.glb import PREVIEW_TEXTURE, TEXTURE, robot_glb, world_glb
 from lirs_validation.gui.session.playback import (
     MapSnapshot,

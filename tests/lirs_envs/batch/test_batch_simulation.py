@@ -11,8 +11,7 @@ from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.ray_casting import Rays
 from lirs_envs.props import Prop
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import Observation, SensorNoise
 from lirs_envs.simulation import Simulation

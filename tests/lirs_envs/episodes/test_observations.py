@@ -8,7 +8,7 @@ import pytest
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.observations import SECTORS, goal_direction, scan_sectors
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 

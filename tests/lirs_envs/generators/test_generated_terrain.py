@@ -16,7 +16,7 @@ from lirs_envs.generators.terrain import (
     scaled_height_range,
 )
 from lirs_envs.placement import standing_pose
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_wct.errors import ConfigError
 from lirs_wct.navigation.traversability import traversable
 

@@ -14,8 +14,7 @@ from lirs_envs.rendering.camera import CHASE, Camera
 from lirs_envs.rendering.map_view import GOAL, PATH, ROBOT, SCAN, WALKER, MapView
 from lirs_envs.rendering.scene import MAX_ERROR, RenderScene, Snapshot
 from lirs_envs.rendering.views import RENDER_MODES, Views
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

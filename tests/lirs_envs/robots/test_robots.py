@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from lirs_envs.robots.catalog import ROBOTS
-from lirs_envs.robots.robot import Robot, Twist
+from lirs_envs.robots.robot import ROBOTS, Robot, Twist
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError

@@ -9,8 +9,7 @@ import pytest
 
 from lirs_envs.generators.arena import ArenaConfig, arena
 from lirs_envs.lidar.noise import LidarNoise
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import (
     DUST_RANGES,
     FaultInjector,

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.inertial import InertialNoise, InertialUnit
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot, Twist
+from lirs_envs.robots.robot import Robot, Twist, make_robot
 from lirs_envs.sensing.ekf import EkfConfig, EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensors
 from lirs_envs.sensing.odometry import DistanceNoise, FlowOdometry, OdometryConfig

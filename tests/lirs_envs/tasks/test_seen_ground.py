@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import SEEN_CELL, make_site, seen_frame
 from lirs_wct.geometry.pose import Pose3

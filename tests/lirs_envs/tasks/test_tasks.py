@@ -12,8 +12,7 @@ import pytest
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.episodes import TASKS, register_task
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Robot
+from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.tasks.mapping import MappingTask
 from lirs_envs.tasks.navigation import NavigationTask
 from lirs_envs.tasks.site import SEEN_CELL, make_site

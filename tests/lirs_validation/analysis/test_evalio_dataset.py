@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation import Run, validate
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry import Pose3

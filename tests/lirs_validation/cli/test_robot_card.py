@@ -8,7 +8,7 @@ import mujoco
 import pytest
 from rich.console import Console
 
-from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.robots.robot import ROBOTS
 from lirs_envs.robots.urdf import robot_urdf
 from lirs_validation.cli.commands import robot_card
 from tests.command_line import run_command

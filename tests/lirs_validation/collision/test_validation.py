@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lirs_envs.robot_model import RobotModel
-from lirs_envs.robots.catalog import ROBOTS, make_robot
+from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.cli.app import app
 from lirs_validation.collision.contact_log import ContactRecorder
 from lirs_validation.collision.contact_metrics import energy_gain, penetrations, stuck_seconds

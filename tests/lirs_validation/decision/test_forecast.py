@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.decision.forecast import (
     LEAST_INFORMATION,

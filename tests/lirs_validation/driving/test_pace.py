@@ -2,7 +2,7 @@
 
 import pytest
 
-from lirs_envs.robots.catalog import ROBOTS
+from lirs_envs.robots.robot import ROBOTS
 from lirs_validation.driving.path_driver import DriverConfig, driver_config
 
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.floor_plan import floor_plan
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import check_driver
 from lirs_validation.driving.policy_driver import PATIENCE, REACHED, PolicyDriver

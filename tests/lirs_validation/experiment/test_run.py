@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_envs.robots.catalog import make_robot
-from lirs_envs.robots.robot import Twist
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_validation import RunConfig, read_record, validate
 from lirs_validation.experiment.loop import drive

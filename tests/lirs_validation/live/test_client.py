@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.live.client import STOPPED_AFTER, Client
 from lirs_validation.live.graph import TWIST
 from lirs_validation.live.middleware import Received

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.metrics.scan_support import (
     POSES,
     ScanSupport,

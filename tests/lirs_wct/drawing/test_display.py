@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_envs.robots.catalog import ROBOTS, make_robot
+from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation import validate
 from lirs_wct.display import html_table
 from lirs_wct.drawing.pictures import figure_of

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation import validate

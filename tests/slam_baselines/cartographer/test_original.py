@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_envs.robots.catalog import make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_wct import Imu, Pose2
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
