@@ -125,7 +125,7 @@ def convert(
 
     The up direction stays; dae, obj and glb keep the texture.
     """
-    from lirs_wct.export.mesh_conversion import convert_mesh
+    from lirs_wct.export.mesh_writer import convert_mesh
 
     with err.status(f"converting {source}"):
         mesh = convert_mesh(source, target, rotate_x)

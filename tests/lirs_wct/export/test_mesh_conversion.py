@@ -10,7 +10,7 @@ import trimesh
 from PIL import Image
 
 from lirs_wct.errors import OutputError
-from lirs_wct.export.mesh_conversion import convert_mesh
+from lirs_wct.export.mesh_writer import convert_mesh
 from lirs_wct.formats.meshes.textured import TEXTURED, read_textured
 
 PIXELS = np.random.default_rng(5).integers(0, 255, (16, 16, 3), dtype=np.uint8)
