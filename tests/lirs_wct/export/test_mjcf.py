@@ -14,8 +14,7 @@ import pytest
 from lirs_wct import BuildOptions, build_world
 from lirs_wct.contact.contact_grid import contact_grid
 from lirs_wct.export.mjcf import world_spec
-from lirs_wct.export.mjcf_file import OLDEST_MUJOCO, readable_by_old, write_mjcf
-from lirs_wct.export.mjcf_look import spread
+from lirs_wct.export.mjcf_file import OLDEST_MUJOCO, readable_by_old, spread, write_mjcf
 from lirs_wct.export.package import write_package
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
