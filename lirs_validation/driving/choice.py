@@ -16,13 +16,12 @@ from lirs_envs.pretrained import Pretrained
 from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
 from lirs_validation.driving.coverage import CoverageDriver, plan_coverage
-from lirs_validation.driving.driver import Driver
+from lirs_validation.driving.driver import Driver, ReversingDriver
 from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
 from lirs_validation.driving.paths import area_round
 from lirs_validation.driving.policy_driver import PolicyDriver
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
-from lirs_validation.driving.standing import ReversingDriver
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, World
 from lirs_wct.formats.waypoints import RoutePoint, read_waypoints

@@ -1,7 +1,8 @@
-"""Interface of the drivers: poses and scans in, commands out."""
+"""Interface of the drivers, and drivers around another one: standing still first, driving backwards."""
 
 from __future__ import annotations
 
+import math
 from typing import Literal, Protocol
 
 from lirs_envs.robots.robot import Twist
@@ -45,3 +46,83 @@ class Driver(Protocol):
             time: seconds since the start.
         """
         ...
+
+
+class WrappedDriver:
+    """Base of drivers around another one, with its start, frame and end.
+
+    Args:
+        driver: the other one.
+    """
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+
+    @property
+    def start(self) -> Pose2:
+        """Start pose of the robot."""
+        return self._driver.start
+
+    @property
+    def frame(self) -> Frame:
+        """Frame of the poses that the driver gets."""
+        return self._driver.frame
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the driver gave up."""
+        return self._driver.stuck
+
+    @property
+    def finished(self) -> str:
+        """Reason for the end of the drive; empty before the end."""
+        return self._driver.finished
+
+    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
+        """Pass scan and odometry on."""
+        self._driver.sense(scan, odometry)
+
+
+class StandingDriver(WrappedDriver):
+    """Driver that hands over to another one after the robot has stood still.
+
+    Args:
+        driver: drives then; its time begins with the first motion.
+        seconds: simulated time to stand still.
+    """
+
+    def __init__(self, driver: Driver, seconds: float) -> None:
+        super().__init__(driver)
+        self._seconds = seconds
+
+    def command(self, pose: Pose2, time: float) -> Twist:
+        """Return no motion at first, then the driver's command (see `Driver.command`)."""
+        # Half a microsecond: sums of periods are not exact.
+        if time < self._seconds - 5e-7:
+            return Twist()
+        return self._driver.command(pose, time - self._seconds)
+
+
+CYCLE = 20.0
+"""Seconds of one turn of forward and backward driving."""
+BACK = Pose2(0.0, 0.0, math.pi)
+
+
+class ReversingDriver(WrappedDriver):
+    """Driver that follows the path of another one backwards for part of the time.
+
+    Args:
+        driver: plans and follows the path.
+        share: share of the time in which it drives backwards.
+    """
+
+    def __init__(self, driver: Driver, share: float) -> None:
+        super().__init__(driver)
+        self._share = share
+
+    def command(self, pose: Pose2, time: float) -> Twist:
+        """Return the driver's command, or the reversed one for a robot that faces backwards."""
+        if time % CYCLE < (1.0 - self._share) * CYCLE:
+            return self._driver.command(pose, time)
+        wanted = self._driver.command(pose @ BACK, time)
+        return Twist(-wanted.v, wanted.omega)

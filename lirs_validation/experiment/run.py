@@ -15,9 +15,8 @@ from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import STAND, RunConfig, driver_parts
 from lirs_validation.driving.choice import make_driver
-from lirs_validation.driving.driver import Driver
+from lirs_validation.driving.driver import Driver, StandingDriver
 from lirs_validation.driving.replay import COMMANDS
-from lirs_validation.driving.standing import StandingDriver
 from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_contention
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import (

@@ -18,7 +18,7 @@ from lirs_envs.robots.robot import Robot, Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, make_driver, start_pose
-from lirs_validation.driving.standing import StandingDriver
+from lirs_validation.driving.driver import StandingDriver
 from lirs_validation.experiment.cost import compile_timer
 from lirs_validation.experiment.mapper_loading import warm_up_mapper
 from lirs_validation.experiment.mapper_process import needs_process, start_mapper

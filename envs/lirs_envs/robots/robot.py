@@ -1,4 +1,14 @@
-"""Figures of a robot in addition to its MJCF file."""
+"""Robots as data: one MJCF file under `assets/` and one row of `ROBOTS` each.
+
+Required contents of a robot's MJCF file:
+
+* its options (timestep, solver) and a camera `chase`;
+* a body `base_link` with a free joint and `sleep="never"`;
+* a velocity actuator for each driven wheel with the name of its joint, or a thrust actuator for each rotor;
+* the sensor `accelerometer` on the base;
+* contact geoms with `priority="1"`, so that the robot's friction holds on every ground; casters that roll on
+  it are named `..._caster`.
+"""
 
 from __future__ import annotations
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from lirs_envs.robots.robot import Robot, Twist, clip
 from lirs_validation.config import MANUAL, RunConfig, run_name
-from lirs_validation.driving.driver import Driver
-from lirs_validation.driving.standing import WrappedDriver
+from lirs_validation.driving.driver import Driver, WrappedDriver
 from lirs_validation.experiment.cost import CostMeter, cpu_contention
 from lirs_validation.experiment.evaluation import evaluate_maps, verdict_so_far
 from lirs_validation.experiment.loop import Drive
