@@ -22,8 +22,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.navigation.footprints import FOOTPRINTS
-from lirs_wct.navigation.spawn_poses import mapped_area, spawn_poses
+from lirs_wct.navigation.spawn_poses import FOOTPRINTS, mapped_area, spawn_poses
 from lirs_wct.navigation.traversability import (
     blocked_ground,
     cause_of_refusal,

@@ -9,7 +9,7 @@ from lirs_wct.errors import ConfigError, LogSourceError, TooLargeError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
-from lirs_wct.navigation.footprints import FOOTPRINTS
+from lirs_wct.navigation.spawn_poses import FOOTPRINTS
 from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.effort import explain_refusal, limit_to_memory
 from lirs_wct.sources.laser_map import read_laser_map
