@@ -20,8 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_wct.errors import OutputError, SourceError
-from lirs_wct.foreign_files import link_foreign, move_foreign, write_manifest
-from lirs_wct.renames import exchange
+from lirs_wct.foreign_files import exchange, link_foreign, move_foreign, write_manifest
 
 if sys.platform != "win32":
     import fcntl
