@@ -11,8 +11,7 @@ from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.filters import denoise, sharpen, smooth
-from lirs_wct.sources.pictures.picture import read_height_field
+from lirs_wct.sources.pictures.picture import denoise, read_height_field, sharpen, smooth
 
 RAMP = np.tile(np.arange(40, dtype=np.float32), (30, 1))
 
