@@ -35,9 +35,8 @@ from benchmarks.lidar_places import (
     scans,
     triangles,
 )
-from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.presets import ring_directions
-from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_envs.lidar.ray_casting import MeshCaster, RayCaster
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

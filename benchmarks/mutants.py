@@ -49,7 +49,7 @@ READERS = (
 )
 GROUPS = {
     "metrics": (63, ("lirs_validation/metrics/*.py",)),
-    "poses": (48, tuple(f"lirs_wct/geometry/{name}.py" for name in ("pose", "grid", "trajectory"))),
+    "poses": (48, tuple(f"lirs_wct/geometry/{name}.py" for name in ("pose", "grid"))),
     "readers": (85, READERS),
 }
 """Mutants that are drawn, and the modules."""

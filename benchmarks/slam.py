@@ -37,7 +37,7 @@ from lirs_validation.metrics.relative_pose_error import (
 )
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "logs"

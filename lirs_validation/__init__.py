@@ -8,8 +8,7 @@ if TYPE_CHECKING:
     from lirs_validation.config import RunConfig
     from lirs_validation.experiment.run import Run, validate
     from lirs_validation.gui.notebook import EmbeddedPage, show
-    from lirs_validation.logs.log_source import resolve_source
-    from lirs_validation.logs.map_log import MappedLog, map_log
+    from lirs_validation.logs.map_log import MappedLog, map_log, resolve_source
     from lirs_validation.record.run_record import RunRecord, read_record
     from lirs_validation.report.page import report_of
 
@@ -33,7 +32,7 @@ _HOMES = {
     "show": "gui.notebook",
     "MappedLog": "logs.map_log",
     "map_log": "logs.map_log",
-    "resolve_source": "logs.log_source",
+    "resolve_source": "logs.map_log",
     "Run": "experiment.run",
     "validate": "experiment.run",
     "RunConfig": "config",

@@ -50,7 +50,7 @@ _HOMES = {
     "Pose3": "geometry.pose",
     "SimulationError": "errors",
     "SourceError": "errors",
-    "Trajectory": "geometry.trajectory",
+    "Trajectory": "geometry.pose",
     "TriangleMesh": "geometry.mesh",
     "WallGrid": "geometry.walls",
     "WctError": "errors",

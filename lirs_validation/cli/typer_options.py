@@ -1,4 +1,4 @@
-"""Command-line options, generated from the declarations of option classes."""
+"""Shared arguments of commands, and options generated from the declarations of option classes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,38 @@ import typer
 from lirs_validation.cli.progress import err, progress_bar
 from lirs_validation.config import SourceOptions
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
+from lirs_wct.errors import ConfigError
 from lirs_wct.option import Option, Options, chosen, declared, defaults
+
+SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
+
+
+def complete_source(incomplete: str) -> list[str]:
+    """Return bundled worlds and paths that begin with a text, for the shell."""
+    # Slow to import; only the shell's completion needs it.
+    from lirs_wct.sources.bundled import RECIPES
+
+    worlds = [name for name in RECIPES if name.startswith(incomplete)]
+    folder, separator, name = incomplete.rpartition("/")
+    found = [path.name for path in Path(folder + separator).glob("*") if path.name.startswith(name)]
+    return worlds + sorted(folder + separator + name for name in found)
+
+
+Sources = Annotated[list[str], typer.Argument(help=SOURCE_HELP, autocompletion=complete_source)]
+Source = Annotated[str, typer.Argument(help=SOURCE_HELP, autocompletion=complete_source)]
+
+
+def read_fields(text: str | None, flag: str) -> dict[str, str]:
+    """Return the fields and values of a list such as `mapper=hector,world=medium`; nothing of None.
+
+    Raises:
+        ConfigError: it is no such list.
+    """
+    pairs = [part.partition("=") for part in (text.split(",") if text is not None else ())]
+    if not all(name.strip() and value.strip() for name, _, value in pairs):
+        raise ConfigError(f"{flag} must be a list such as mapper=hector,world=medium, got {text!r}")
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
 
 _SWITCH = "_switch"
 """Suffix of the names of parameters that are switches."""
@@ -215,7 +246,7 @@ def _folder(output: Path | None) -> Path:
 
 
 def _map_log(log: str, options: SourceOptions, out: Path) -> str:
-    from lirs_validation.logs.log_source import resolve_source
+    from lirs_validation.logs.map_log import resolve_source
 
     with progress_bar(log, err) as progress:
         path = resolve_source(log, options, out, progress)

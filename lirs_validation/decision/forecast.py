@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
-from lirs_envs.lidar.ray_casting import Caster, RayCaster
+from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import plan_tour

@@ -1,8 +1,12 @@
-"""A log becomes a map: log x mapper x seed -> map, trajectory, record."""
+"""A log becomes a map: log x mapper x seed -> map, trajectory, record.
+
+A log that is a source of worlds is mapped once; later worlds are built from its map.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import time
 from collections.abc import Iterator, Sequence
@@ -13,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lirs_validation.config import SourceOptions
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.logs.log_replay import (
@@ -32,18 +37,20 @@ from lirs_validation.metrics.log_accuracy import Accuracy, reference_errors, tra
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint, read_constraints
 from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
+from lirs_validation.record.provenance import is_stale
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
-from lirs_wct.files import atomic_folder, readable_lines
+from lirs_wct.files import atomic_folder, atomic_write, readable_lines
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
-from lirs_wct.formats.map_server import write_map
+from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import is_bag_file
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
+from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.source import find_source, is_bag
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name
 
@@ -311,7 +318,7 @@ def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic")
         ConfigError: a topic is given, and it is no bag.
     """
     if is_bag(path):
-        from lirs_wct.formats.rosbag.poses import read_poses
+        from lirs_wct.formats.rosbag.reader import read_poses
 
         return read_poses(path, topic, flag)
     if topic is not None:
@@ -397,3 +404,58 @@ def reference_in_time(reference: Trajectory, lines: LineStamps) -> Trajectory:
         return reference
     stamps, first = np.unique(lines.repaired_at(reference.stamps), return_index=True)
     return Trajectory(stamps, reference.positions[first], reference.quaternions[first])
+
+
+def resolve_source(
+    source: str | Path, options: BuildOptions, out: str | Path, progress: Progress = no_progress
+) -> str | Path:
+    """Return the source, or for a log the YAML file of its map.
+
+    The map is made into `out` as `lirs-wct map` makes it. One that lies there already is used again, if
+    this very log and this very code made it.
+
+    Raises:
+        WctError: there is no such source, the log cannot be mapped, or the map cannot be written.
+    """
+    found = find_source(source, BuildOptions())
+    if found.kind is not SourceKind.LOG:
+        return source
+    config = MapConfig(
+        log=str(source),
+        mapper=SourceOptions.of(options).log_mapper,
+        resolution=options.resolution,
+        second="none",
+    )
+    out = Path(out)
+    folder = out / folder_name(config)
+    found_before = _read_ending(folder)
+    if found_before is None:
+        record = run_mapping(config, out=out, progress=progress).record
+        found_before = record.status, record.reason
+    status, reason = found_before
+    if status != "ok":
+        what = "left out scans of" if status == "incomplete" else "lost its place in"
+        raise SourceError(
+            f"{source}: {config.mapper} {what} this log ({reason}), its map is no world (see {folder}); "
+            "try another --log-mapper"
+        )
+    named = folder / f"{found.name}.yaml"
+    with atomic_write(named) as path:
+        path.write_bytes((folder / "map.yaml").read_bytes())
+    return named
+
+
+def _read_ending(folder: Path) -> tuple[str, str] | None:
+    """Return status and reason of a finished mapping in a folder.
+
+    None if the folder holds no current result.
+    """
+    path = folder / "record.json"
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        ended, written_by = (str(record["status"]), str(record["reason"])), record["versions"]
+        read_map(folder / "map.yaml")
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
+        return None
+    # The folder's name holds the digest of the log: another content is another folder.
+    return None if is_stale(path, written_by, inputs=()) else ended

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_envs.lidar.mesh_rays import MeshCaster
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.lidar.ray_casting import Caster, RayCaster
+from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_wct import LaserScan, Pose2, Pose3, World

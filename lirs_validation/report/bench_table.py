@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from lirs_validation.bench.experiment import PolicyResult, share_of_bound
 from lirs_validation.bench.policies import UPPER_BOUND
-from lirs_validation.bench.results import PolicyResult, share_of_bound
 from lirs_validation.bench.scores import PolicyScore, score_of
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.report.table import ReportTable

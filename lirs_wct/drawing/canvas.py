@@ -12,8 +12,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 

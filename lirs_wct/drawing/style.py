@@ -20,7 +20,7 @@ from PIL import Image
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import BAND, Canvas
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Trajectory
 
 DPI, SCREEN_DPI = 150, 72
 """Resolution of files and in Jupyter, dots per inch."""

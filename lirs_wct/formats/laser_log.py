@@ -9,9 +9,8 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import atomic_write, read_gzipped
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Trajectory
 
 FARTHEST = 1e9
 """Largest coordinate, meters; squares of far larger ones overflow."""

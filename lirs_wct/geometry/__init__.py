@@ -5,9 +5,8 @@ The values that a mapper takes and returns are imported from here.
 
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, Pose3, wrap_angle
+from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory, wrap_angle
 from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
 
 __all__ = [
     "Imu",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_envs.lidar.mesh_rays import MeshCaster
+from lirs_envs.lidar.ray_casting import MeshCaster
 from lirs_envs.props import Prop
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.odometry import OdometryConfig

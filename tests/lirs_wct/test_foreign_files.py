@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_wct import files, foreign_files, renames
+from lirs_wct import files, foreign_files
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder
 from lirs_wct.foreign_files import MANIFEST, read_manifest
@@ -50,7 +50,7 @@ def version_of(path: Path) -> str:
 def exchange(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Test with `renameat2`, and as on a file system without it."""
     if request.param == "renames":
-        monkeypatch.setattr(renames, "_renameat2", lambda *_: False)
+        monkeypatch.setattr(foreign_files, "_renameat2", lambda *_: False)
     return str(request.param)
 
 
@@ -200,8 +200,8 @@ def end_at(step: int, end: Callable[[], None]) -> None:
         counted("os.rename")
         return done
 
-    original: Callable[..., bool] = renames._renameat2
-    renames._renameat2 = renameat2
+    original: Callable[..., bool] = foreign_files._renameat2
+    foreign_files._renameat2 = renameat2
     sys.addaudithook(counted)
 
 

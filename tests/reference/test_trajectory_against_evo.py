@@ -14,8 +14,7 @@ from lirs_validation.metrics.relative_pose_error import (
     pairs_by_time,
     relative_pose_error,
 )
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 
 metrics = pytest.importorskip("evo.core.metrics")
 sync = pytest.importorskip("evo.core.sync")

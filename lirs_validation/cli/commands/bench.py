@@ -14,8 +14,8 @@ from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 
 if TYPE_CHECKING:
+    from lirs_validation.bench.experiment import PolicyResult
     from lirs_validation.bench.policies import PolicyChoice
-    from lirs_validation.bench.results import PolicyResult
     from lirs_validation.bench.tasks import BenchTask, TaskSet
 
 POLICY_HELP = (
@@ -157,7 +157,7 @@ def _show(
     against: str | None,
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
-    from lirs_validation.bench.results import read_results
+    from lirs_validation.bench.experiment import read_results
     from lirs_validation.report.bench_table import bench_table, score_line, write_scores
 
     results = read_results(output, tasks, chosen)

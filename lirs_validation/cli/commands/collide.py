@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import Sources
 from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
-from lirs_validation.cli.typer_options import mujoco_terrain, with_options
+from lirs_validation.cli.typer_options import Sources, mujoco_terrain, with_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.errors import WctError
 from lirs_wct.option import read_names, read_numbers

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
 from lirs_validation.cli.progress import out
+from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source
 from lirs_wct.errors import ConfigError
 
 

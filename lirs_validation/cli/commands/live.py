@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
 from lirs_validation.cli.progress import err, out, progress_bar
-from lirs_validation.cli.typer_options import with_options
+from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source, with_options
 from lirs_validation.config import CLIENT, RUN_AXES, RunConfig, SourceOptions
 from lirs_validation.live.options import LiveOptions
 from lirs_wct.errors import ConfigError

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from lirs_validation.cli.arguments import read_fields
 from lirs_validation.cli.progress import RUN_FAILED, err, out
+from lirs_validation.cli.typer_options import read_fields
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import read_names
 

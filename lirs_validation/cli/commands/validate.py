@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lirs_validation.cli.arguments import SOURCE_HELP, complete_source
 from lirs_validation.cli.progress import GATE_FAILED, manifest_of_command, out, run_sweep
-from lirs_validation.cli.typer_options import with_options
+from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source, with_options
 from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, SourceOptions
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lirs_validation.cli.arguments import Sources
 from lirs_validation.cli.progress import GATE_FAILED, err, out
-from lirs_validation.cli.typer_options import with_options
+from lirs_validation.cli.typer_options import Sources, with_options
 from lirs_validation.config import EngineOptions, RunConfig, SourceOptions
 from lirs_validation.falsify import FalsifyOptions
 from lirs_validation.map_config import MapConfig

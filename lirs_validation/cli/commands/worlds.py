@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lirs_validation.cli.arguments import Source
 from lirs_validation.cli.progress import err, out, progress_bar
-from lirs_validation.cli.typer_options import gazebo_terrain, typer_option, with_options
+from lirs_validation.cli.typer_options import Source, gazebo_terrain, typer_option, with_options
 from lirs_validation.config import SourceOptions
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, ExportOptions
 from lirs_wct.option import read_names

@@ -24,8 +24,7 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.laser_log import LineStamps
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 
 LEAP = 10.0
 """Longest delay, seconds; a larger step back is a damaged line or a clock that was set."""

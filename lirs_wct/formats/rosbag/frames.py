@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose3, Trajectory
 
 SAME = 1e-6
 """Largest change of a constant transform on /tf: meters, and components of the quaternion."""

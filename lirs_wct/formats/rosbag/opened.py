@@ -1,31 +1,37 @@
 """Open bags: also split, compressed, without index, or cut off.
 
 The files of a folder are opened one by one, without the metadata. A recorder writes these last and may die
-before.
+before. Complete messages of a cut-off bag are salvaged into a new bag; a ROS 1 bag's records are read without
+its index (http://wiki.ros.org/Bags/Format/2.0).
 """
 
 from __future__ import annotations
 
 import re
+import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, partial
 from heapq import merge
+from io import BytesIO
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, BinaryIO, NamedTuple, NoReturn, TypeAlias
 
 import yaml
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Message, Schema
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.rosbag.compression import decompress_file, decompress_message
-from lirs_wct.formats.rosbag.ros1_records import MAGIC
-from lirs_wct.formats.rosbag.salvage import fault_of, salvage_file
+from lirs_wct.formats.rosbag.compression import decompress_chunk, decompress_file, decompress_message
 from lirs_wct.formats.rosbag.storage import METADATA
 from lirs_wct.formats.suffixes import BAGS, ZSTD, is_bag_file
 
@@ -186,3 +192,201 @@ def _missing(path: Path) -> list[str]:
 
 def _reason(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
+
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, HEADER, CHUNK, CONNECTION = 2, 3, 5, 7
+"""Kinds of records, their field `op`."""
+Fields = dict[str, bytes]
+
+
+class Topic(NamedTuple):
+    """A topic: name, type, and the type's definition and digest (empty = unknown)."""
+
+    name: str
+    kind: str
+    definition: str = ""
+    digest: str = ""
+
+
+class SalvagedMessage(NamedTuple):
+    """A message: topic, time of recording in nanoseconds, and bytes."""
+
+    topic: Topic
+    stamp: int
+    data: bytes
+
+
+def index_of(path: Path) -> int | None:
+    """Return the position of a bag's index (0 = unwritten); None without entry."""
+    with path.open("rb") as file:
+        file.seek(len(MAGIC))
+        fields, _ = next(_records(file), ({}, b""))
+    found = fields.get("index_pos", b"")
+    return int.from_bytes(found, "little") if len(found) == 8 else None
+
+
+def ros1_messages(path: Path) -> Iterator[SalvagedMessage]:
+    """Yield the messages of complete records, and of the rest of the last chunk."""
+    with path.open("rb") as file:
+        file.seek(len(MAGIC))
+        yield from _messages_of(file, {})
+
+
+def _messages_of(stream: BinaryIO, topics: dict[bytes, Topic]) -> Iterator[SalvagedMessage]:
+    for fields, data in _records(stream):
+        kind = int.from_bytes(fields.get("op", b"\0"), "little")
+        if kind == CHUNK:
+            compression = fields.get("compression", b"none").decode()
+            yield from _messages_of(BytesIO(decompress_chunk(data, compression)), topics)
+        elif kind == CONNECTION:
+            topics.setdefault(fields["conn"], _topic(fields["topic"].decode(), data))
+        elif kind == MESSAGE and fields.get("conn") in topics:
+            seconds, rest = struct.unpack("<II", fields["time"])
+            yield SalvagedMessage(topics[fields["conn"]], seconds * 1_000_000_000 + rest, data)
+
+
+def _topic(name: str, data: bytes) -> Topic:
+    held = _fields(data)
+    package, _, kind = held["type"].decode().partition("/")
+    return Topic(name, f"{package}/msg/{kind}", held["message_definition"].decode(), held["md5sum"].decode())
+
+
+def _records(stream: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
+    """Yield fields and data of the records; also of a cut-off last chunk."""
+    while True:
+        header = _read_sized(stream)
+        if header is None:
+            return
+        fields = _fields(header)
+        length = stream.read(4)
+        if len(length) < 4:
+            return
+        data = stream.read(int.from_bytes(length, "little"))
+        whole = len(data) == int.from_bytes(length, "little")
+        if whole or fields.get("op") == bytes([CHUNK]):
+            yield fields, data
+        if not whole:
+            return
+
+
+def _read_sized(stream: BinaryIO) -> bytes | None:
+    """Read a length and that many bytes; None if some are missing."""
+    length = stream.read(4)
+    if len(length) < 4:
+        return None
+    data = stream.read(int.from_bytes(length, "little"))
+    return data if len(data) == int.from_bytes(length, "little") else None
+
+
+def _fields(header: bytes) -> Fields:
+    stream, fields = BytesIO(header), Fields()
+    while (field := _read_sized(stream)) is not None:
+        name, _, value = field.partition(b"=")
+        fields[name.decode()] = value
+    return fields
+
+
+CUT = "its end is missing"
+MCAP = b"\x89MCAP0\r\n"
+FOOTER = 37
+"""Bytes of an MCAP file's last record and the magic bytes after it."""
+
+
+def fault_of(path: Path) -> str | None:
+    """Return the fault of an MCAP file or a ROS 1 bag.
+
+    The fault is "" for a missing index, and None for a sound file or no bag.
+    """
+    with path.open("rb") as file:
+        begin, size = file.read(len(MAGIC)), file.seek(0, 2)
+        file.seek(max(0, size - FOOTER))
+        end = file.read()
+    if begin.startswith(MCAP):
+        if not end.endswith(MCAP):
+            return CUT
+        return "" if not any(end[9:17]) else None
+    if begin == MAGIC:
+        index = index_of(path)
+        return CUT if index is not None and not 0 < index < size else None
+    return None
+
+
+def salvage_file(path: Path, target: Path) -> Path:
+    """Write the complete messages of an MCAP file or ROS 1 bag as a bag, and return its file.
+
+    Args:
+        path: file of the bag.
+        target: folder that is created.
+
+    Raises:
+        Exception: any exception of the parsers for damaged data.
+    """
+    if path.suffix == ".bag":
+        target.mkdir()
+        with rosbag1.Writer(target / path.name) as writer:
+            _write_ros1(writer, ros1_messages(path))
+        return target / path.name
+    with rosbag2.Writer(target, version=8, storage_plugin=StoragePlugin.MCAP) as writer2:
+        _write_ros2(writer2, mcap_messages(path))
+    return target / f"{target.name}.mcap"
+
+
+def mcap_messages(path: Path) -> Iterator[SalvagedMessage]:
+    """Yield the messages of complete records, and of the rest of the last chunk."""
+    schemas: dict[int, Schema] = {}
+    topics: dict[int, Topic] = {}
+    with path.open("rb") as file:
+        file.seek(len(MCAP))
+        for record in _mcap_records(ReadDataStream(file)):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel):
+                schema = schemas.get(record.schema_id)
+                kind, definition = (schema.name, schema.data.decode()) if schema else ("", "")
+                topics[record.id] = Topic(record.topic, kind, definition)
+            elif isinstance(record, Message) and record.channel_id in topics:
+                yield SalvagedMessage(topics[record.channel_id], record.log_time, record.data)
+
+
+def _mcap_records(stream: ReadDataStream) -> Iterator[Schema | Channel | Message]:
+    """Yield the records of a stream and of its chunks; the package's reader drops incomplete chunks."""
+    with suppress(EndOfFile, struct.error):
+        while True:
+            kind, length = stream.read1(), stream.read8()
+            if kind == Opcode.CHUNK:
+                chunk = Chunk.read(stream)
+                data = decompress_chunk(chunk.data, chunk.compression)
+                yield from _mcap_records(ReadDataStream(BytesIO(data)))
+                continue
+            body = stream.read(length)
+            if len(body) < length:
+                return
+            content = ReadDataStream(BytesIO(body))
+            if kind == Opcode.SCHEMA:
+                yield Schema.read(content)
+            elif kind == Opcode.CHANNEL:
+                yield Channel.read(content)
+            elif kind == Opcode.MESSAGE:
+                yield Message.read(content, length)
+
+
+def _write_ros2(writer: rosbag2.Writer, messages: Iterable[SalvagedMessage]) -> None:
+    store, connections = get_typestore(Stores.ROS2_JAZZY), {}
+    for topic, stamp, data in messages:
+        if topic not in connections:
+            definition = topic.definition or store.generate_msgdef(topic.kind, ros_version=2)[0]
+            connections[topic] = writer.add_connection(
+                topic.name, topic.kind, msgdef=definition, rihs01="unknown"
+            )
+        writer.write(connections[topic], stamp, data)
+
+
+def _write_ros1(writer: rosbag1.Writer, messages: Iterable[SalvagedMessage]) -> None:
+    connections = {}
+    for topic, stamp, data in messages:
+        if topic not in connections:
+            connections[topic] = writer.add_connection(
+                topic.name, topic.kind, msgdef=topic.definition, md5sum=topic.digest
+            )
+        writer.write(connections[topic], stamp, data)

@@ -160,7 +160,7 @@ def test_a_collision_check_that_is_nonsense_is_run_again(text: str, tmp_path: Pa
 def test_a_mapped_log_that_is_cut_off_is_mapped_again(
     name: str, how: str, mapped: Path, tmp_path: Path
 ) -> None:
-    from lirs_validation.logs.log_source import resolve_source
+    from lirs_validation.logs.map_log import resolve_source
     from lirs_wct.formats.map_server import read_map
     from lirs_wct.sources.options import BuildOptions
 

@@ -17,8 +17,7 @@ from lirs_validation.metrics import agreement, iou
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.sources.options import BuildOptions
 
 

@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from lirs_envs.episodes.observations import GROUPS
-from lirs_validation.bench.experiment import RECORD, BenchExperiment
+from lirs_validation.bench.experiment import RECORD, BenchExperiment, read_results, share_of_bound
 from lirs_validation.bench.policies import PolicyChoice
-from lirs_validation.bench.results import read_results, share_of_bound
 from lirs_validation.bench.tasks import BenchTask, TaskSet
 from lirs_validation.report.bench_table import difference_line
 from lirs_validation.sweep.experiment import Outcome

@@ -13,14 +13,12 @@ from lirs_validation.config import RunConfig
 from lirs_validation.drawing.run_overview import overview_figure, shown_bounds
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.drawing.canvas import Canvas, bounds_of, shaded_heights, shading
-from lirs_wct.drawing.mesh_view import TILT, TURN, mesh_view
 from lirs_wct.drawing.style import Drawing
-from lirs_wct.drawing.world_view import block_picture, oblique_figure, view_figure
+from lirs_wct.drawing.world_view import TILT, TURN, block_picture, mesh_view, oblique_figure, view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World

@@ -18,9 +18,8 @@ from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.sources.build import build_world
 from lirs_wct.world import World
 from slam_baselines.hector.mapper import HectorMapper

@@ -11,7 +11,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.formats.drive_csv import read_imu
 
 NOTING = r"""
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 

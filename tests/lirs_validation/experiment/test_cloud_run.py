@@ -27,16 +27,15 @@ from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu
-from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.sources.options import BuildOptions
 from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats, make_mapper
 
 ROOT = Path(__file__).resolve().parents[3]
 MODULE = """
 from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MapperStats
 
 class Still:

@@ -12,9 +12,8 @@ from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.loop import Drive
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.mapper import MapperStats
 
 

@@ -11,7 +11,7 @@ from lirs_validation.analysis.result_folders import read_run
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.record.run_record import damaged_files
 from lirs_validation.report.pictures import Painter
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.hector.mapper import HectorMapper
 from tests.command_line import run_command
 

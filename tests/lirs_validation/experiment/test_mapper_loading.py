@@ -12,8 +12,7 @@ from lirs_validation import validate
 from lirs_validation.experiment.mapper_loading import RESOLUTION, mapper_named, source_file
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_pose
 from lirs_wct.errors import ConfigError, MapperError
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
 OWN = "module:name of your own"

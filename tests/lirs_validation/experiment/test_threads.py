@@ -144,7 +144,7 @@ def test_a_cloud_mapper_has_its_process_too() -> None:
     (Path.cwd() / "own_clouds.py").write_text(
         "import time\n"
         "from lirs_wct.geometry.pose import Pose3\n"
-        "from lirs_wct.geometry.trajectory import Trajectory\n"
+        "from lirs_wct.geometry.pose import Trajectory\n"
         "from slam_baselines.mapper import MapperStats\n"
         "class Still:\n"
         "    reads_clouds, lost, stats = True, False, MapperStats()\n"

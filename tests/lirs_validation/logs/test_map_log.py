@@ -20,8 +20,7 @@ from lirs_validation.record.metric_catalog import WORSE
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum, write_tum
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from tests.lirs_wct.formats.carmen.carmen_room import PERIOD, START, flaser, room_lines, write_log
 from tests.slam_baselines.synthetic import ROOM, ranges_to
 
@@ -271,7 +270,7 @@ def test_a_thinned_log_that_is_mapped_wrong_is_not_ok(
 OWN = """
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MapperStats
 import numpy as np
 

@@ -13,8 +13,7 @@ from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.formats.tum import write_tum
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from tests.lirs_wct.formats.carmen.carmen_room import START, room_lines, write_log
 
 

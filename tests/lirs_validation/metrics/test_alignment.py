@@ -8,8 +8,7 @@ import pytest
 from lirs_validation.metrics import map_scores, start_alignment, trajectory_errors
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.walls import WallGrid
 
 FLAT = HeightField(np.zeros((2, 2), np.float32), (60.0, 60.0), (-30.0, -30.0))

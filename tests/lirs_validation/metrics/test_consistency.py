@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from lirs_validation.metrics.consistency import ScanConsistency, contradicted_share, scan_consistency
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
 from tests.slam_baselines.synthetic import ranges_to
 
 

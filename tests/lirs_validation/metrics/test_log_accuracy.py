@@ -14,8 +14,7 @@ from lirs_validation.metrics.log_accuracy import (
 )
 from lirs_validation.metrics.relative_pose_error import ConstraintErrors, RelativePoseConstraint
 from lirs_validation.metrics.trajectory import trajectory_errors
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 
 
 def test_errors_are_those_after_alignment() -> None:

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from lirs_validation.metrics.alignment import motion, move_poses, planar, rigid_alignment, rms, wrap_angles
-from lirs_wct.geometry.pose import Pose2, wrap_angle
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory, wrap_angle
 
 seeds = st.integers(0, 2**32 - 1)
 

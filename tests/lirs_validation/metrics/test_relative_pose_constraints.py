@@ -18,8 +18,7 @@ from lirs_validation.metrics.relative_pose_error import (
     read_constraints,
 )
 from lirs_wct.errors import SourceError
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 
 STAMPS = [0.0, 1.0, 2.0]
 

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from lirs_validation.metrics import trajectory_errors
 from lirs_validation.metrics.trajectory import spatial_alignment, spatial_errors
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from lirs_validation.metrics import trajectory_errors
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 
 finite = st.floats(-50, 50)
 poses = st.builds(Pose2, finite, finite, st.floats(-math.pi, math.pi))

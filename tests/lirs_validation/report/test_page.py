@@ -24,8 +24,7 @@ from lirs_validation.report.table import MetricSpread, ReportTable
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from tests.lirs_validation.records import entry, saved
 
 

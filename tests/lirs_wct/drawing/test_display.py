@@ -12,9 +12,8 @@ from lirs_wct.display import html_table
 from lirs_wct.drawing.pictures import figure_of
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
 

@@ -9,8 +9,7 @@ from evo.tools import file_interface
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.tum import read_tum, write_tum
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose3, Trajectory
 
 
 @pytest.fixture

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 
 
 def turning(n: int) -> Trajectory:

@@ -9,8 +9,7 @@ import pytest
 from lirs_validation.metrics.relative_pose_error import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig, GlobalConfig, SubmapConfig
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.cartographer.corridor import CORRIDOR, corridor_scan, ring

@@ -6,8 +6,7 @@ from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import Observation, SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose3, Trajectory
 from lirs_wct.sources.build import build_world
 
 

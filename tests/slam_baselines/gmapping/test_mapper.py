@@ -10,9 +10,8 @@ from lirs_validation import validate
 from lirs_validation.metrics.relative_pose_error import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan
-from lirs_wct.geometry.trajectory import Trajectory
 from slam_baselines.gmapping.mapper import (
     BiasedRegistration,
     GmappingConfig,

@@ -8,8 +8,7 @@ import pytest
 
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.carmen.repairs import odometry_of, without_jumps
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.trajectory import Trajectory
+from lirs_wct.geometry.pose import Pose2, Trajectory
 
 
 def messages(stamps: list[float], poses: list[Pose2 | None]) -> list[Message]:
