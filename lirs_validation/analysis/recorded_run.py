@@ -1,4 +1,4 @@
-"""Recorded runs read back, and their export as a ROS bag or a dataset of evalio."""
+"""Recorded runs: reading, and export as a ROS bag or a dataset of evalio."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An episode as an experiment of a sweep, its folder and record, and the results in a folder."""
+"""An episode as an experiment of a sweep, and the results in a folder."""
 
 from __future__ import annotations
 

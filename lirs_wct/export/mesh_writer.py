@@ -1,4 +1,4 @@
-"""Writer and conversion of mesh files: STL, COLLADA, OBJ, PLY or GLB, upright in every consumer."""
+"""Writer and conversion of mesh files (STL, COLLADA, OBJ, PLY, GLB), upright in every consumer."""
 
 from __future__ import annotations
 

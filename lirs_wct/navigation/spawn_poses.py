@@ -1,4 +1,4 @@
-"""Spawn poses of robot footprints on free ground, and the mapped area of a laser map."""
+"""Spawn poses of footprints on free ground, and the mapped area of a laser map."""
 
 from __future__ import annotations
 

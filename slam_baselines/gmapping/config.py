@@ -27,8 +27,8 @@ class GmappingConfig(ProposalConfig):
         angularUpdate: radians to turn before the next scan is processed.
         resampleThreshold: particles are resampled when N_eff falls below this share of them.
         srr: error of the odometry in translation after one meter, meters.
-        srt: error of the odometry in translation after one radian, meters.
-        str: error of the odometry in rotation after one meter, radians.
+        srt: error of the odometry in rotation after one meter, radians, as the original's code reads it.
+        str: error of the odometry in translation after one radian, meters; ROS's wiki exchanges the two.
         stt: error of the odometry in rotation after one radian, radians.
         ogain: likelihoods are taken to the power 1 / (ogain * particles), so that single scans with
             their correlated beams do not decide alone.
@@ -101,7 +101,7 @@ class GmappingConfig(ProposalConfig):
         """The odometry's errors for dead reckoning."""
         return MotionConfig(
             translation_per_meter=self.srr,
-            translation_per_radian=self.srt,
-            rotation_per_meter=self.str,
+            translation_per_radian=self.str,
+            rotation_per_meter=self.srt,
             rotation_per_radian=self.stt,
         )

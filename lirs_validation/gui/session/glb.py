@@ -13,11 +13,9 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from lirs_envs.robots.robot import Robot
-from lirs_wct import Pose3, World
+from lirs_wct import HeightField, Pose3, TriangleMesh, World
 from lirs_wct.arrays import ByteArray
 from lirs_wct.export.appearance import world_parts
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
 

@@ -13,12 +13,10 @@ from numpy.typing import ArrayLike
 
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.metrics.alignment import rigid_alignment, rms
-from lirs_wct import HeightField
+from lirs_wct import HeightField, LaserScan, OccupancyGrid, Pose2, Pose3, World
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray
 from lirs_wct.drawing.style import BLUE, rgb
-from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2, Pose3
 from lirs_wct.geometry.grid import FREE, OCCUPIED
-from lirs_wct.world import World
 
 BLACK, WHITE, UNKNOWN = 0, 254, 205
 """Pixels of occupied, free and unknown cells, as in a map's file."""

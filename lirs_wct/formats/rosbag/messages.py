@@ -1,4 +1,4 @@
-"""Values as ROS 2 messages in CDR, its encoding with aligned values; frames and units by REP 103 and 105.
+"""Values as ROS 2 messages in CDR; frames and units by REP 103 and 105.
 
 The messages of a robot always have the same strings and lengths. Only numbers differ, which are written into
 a template. That takes a tenth of the time of a general serializer.

@@ -1,4 +1,4 @@
-"""Height field in meters of an elevation raster or a gray picture, and the filters before meshing."""
+"""Height field of an elevation raster or a gray picture, and the filters before meshing."""
 
 from __future__ import annotations
 

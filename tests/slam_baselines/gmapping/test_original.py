@@ -14,11 +14,13 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.geometry.scan import LaserScan
+from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.original.hit_maps import NULL_LIKELIHOOD, HitMaps, match_scan
 from slam_baselines.gmapping.original.mapper import (
     Drand48,
     GmappingOriginalConfig,
     GmappingOriginalMapper,
+    OriginalParticles,
     ProcessedScan,
     path_map,
 )
@@ -159,3 +161,14 @@ def test_a_cell_of_the_map_is_occupied_above_a_quarter_of_hits() -> None:
 def test_illegal_config(bad: dict[str, float]) -> None:
     with pytest.raises(ConfigError):
         replace(GmappingOriginalConfig(), **bad)  # type: ignore[arg-type]
+
+
+def test_srt_and_str_are_the_same_errors_in_both_configs() -> None:
+    """A drive of 1 m turns the original's particles by srt, a turn of 1 rad shifts them by str."""
+    ours = GmappingConfig(srt=0.3, str=0.1).motion
+    config = GmappingOriginalConfig(particles=4000, srr=0.0, srt=0.3, str=0.1, stt=0.0)
+    driven, turned = OriginalParticles(config), OriginalParticles(config)
+    driven.move(Pose2(1.0, 0.0, 0.0))
+    turned.move(Pose2(0.0, 0.0, 1.0))
+    assert np.std(driven._poses[:, 2]) == pytest.approx(ours.rotation_per_meter, rel=0.05)
+    assert np.std(turned._poses[:, 0]) == pytest.approx(ours.translation_per_radian, rel=0.05)
