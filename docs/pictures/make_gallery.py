@@ -16,8 +16,7 @@ from lirs_envs.robots.robot import ROBOTS
 from lirs_validation import validate
 from lirs_validation.cli.commands.robot_card import draw
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.drawing.canvas import Canvas
-from lirs_wct.drawing.style import new_figure, title
+from lirs_wct.drawing.canvas import Canvas, new_figure, title
 from lirs_wct.drawing.world_view import block_picture
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_wct.drawing.style import BLUE, VERMILLION, new_figure, plain_axes, title
+from lirs_wct.drawing.canvas import BLUE, VERMILLION, new_figure, plain_axes, title
 
 ROBOTS = (("jackal", BLUE, 5), ("turtlebot2", VERMILLION, -5), ("turtlebot3_waffle", "0.55", 0))
 """Robots that drive floor plans in each third round, their colors, and offsets of their names."""

@@ -10,8 +10,7 @@ import argparse
 from pathlib import Path
 
 from lirs_validation import validate
-from lirs_wct.drawing.canvas import Canvas
-from lirs_wct.drawing.style import BLUE, VERMILLION, new_figure, title
+from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, new_figure, title
 from lirs_wct.drawing.world_view import block_picture
 from lirs_wct.sources.bundled import bundled_picture
 

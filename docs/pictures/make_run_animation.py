@@ -16,8 +16,7 @@ from PIL import Image
 from lirs_validation import Run, validate
 from lirs_wct import LaserScan, Pose2, Pose3
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import Canvas, shaded_heights
-from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
+from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb, shaded_heights
 from slam_baselines.mapper import make_mapper
 
 PIXELS, COLORS = 360, 64

@@ -23,8 +23,16 @@ from lirs_validation.report.page import render
 from lirs_validation.report.table import ReportTable
 from lirs_wct import SourceError, Trajectory
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import Canvas, shaded_heights
-from lirs_wct.drawing.style import BLACK, Drawing, legend, map_axes, new_figure, title
+from lirs_wct.drawing.canvas import (
+    BLACK,
+    Canvas,
+    Drawing,
+    legend,
+    map_axes,
+    new_figure,
+    shaded_heights,
+    title,
+)
 from lirs_wct.files import atomic_write, write_json
 from lirs_wct.formats.tum import read_tum
 

@@ -12,14 +12,15 @@ from matplotlib.lines import Line2D
 from lirs_validation.metrics.log_accuracy import Accuracy
 from lirs_validation.record.map_record import MapRecord, map_lines
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import Canvas, bounds_shown
-from lirs_wct.drawing.style import (
+from lirs_wct.drawing.canvas import (
     BLACK,
     BLUE,
     GRAY,
     GREEN,
     VERMILLION,
+    Canvas,
     Drawing,
+    bounds_shown,
     headline,
     legend,
     map_axes,

@@ -21,30 +21,28 @@ from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct import OccupancyGrid, Trajectory, World
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import (
-    MARGIN,
-    UNKNOWN_SHADE,
-    WALL,
-    Canvas,
-    bounds_shown,
-    height_colors,
-    shaded_heights,
-)
-from lirs_wct.drawing.style import (
     BLACK,
     BLUE,
     DPI,
     GRAY,
     GREEN,
+    MARGIN,
     TEXT,
+    UNKNOWN_SHADE,
     VERMILLION,
+    WALL,
+    Canvas,
     Drawing,
+    bounds_shown,
     headline,
+    height_colors,
     legend,
     map_axes,
     new_figure,
     path_ends,
     plain_axes,
     rgb,
+    shaded_heights,
     title,
     value_list,
 )

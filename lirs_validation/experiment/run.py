@@ -46,7 +46,7 @@ from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 
 if TYPE_CHECKING:
-    from lirs_wct.drawing.style import Drawing
+    from lirs_wct.drawing.canvas import Drawing
 
 WARM_UP = 2.0
 """Simulated seconds of the drive."""

@@ -27,19 +27,20 @@ from lirs_validation.report.table import ReportTable
 from lirs_validation.search import SearchParameter
 from lirs_validation.sweep.suites import CASE
 from lirs_wct import MapperError, Pose2, Trajectory, World
-from lirs_wct.drawing.canvas import Canvas, shaded_heights
-from lirs_wct.drawing.style import (
+from lirs_wct.drawing.canvas import (
     BLACK,
     BLUE,
     GRAY,
     GREEN,
     VERMILLION,
+    Canvas,
     Drawing,
     legend,
     map_axes,
     new_figure,
     path_ends,
     plain_axes,
+    shaded_heights,
     title,
 )
 from lirs_wct.files import staged_files, write_json

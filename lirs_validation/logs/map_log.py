@@ -55,7 +55,7 @@ from lirs_wct.sources.source import find_source, is_bag
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name
 
 if TYPE_CHECKING:
-    from lirs_wct.drawing.style import Drawing
+    from lirs_wct.drawing.canvas import Drawing
 
 SECOND = "hector"
 """Mapper that others are compared with: it takes a fraction of their time."""

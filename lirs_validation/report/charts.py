@@ -20,7 +20,7 @@ from lirs_validation.record.formatting import Entry, value_at
 from lirs_validation.record.metric_catalog import Metric, rtf_counts
 from lirs_validation.record.run_record import succeeded
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.style import BLUE, GREEN, VERMILLION, Drawing
+from lirs_wct.drawing.canvas import BLUE, GREEN, VERMILLION, Drawing
 
 INK = "#123456"
 """Placeholder that the SVG replaces by the page's text color."""

@@ -21,8 +21,7 @@ from lirs_validation.metrics.elevation import ELEVATION, ElevationMap, read_elev
 from lirs_validation.record.run_record import maps_clouds
 from lirs_wct import OccupancyGrid, Trajectory, WctError
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.drawing.canvas import Canvas, bounds_shown, shaded_heights
-from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
+from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, bounds_shown, rgb, shaded_heights
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
 

@@ -18,7 +18,7 @@ from lirs_validation.twin.fit import FittedNoise, curve
 from lirs_validation.twin.replay import FACTOR, Replay
 from lirs_validation.twin.result import TwinResult
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.drawing.style import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
+from lirs_wct.drawing.canvas import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
 
 LIMIT = 0.1
 """Largest residual that the picture shows, meters."""

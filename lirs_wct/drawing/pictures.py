@@ -8,19 +8,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Wedge
 
-from lirs_wct.drawing.canvas import Canvas, bounds_of, shaded_surface
-from lirs_wct.drawing.style import (
+from lirs_wct.drawing.canvas import (
     BLACK,
     BLUE,
     GRAY,
     VERMILLION,
+    Canvas,
     Drawing,
+    bounds_of,
     legend,
     length,
     map_axes,
     new_figure,
     path_ends,
     plain_axes,
+    shaded_surface,
     title,
 )
 from lirs_wct.drawing.world_view import height_scale, view_figure

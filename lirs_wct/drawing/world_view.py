@@ -16,10 +16,10 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from lirs_wct.arrays import FloatArray, Int32Array
-from lirs_wct.drawing.canvas import FLOOR, WALL, Canvas, height_colors, shaded_heights
-from lirs_wct.drawing.style import (
+from lirs_wct.drawing.canvas import (
     BELOW,
     BLACK,
+    FLOOR,
     GAP,
     LEFT,
     LETTERS,
@@ -30,6 +30,8 @@ from lirs_wct.drawing.style import (
     SMALL,
     TEXT,
     VERMILLION,
+    WALL,
+    Canvas,
     Drawing,
     Size,
     add_axes,
@@ -37,10 +39,12 @@ from lirs_wct.drawing.style import (
     fewer_ticks,
     fit_size,
     headline,
+    height_colors,
     legend,
     length,
     map_axes,
     plain_axes,
+    shaded_heights,
     title,
 )
 from lirs_wct.geometry.grid_sampling import resample

@@ -15,7 +15,7 @@ from lirs_validation.gui.session.construction import Facts
 from lirs_validation.metrics.alignment import rigid_alignment, rms
 from lirs_wct import HeightField, LaserScan, OccupancyGrid, Pose2, Pose3, World
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray
-from lirs_wct.drawing.style import BLUE, rgb
+from lirs_wct.drawing.canvas import BLUE, rgb
 from lirs_wct.geometry.grid import FREE, OCCUPIED
 
 BLACK, WHITE, UNKNOWN = 0, 254, 205

@@ -20,7 +20,7 @@ from lirs_validation.gui.session.playback import (
     round_length,
 )
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.style import BLUE, rgb
+from lirs_wct.drawing.canvas import BLUE, rgb
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 

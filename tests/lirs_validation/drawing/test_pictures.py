@@ -12,8 +12,7 @@ import trimesh
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing.run_overview import overview_figure, shown_bounds
 from lirs_validation.record.run_record import RunRecord
-from lirs_wct.drawing.canvas import Canvas, bounds_of, shaded_heights, shading
-from lirs_wct.drawing.style import Drawing
+from lirs_wct.drawing.canvas import Canvas, Drawing, bounds_of, shaded_heights, shading
 from lirs_wct.drawing.world_view import TILT, TURN, block_picture, mesh_view, oblique_figure, view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField

@@ -22,8 +22,7 @@ from lirs_validation.record.run_record import damaged_files, read_record
 from lirs_validation.record.schema import schema_error
 from lirs_validation.report.page import page, report_of
 from lirs_validation.sweep.experiment import SlamExperiment
-from lirs_wct.drawing.canvas import Canvas
-from lirs_wct.drawing.style import BLUE, VERMILLION, rgb
+from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.cloud import PointCloud

@@ -11,7 +11,7 @@ from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from PIL import Image
 
-from lirs_wct.drawing.style import Drawing, new_figure, title
+from lirs_wct.drawing.canvas import Drawing, new_figure, title
 
 
 @pytest.fixture

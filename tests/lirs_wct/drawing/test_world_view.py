@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from lirs_wct.drawing.style import Drawing
+from lirs_wct.drawing.canvas import Drawing
 from lirs_wct.drawing.world_view import oblique_figure, view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
