@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_envs.lidar.noise import LidarNoise, draw_noise, measure
+from lirs_envs.lidar.presets import LidarNoise, draw_noise, measure
 from lirs_validation.twin.surface import (
     Expected,
     LogScans,

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_envs.lidar.noise import LidarNoise, lidar_noise
-from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.lidar.presets import LidarNoise, lidar_noise, make_lidar_preset
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_validation.twin.compare import CLUSTER, GATE, LogComparison
 from lirs_validation.twin.fit import FittedNoise, FittedOdometry, curve

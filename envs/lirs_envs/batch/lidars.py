@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, transform_rays
-from lirs_envs.lidar.noise import LidarNoise, NoiseParameters, measure
 from lirs_envs.lidar.obstacle_rays import WallCells
+from lirs_envs.lidar.presets import LidarNoise, NoiseParameters, measure
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
 from lirs_envs.lidar.terrain_rays import TerrainMipmap
 from lirs_envs.simulation_config import SimulationConfig

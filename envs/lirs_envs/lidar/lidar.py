@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.noise import LidarNoise, draw_noise, lidar_noise, measure
-from lirs_envs.lidar.presets import LidarPreset
+from lirs_envs.lidar.presets import LidarNoise, LidarPreset, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_envs.lidar.reflection import intensities
 from lirs_wct import ConfigError, LaserScan, PointCloud, Pose3, SimulationError

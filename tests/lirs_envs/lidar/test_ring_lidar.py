@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, moved_frames
-from lirs_envs.lidar.noise import LidarNoise, lidar_noise
-from lirs_envs.lidar.presets import LIDARS, RING_LIDARS, LidarPreset
+from lirs_envs.lidar.presets import LIDARS, RING_LIDARS, LidarNoise, LidarPreset, lidar_noise
 from lirs_envs.props import Prop
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
