@@ -19,8 +19,8 @@ from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe, KeyframeTrajectory
-from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor
+from slam_baselines.matching.registration import Match
 from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionStep, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler

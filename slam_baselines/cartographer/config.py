@@ -12,9 +12,8 @@ from lirs_wct.geometry import OccupancyGrid, Pose2
 from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import UpdateConfig
-from slam_baselines.matching.gauss_newton import MatchConfig
 from slam_baselines.matching.localizability import LocalizabilityConfig
-from slam_baselines.matching.registration import RegistrationConfig
+from slam_baselines.matching.registration import MatchConfig, RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.motion_filter import MotionFilterConfig

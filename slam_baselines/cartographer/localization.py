@@ -24,8 +24,7 @@ from slam_baselines.front_end import PlanarMapper
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
 from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
-from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
-from slam_baselines.matching.registration import Registration
+from slam_baselines.matching.registration import Match, Prior, Registration, ScanMatcher
 from slam_baselines.matching.tracking_monitor import TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler, voxel_filter

@@ -20,7 +20,7 @@ from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.linalg import invert
 from slam_baselines.matching.branch_and_bound import Exclusion, SearchWindow, branch_and_bound
-from slam_baselines.matching.gauss_newton import Match, Prior, ScanMatcher
+from slam_baselines.matching.registration import Match, Prior, ScanMatcher
 from slam_baselines.scan.leveling import voxel_filter
 
 Candidate = tuple[int, int]

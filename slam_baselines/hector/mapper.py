@@ -18,9 +18,8 @@ from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.bootstrap import BootstrapConfig, register_forwards
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.matching.gauss_newton import Match
 from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor
-from slam_baselines.matching.registration import Registration, RegistrationConfig
+from slam_baselines.matching.registration import Match, Registration, RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.calibration import CalibrationConfig
 from slam_baselines.motion.dead_reckoning import (

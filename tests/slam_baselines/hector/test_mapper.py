@@ -19,8 +19,7 @@ from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.hector.mapper import HectorConfig, HectorMapper
 from slam_baselines.mapper import make_mapper
 from slam_baselines.mapping.known_pose import KnownPoseMapper
-from slam_baselines.matching.gauss_newton import MatchConfig
-from slam_baselines.matching.registration import RegistrationConfig
+from slam_baselines.matching.registration import MatchConfig, RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.matching.gauss_newton import MatchConfig, Prior, ScanMatcher, linearize
+from slam_baselines.matching.registration import MatchConfig, Prior, ScanMatcher, linearize
 from slam_baselines.scan.leveling import ScanLeveler
 from tests.slam_baselines.matching.room import room_map
 from tests.slam_baselines.synthetic import ranges_to, room_scan
