@@ -1,4 +1,4 @@
-"""Drives of a search: scored, concurrent, and kept in a file for resumption."""
+"""Cases of a search (docs/howto/falsify.md) and their drives: scored, concurrent, kept in a file."""
 
 from __future__ import annotations
 

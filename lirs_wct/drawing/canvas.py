@@ -1,4 +1,9 @@
-"""Canvas of a top-view picture: square pixels over the world, hillshade, maps, paths."""
+"""Style of all pictures, and canvas of top views: hillshade, maps, paths.
+
+Fonts, colors for color-blind readers, axes in meters. Panels of any aspect ratio are placed by the inch.
+Matplotlib's constrained layout first gives axes of equal aspect a box and then shrinks them in it, so that
+text below them may leave the figure.
+"""
 
 from __future__ import annotations
 

@@ -3,6 +3,11 @@
 Gauss-Newton starts from the expected pose, which is a prior, so that a direction which the map does not
 constrain follows the odometry. A poor fit leads to a wider, correlative search (Hess et al. 2016, section
 IV-C: ceres_scan_matcher and real_time_correlative_scan_matcher).
+
+The Gauss-Newton matcher works on the interpolated occupancy, coarse to fine (Kohlbrecher et al. 2011, "A
+flexible and scalable SLAM system with full 3D motion estimation", eqs. 4-14). The cost of a pose x is
+
+    sum_i w_i (1 - M(S_i(x)))^2 / sigma^2  +  (x - x_prior)' Lambda (x - x_prior).
 """
 
 from __future__ import annotations

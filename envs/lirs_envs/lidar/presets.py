@@ -1,4 +1,7 @@
-"""Lidar presets: one row per device, planar (laser range finder) or with rings."""
+"""Lidars: one preset per device, planar (laser range finder) or with rings, and their noise.
+
+The noise model turns true ranges into measured ones.
+"""
 
 from __future__ import annotations
 
