@@ -28,8 +28,15 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.falsify.cases import search_limits, sentence, write_case
-from lirs_validation.falsify.drives import CaseDrives, measure, policy_suite, policy_task
+from lirs_validation.falsify.drives import (
+    CaseDrives,
+    measure,
+    policy_suite,
+    policy_task,
+    search_limits,
+    sentence,
+    write_case,
+)
 from lirs_validation.falsify.search import falsify
 from lirs_validation.search import Case, process_pool
 from lirs_wct.files import write_json

@@ -25,7 +25,7 @@ from fuzz_seeds import KINDS, write_seeds
 
 from lirs_envs.sensing.sensors import read_noise
 from lirs_validation.bench.tasks import task_set
-from lirs_validation.falsify.cases import read_search_limits
+from lirs_validation.falsify.drives import read_search_limits
 from lirs_validation.logs.map_log import read_trajectory
 from lirs_validation.metrics.relative_pose_error import read_constraints
 from lirs_validation.record.verdict import read_limits

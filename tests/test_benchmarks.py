@@ -16,8 +16,7 @@ from benchmarks.log_quality import correlation, table, thinned, worsened
 from benchmarks.mrpt import write_rawlog
 from lirs_validation.bench.tasks import task_set
 from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.falsify.cases import SearchLimits
-from lirs_validation.falsify.drives import measure
+from lirs_validation.falsify.drives import SearchLimits, measure
 from lirs_validation.sweep.suites import CASE, suite_folders
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog

@@ -18,8 +18,15 @@ from matplotlib.lines import Line2D
 
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.run import write_results as write_run
-from lirs_validation.falsify.cases import sentence, write_case
-from lirs_validation.falsify.drives import WORST, CaseDrives, policy_episode, policy_suite, policy_task
+from lirs_validation.falsify.drives import (
+    WORST,
+    CaseDrives,
+    policy_episode,
+    policy_suite,
+    policy_task,
+    sentence,
+    write_case,
+)
 from lirs_validation.falsify.search import LEAST, NEW_SEEDS, FoundCase
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.report.page import render

@@ -9,8 +9,7 @@ from statistics import median
 
 import numpy as np
 
-from lirs_validation.falsify.cases import SearchLimits
-from lirs_validation.falsify.drives import WORST, CaseDrives, DriveScore
+from lirs_validation.falsify.drives import WORST, CaseDrives, DriveScore, SearchLimits
 from lirs_validation.search import Case, make_proposer, shrink
 
 LEAST = 0.01

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_validation.falsify.cases import PARAMETERS, SearchLimits
+from lirs_validation.falsify.drives import PARAMETERS, SearchLimits
 from lirs_validation.search import Case, shrink
 
 LIMITS = SearchLimits()

@@ -126,8 +126,7 @@ def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> N
     Each case fails with at least 4 of 5 new seeds and is reduced to its cause. The same command resumes.
     """
     from lirs_validation.falsify import search
-    from lirs_validation.falsify.cases import search_limits
-    from lirs_validation.falsify.drives import CaseDrives, check_methods
+    from lirs_validation.falsify.drives import CaseDrives, check_methods, search_limits
     from lirs_validation.falsify.results import conclusion, write_results
     from lirs_validation.search import process_pool, require_cma
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from lirs_envs.generators.arena import SIDE, WALL_HEIGHT, ArenaConfig, arena
 from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.falsify.cases import (
+from lirs_validation.falsify.drives import (
     OF_ARENA,
     PARAMETERS,
     PHRASES,

@@ -3,8 +3,7 @@
 import pytest
 
 from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.falsify.cases import SearchLimits
-from lirs_validation.falsify.drives import measure
+from lirs_validation.falsify.drives import SearchLimits, measure
 from tests.benchmark_modules import BENCHMARKS
 
 CASES = {

@@ -9,8 +9,7 @@ import pytest
 
 from lirs_validation.falsify import FalsifyOptions
 from lirs_validation.falsify import drives as drives_module
-from lirs_validation.falsify.cases import SearchLimits
-from lirs_validation.falsify.drives import ARCHIVE, CaseDrives, DriveScore
+from lirs_validation.falsify.drives import ARCHIVE, CaseDrives, DriveScore, SearchLimits
 from lirs_validation.falsify.search import NEEDED, NEW_SEEDS, falsify, loss
 from lirs_validation.search import Case, CmaProposer, make_proposer, require_cma
 from lirs_wct.errors import ConfigError, OutputError
