@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -48,7 +49,22 @@ class Tick:
     finished: str = ""
 
 
-class PackedList(Sequence[T]):
+class _SlicedSequence(Sequence[T]):
+    """Sequence whose slices are lists; a subclass returns the value at an index from 0."""
+
+    @abstractmethod
+    def _value(self, index: int) -> T: ...
+
+    @overload
+    def __getitem__(self, index: int) -> T: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[T]: ...
+    def __getitem__(self, index: int | slice) -> T | list[T]:
+        found = range(len(self))[index]
+        return self._value(found) if isinstance(found, int) else [self._value(k) for k in found]
+
+
+class PackedList(_SlicedSequence[T]):
     """Append-only sequence that stores its values as numbers of one array.
 
     Args:
@@ -69,14 +85,8 @@ class PackedList(Sequence[T]):
     def __len__(self) -> int:
         return len(self._numbers) // self._width
 
-    @overload
-    def __getitem__(self, index: int) -> T: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[T]: ...
-    def __getitem__(self, index: int | slice) -> T | list[T]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(len(self))[index]]
-        first = range(len(self))[index] * self._width
+    def _value(self, index: int) -> T:
+        first = index * self._width
         return self._unpack(*self._numbers[first : first + self._width])
 
 
@@ -84,7 +94,7 @@ _numbers2: Callable[[Pose2], tuple[float, ...]] = attrgetter("x", "y", "yaw")
 _numbers3: Callable[[Pose3], tuple[float, ...]] = attrgetter("x", "y", "z", "qw", "qx", "qy", "qz")
 
 
-class ObservationList(Sequence[Observation]):
+class ObservationList(_SlicedSequence[Observation]):
     """Append-only sequence of observations without clouds and inertial readings."""
 
     def __init__(self) -> None:
@@ -101,13 +111,7 @@ class ObservationList(Sequence[Observation]):
     def __len__(self) -> int:
         return len(self._scans)
 
-    @overload
-    def __getitem__(self, index: int) -> Observation: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Observation]: ...
-    def __getitem__(self, index: int | slice) -> Observation | list[Observation]:
-        if isinstance(index, slice):
-            return [self[k] for k in range(len(self))[index]]
+    def _value(self, index: int) -> Observation:
         return Observation(self._scans[index], self._odometry[index], self._imu[index])
 
 
