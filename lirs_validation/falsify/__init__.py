@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from lirs_validation.config import DRIVABLE, RunConfig
+from lirs_validation.config import DRIVABLE, RunConfig, SearchOptions
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, declared, documented, one_of, option, within
+from lirs_wct.option import declared, documented, one_of, option, within
 
-SEARCHES = ("cma", "random")
 UPPER_BOUND = "astar"
 """Policy that must succeed where another one counts as failed."""
 _RUN = dict(declared(RunConfig))
@@ -17,7 +16,7 @@ _RUN = dict(declared(RunConfig))
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class FalsifyOptions(Options):
+class FalsifyOptions(SearchOptions):
     """Search for the failures of one mapper or policy.
 
     Raises:
@@ -50,21 +49,6 @@ class FalsifyOptions(Options):
         3.0,
         "A mapper fails if its path error exceeds the limit of `loses its way` by this factor.",
         check=within("[1, 100]"),
-    )
-    search: Literal["cma", "random"] = option(
-        "cma",
-        "CMA-ES (extra `search`), or random parameters for comparison.",
-        metavar="cma|random",
-        check=one_of(SEARCHES),
-    )
-    limits: str | None = option(
-        None,
-        "YAML file with narrower or wider limits of the parameters, such as `slope: [0, 8]`.",
-        flags=("--within",),
-        metavar="FILE.yaml",
-    )
-    jobs: int = option(
-        1, "Concurrent drives, each in its own process.", metavar="N", check=within("[1, 256]")
     )
     seed: int = option(1, "Seed of the search, the layout and the first drive.", check=within("[0, inf)"))
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
-from lirs_wct.option import Options, documented, one_of, option, within
-
-SEARCHES = ("cma", "random")
+from lirs_validation.config import SearchOptions
+from lirs_wct.option import documented, option, within
 
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class TuneOptions(Options):
+class TuneOptions(SearchOptions):
     """Search for a mapper's parameters.
 
     Raises:
@@ -25,21 +23,6 @@ class TuneOptions(Options):
     )
     unseen: int = option(
         10, "Unseen seeds on which the result is compared with the defaults.", check=within("[3, 1000]")
-    )
-    search: Literal["cma", "random"] = option(
-        "cma",
-        "CMA-ES (extra `search`), or random values for comparison.",
-        metavar="cma|random",
-        check=one_of(SEARCHES),
-    )
-    limits: str | None = option(
-        None,
-        "YAML file with other limits of the parameters, such as `srr: [0.05, 0.2]`; a number holds one.",
-        flags=("--within",),
-        metavar="FILE.yaml",
-    )
-    jobs: int = option(
-        1, "Concurrent drives, each in its own process.", metavar="N", check=within("[1, 256]")
     )
     relations: str | None = option(None, "True relations between poses of a log.", metavar="FILE")
     reference: str | None = option(None, "Reference trajectory of a log.", metavar="FILE")
