@@ -116,13 +116,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        for name, count in (
-            ("num_envs", num_envs),
-            ("threads", threads),
-            ("max_episode_steps", max_episode_steps),
-        ):
-            if not _is_count(count) and (count is not None or name == "num_envs"):
-                raise ConfigError(f"{name} must be a whole number from 1 up, got {count!r}")
+        _check_counts(num_envs=num_envs, threads=threads, max_episode_steps=max_episode_steps)
         modes = [mode.value for mode in AutoresetMode]
         if autoreset_mode not in (*AutoresetMode, *modes):
             raise unknown_name("autoreset_mode", str(autoreset_mode), modes)
@@ -312,6 +306,13 @@ def _divide(options: dict[str, Any], count: int) -> list[tuple[dict[str, Any], i
         raise ConfigError(f"world must be 1 to num_envs = {count} worlds, got {len(worlds)}")
     first = [-(-k * count // len(worlds)) for k in range(len(worlds) + 1)]
     return [({"world": world}, first[k + 1] - first[k]) for k, world in enumerate(worlds)]
+
+
+def _check_counts(**counts: object) -> None:
+    """Check that counts are whole numbers from 1 up; None is legal except for `num_envs`."""
+    for name, count in counts.items():
+        if not _is_count(count) and (count is not None or name == "num_envs"):
+            raise ConfigError(f"{name} must be a whole number from 1 up, got {count!r}")
 
 
 def _is_count(value: Any) -> bool:
