@@ -29,9 +29,9 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation import validate
-from lirs_validation.experiment.evaluation import evaluate_trajectory
 from lirs_validation.experiment.mapper_loading import mapper_named
 from lirs_validation.experiment.run import Run
+from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.option import read_numbers
 
 WORLDS = ("simple", "medium", "advanced")
@@ -72,8 +72,8 @@ def levelled_ate(run: Run) -> float | None:
         imu = None if seen.imu is None else replace(seen.imu, roll=truth.roll, pitch=truth.pitch)
         answers.append(mapper.update(seen.scan, seen.odometry, imu))
     again = replace(log, estimates=answers, final=mapper.trajectory())
-    ate: float | None = evaluate_trajectory(again).get("ate_rmse")
-    return ate
+    path, estimate, _ = again.trajectories()
+    return trajectory_errors(path, estimate).ate_rmse if len(estimate) > 1 else None
 
 
 def row(source: str, run: Run) -> dict[str, Any]:

@@ -219,6 +219,7 @@ def test_a_mesh_takes_its_picture_from_its_folder(
     (folder / "link.png").symlink_to(tmp_path / "t.png")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("ignore", DeprecationWarning)  # pycollada's with NumPy 2.5
         picture = read_textured(quad("t.png", folder, kind)).picture
     assert picture is not None
     assert picture.size == (3, 5)
@@ -227,7 +228,7 @@ def test_a_mesh_takes_its_picture_from_its_folder(
         with pytest.warns(UserWarning, match=rf"^{path}: names .*left out$") as told:
             picture = read_textured(path).picture
         assert picture is None or picture.size != (3, 5)
-        assert name in str(told[0].message)
+        assert any(name in str(warning.message) for warning in told)
     assert seen == []
 
 
