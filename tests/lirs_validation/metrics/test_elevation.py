@@ -7,16 +7,22 @@ import pytest
 
 from lirs_validation.metrics.elevation import (
     CELL,
+    MOST,
+    CloudSample,
     ElevationMap,
     elevation_map,
     elevation_scores,
+    evaluate_elevation,
     read_elevation,
     write_elevation,
 )
 from lirs_wct.errors import SourceError
+from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import Terrain
+from lirs_wct.world import World
 
 BOUNDS = (-5.0, -4.0, 5.0, 4.0)
 
@@ -132,3 +138,70 @@ def test_a_damaged_file_is_named(tmp_path: Path, content: bytes | None) -> None:
         path.write_bytes(content)
     with pytest.raises(SourceError, match=r"elevation\.npz: no elevation maps, or damaged"):
         read_elevation(path)
+
+
+def cloud(stamp: float, points: np.ndarray) -> PointCloud:
+    ring, time = np.zeros(len(points), np.uint16), np.zeros(len(points), np.float32)
+    return PointCloud(points.astype(np.float32), ring, time, stamp, Pose3())
+
+
+def track(planar: list[tuple[float, float]]) -> Trajectory:
+    """A trajectory of level poses at x, y, one a second."""
+    poses = [Pose3(x, y) for x, y in planar]
+    return Trajectory(
+        np.arange(len(poses), dtype=float),
+        np.array([pose.position for pose in poses]),
+        np.array([pose.quaternion for pose in poses]),
+    )
+
+
+def driven(bend: float, points: np.ndarray) -> tuple[Trajectory, CloudSample]:
+    """Four poses of which `bend` meters is the largest offset from a line; the same cloud at each."""
+    sample = CloudSample()
+    for k in range(4):
+        sample.offer(k, cloud(float(k), points))
+    return track([(0.0, 0.0), (1.0, bend), (2.0, 0.0), (3.0, 0.0)]), sample
+
+
+def test_a_run_is_scored_within_the_reach_of_its_clouds() -> None:
+    flat = World("flat", Terrain(HeightField.centered(np.zeros((2, 2), np.float32), (20.0, 30.0))))
+    truth, sample = driven(1.0, np.array([(2.0, 0.0, 0.0), (0.0, -1.5, 0.0)]))
+    shifted = truth.moved(Pose3(0.0, 0.0, 0.25))
+    made, scores = evaluate_elevation(flat, sample, truth, shifted)
+    assert made is not None
+    assert made.true_pose.origin == pytest.approx((-2.0, -2.0))
+    assert made.true_pose.mean.shape == (50, 70), "2 m around the path, which is 3 m long and 1 m wide"
+    assert made.true_pose.seen.sum() == 7, "the eighth point lies on the eastern border"
+    assert scores.elevation_rmse == pytest.approx(0.25)
+    assert scores.elevation_rmse_aligned == pytest.approx(0.0, abs=1e-9)
+    assert (scores.reference_elevation_rmse, scores.elevation_seen) == (0.0, 1.0)
+    far = np.array([(40.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
+    made, _ = evaluate_elevation(flat, driven(1.0, far)[1], truth, truth)
+    assert made is not None
+    assert (made.built.origin, made.built.mean.shape) == ((-10.0, -15.0), (300, 200)), "the world's border"
+    assert evaluate_elevation(flat, CloudSample(), truth, truth)[1].elevation_rmse is None
+
+
+@pytest.mark.parametrize(("bend", "count", "aligned"), [(1.0, 3, True), (0.2, 4, False), (1.0, 2, False)])
+def test_a_narrow_or_short_path_is_not_aligned(bend: float, count: int, aligned: bool) -> None:
+    flat = World("flat", Terrain(HeightField.centered(np.zeros((2, 2), np.float32), (20.0, 20.0))))
+    truth, sample = driven(bend, np.array([(2.0, 0.0, 0.0), (0.0, -1.5, 0.0)]))
+    part = Trajectory(truth.stamps[:count], truth.positions[:count], truth.quaternions[:count])
+    _, scores = evaluate_elevation(flat, sample, truth, part)
+    assert (scores.elevation_rmse_aligned is not None) == aligned
+
+
+def test_a_sample_keeps_a_cloud_a_second_and_fewer_of_longer_drives() -> None:
+    sample, point = CloudSample(), np.zeros((2, 3))
+    for k in range(2 * MOST):
+        sample.offer(k, cloud(k / 2, point), walkers=np.array([True, False]))
+    assert sample.scans == list(range(0, 2 * MOST, 2))
+    assert sample.period == 1.0
+    assert [kept.stamp for kept in sample.clouds] == list(range(MOST))
+    assert {len(kept) for kept in sample.clouds} == {1}, "points on walkers are left out"
+    sample.offer(2 * MOST, cloud(float(MOST), point))
+    assert sample.period == 2.0
+    assert [kept.stamp for kept in sample.clouds] == list(range(0, MOST + 1, 2))
+    assert sample.scans == list(range(0, 2 * MOST + 1, 4))
+    sample.offer(2 * MOST + 2, cloud(MOST + 1.0, point))
+    assert len(sample.clouds) == MOST // 2 + 1, "not due: one every two seconds now"

@@ -4,7 +4,13 @@ from collections.abc import Iterable
 
 import pytest
 
-from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
+from lirs_validation.metrics.verdict import (
+    LostRule,
+    incompleteness,
+    inconsistency,
+    is_worse,
+    revisit_agreement,
+)
 
 
 def judged(flags: Iterable[bool], period: float = 0.1) -> str | None:
@@ -53,3 +59,40 @@ def test_up_to_5_percent_of_the_scans_may_contradict_other_passes() -> None:
     assert inconsistency(None) is None
     assert inconsistency(0.05) is None
     assert "5.1 % of the scans" in (inconsistency(0.051) or "")
+
+
+@pytest.mark.parametrize(
+    ("residual", "words"),
+    [
+        (0.25, "the passes agree"),
+        (0.251, "the passes agree in part"),
+        (0.4, "the passes agree in part"),
+        (0.401, "the passes disagree"),
+    ],
+)
+def test_passes_agree_up_to_a_residual(residual: float, words: str) -> None:
+    assert revisit_agreement(residual) == words
+
+
+@pytest.mark.parametrize(
+    ("ate", "odometry", "worse"),
+    [(0.1006, 0.1, True), (0.1004, 0.1, False), (0.05, 0.1, False), (None, 0.1, False), (0.1, None, False)],
+)
+def test_an_error_is_worse_when_it_is_visibly_larger(
+    ate: float | None, odometry: float | None, worse: bool
+) -> None:
+    assert is_worse(ate, odometry) == worse
+
+
+def test_a_loss_may_only_end_the_drive_when_it_is_long_in_scans_and_seconds() -> None:
+    rule = LostRule()
+    assert rule.may_end(7.0, 12.0, 10)
+    assert not rule.may_end(7.0, 12.0, 9)
+    assert not rule.may_end(7.0, 11.9, 10)
+    for stamp in (1.0, 2.0, 3.0):
+        rule.observe(stamp, True)
+    assert rule.may_end(4.0, 6.0, 7), "the present loss began at 1 s and has three scans"
+    assert not rule.may_end(4.0, 6.0, 6)
+    assert not rule.may_end(4.0, 5.9, 7)
+    rule.observe(4.0, False)
+    assert not rule.may_end(5.0, 9.0, 10)
