@@ -57,7 +57,7 @@ class RayCluster:
         Raises:
             ConfigError: Ray is not installed, or no cluster answers at the address.
         """
-        with _ray_session(self.address, self.jobs) as ray:
+        with ray_session(self.address, self.jobs) as ray:
             before = _machines(ray)
             yield from _Flight(ray, self.limits).outcomes(experiments, out, progress_of)
             if lost := before - _machines(ray):
@@ -169,7 +169,7 @@ def perform_remotely(
 
 
 @contextmanager
-def _ray_session(address: str | None, jobs: int | None) -> Iterator[Any]:
+def ray_session(address: str | None, jobs: int | None) -> Iterator[Any]:
     """Connect to Ray for a `with` block. An existing cluster keeps running."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")

@@ -5,7 +5,8 @@ import gc
 import itertools
 import threading
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Coroutine, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -154,6 +155,12 @@ def children() -> set[int]:
     return {int(pid) for path in tasks for pid in path.read_text().split()}
 
 
+def run_apart(work: Coroutine[Any, Any, Any]) -> Any:
+    """Run a coroutine in a thread: a browser of earlier tests may keep this thread's loop running."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, work).result()
+
+
 def alive(pages: Iterable[weakref.ref[Any]]) -> int:
     gc.collect()
     return sum(page() is not None for page in pages)
@@ -165,7 +172,7 @@ def test_broken_uploads_and_lost_clients_leave_nothing(
 ) -> None:
     rng, before, every = np.random.default_rng(1), children(), list[weakref.ref[Any]]()
     for _ in range(2):
-        pages, folders = asyncio.run(a_round(server, picture, errors, rng))
+        pages, folders = run_apart(a_round(server, picture, errors, rng))
         assert len(errors) == CLIENTS * FILES
         for error in errors:
             assert isinstance(error, WctError), repr(error)
@@ -176,7 +183,7 @@ def test_broken_uploads_and_lost_clients_leave_nothing(
         # The server's loop may hold the page that it served last.
         wait_for(lambda so_far=tuple(every): alive(so_far) <= 1, 20)
         assert not any(folder.exists() for folder in folders)
-    asyncio.run(a_healthy_client(server, picture, errors))
+    run_apart(a_healthy_client(server, picture, errors))
 
 
 async def a_healthy_client(server: Any, picture: Path, errors: list[Exception]) -> None:
@@ -208,7 +215,7 @@ def test_bodies_that_are_too_large_or_lie_about_it_are_refused(
         assert [path.name for path in page.uploads.folder.iterdir()] == ["hill.png"]
         await client.vanish()
 
-    asyncio.run(send())
+    run_apart(send())
     (error,) = errors
     assert isinstance(error, SourceError)
     assert str(error).startswith("large.png: 3.0 MiB are too many: a page may send 2 MiB in all")

@@ -7,7 +7,7 @@ import pytest
 
 from lirs_validation.config import EngineOptions
 from lirs_validation.sweep.engines import Limits
-from lirs_validation.sweep.ray_engine import perform_remotely
+from lirs_validation.sweep.ray_engine import perform_remotely, ray_session
 from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
@@ -58,13 +58,14 @@ def test_a_machine_that_is_lost_costs_one_line_and_no_run(
         initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
     )
     try:
-        second = cluster.add_node(num_cpus=1)
         (tmp_path / "notes").mkdir()
         experiments = [FakeExperiment(f"{k}", str(tmp_path / "notes"), "good", 3.0) for k in range(8)]
         sweep = Sweep(experiments, tmp_path / "out")
         engine = make_executor(EngineOptions(engine="ray", address=cluster.address))
-        capfd.readouterr()
-        with warnings.catch_warnings(record=True) as warned:
+        # Connect while there is one node: a driver attached to the node that dies loses all it owns.
+        with ray_session(cluster.address, None), warnings.catch_warnings(record=True) as warned:
+            second = cluster.add_node(num_cpus=1)
+            capfd.readouterr()
             for done, _ in enumerate(sweep.run(engine)):
                 if done == 0:
                     cluster.remove_node(second, allow_graceful=False)
