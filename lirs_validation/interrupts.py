@@ -7,7 +7,10 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from typing import NoReturn
+from types import FrameType
+
+CALLBACK, LATER = "_raw_object_cache", 0.05
+"""Prefix of LLVM's callbacks, which drop an exception and crash; seconds until Ctrl-C comes again."""
 
 
 def is_interrupt(error: BaseException) -> bool:
@@ -36,7 +39,20 @@ def end_with(parent: int) -> None:
     threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
 
 
-def _interrupt(*_: object) -> NoReturn:
+def raise_interrupts() -> None:
+    """Make Ctrl-C a KeyboardInterrupt outside LLVM's callbacks, unless this process ignores it."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        if frame.f_code.co_name.startswith(CALLBACK):
+            again = threading.Timer(LATER, os.kill, (os.getpid(), number))
+            again.daemon = True
+            again.start()
+            return
+        frame = frame.f_back
     raise KeyboardInterrupt
 
 

@@ -30,7 +30,7 @@ from lirs_validation.cli.commands.worlds import build, convert, info, view
 from lirs_validation.cli.help import Command, epilog
 from lirs_validation.cli.progress import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
 from lirs_validation.experiment.own_code import importable
-from lirs_validation.interrupts import is_interrupt
+from lirs_validation.interrupts import is_interrupt, raise_interrupts
 from lirs_wct.errors import MapperError, WctError
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -99,6 +99,7 @@ def main() -> None:
     warnings.showwarning = _one_line
     # Of NumPy, about numbers in damaged files; a message of ours about the file follows.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
+    raise_interrupts()
     try:
         with importable(Path.cwd()):
             code = app(standalone_mode=False)

@@ -41,27 +41,17 @@ def interrupted(folder: Path, begun: Callable[[], bool], *arguments: str) -> tup
 
 @pytest.mark.parametrize("stage", ["world.npz", "meshes"])
 def test_an_interrupted_build_leaves_the_older_world(stage: str, tmp_path: Path) -> None:
-    for attempt in range(3):
-        folder = tmp_path / f"{attempt}"
-        older = folder / "worlds" / "advanced"
-        older.mkdir(parents=True)
-        (older / "world.json").write_text("{}")
-        before = listing(folder)
-        code, said = interrupted(
-            folder,
-            lambda here=folder: any(here.glob(f"worlds/.*/*{stage}*")),
-            "build",
-            "advanced",
-            "-o",
-            "worlds",
-        )
-        # A signal while LLVM reads a compiled kernel from the cache ends in LLVM, whose callback drops it.
-        if "_raw_object_cache" not in said:
-            break
+    older = tmp_path / "worlds" / "advanced"
+    older.mkdir(parents=True)
+    (older / "world.json").write_text("{}")
+    before = listing(tmp_path)
+    code, said = interrupted(
+        tmp_path, lambda: any(tmp_path.glob(f"worlds/.*/*{stage}*")), "build", "advanced", "-o", "worlds"
+    )
     assert code == 130, said
     assert said.strip().splitlines()[-1] == "lirs-wct: interrupted; nothing half-written was left"
     assert "Traceback" not in said
-    assert listing(folder) == before
+    assert listing(tmp_path) == before
     assert (older / "world.json").read_text() == "{}"
 
 

@@ -1,0 +1,42 @@
+"""Ctrl-C becomes a KeyboardInterrupt, but not inside LLVM's callbacks."""
+
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from lirs_validation.interrupts import raise_interrupts
+
+
+@pytest.fixture(autouse=True)
+def handler() -> Iterator[None]:
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_waits_for_the_end_of_a_callback() -> None:
+    """A build that was interrupted while a kernel was read from the cache ended with signal 11."""
+
+    def _raw_object_cache_getbuffer() -> str:
+        signal.raise_signal(signal.SIGINT)
+        return "whole"
+
+    raise_interrupts()
+    assert _raw_object_cache_getbuffer() == "whole"
+    with pytest.raises(KeyboardInterrupt):
+        time.sleep(10)
+
+
+def test_ctrl_c_interrupts_at_once_elsewhere() -> None:
+    raise_interrupts()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_a_process_that_ignores_ctrl_c_goes_on_to_do_so() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise_interrupts()
+    signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
