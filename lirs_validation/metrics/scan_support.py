@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
@@ -152,10 +153,13 @@ def standing_on(world: World, robot: Robot, pose: Pose2) -> Pose3:
 
 
 def _poses(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
-    """Return poses drawn evenly over the drivable ground, facing anywhere."""
+    """Return poses drawn evenly over the drivable ground that a start pose reaches, facing anywhere."""
     resolution = max(0.1, max(world.surface.size) / CELLS)
     free = world.traversable(clearance=robot.radius, max_slope=robot.max_slope, resolution=resolution)
-    cells = np.argwhere(free.free)
+    _, areas = cv2.connectedComponents(free.free.astype(np.uint8), connectivity=4)
+    starts = free.cells(np.array([(pose.x, pose.y) for pose in world.spawn_poses]).reshape(-1, 2))
+    begun = np.setdiff1d(areas[tuple(np.clip(starts, 0, np.array(areas.shape) - 1).T)], 0)
+    cells = np.argwhere(np.isin(areas, begun) if len(begun) else free.free)
     if not len(cells):
         return []
     points: FloatArray = free.centers(cells[rng.integers(len(cells), size=POSES)])

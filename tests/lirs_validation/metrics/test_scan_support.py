@@ -1,6 +1,7 @@
 """The forecast: what the beams of a scan meet, in worlds where geometry gives the answer."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,6 +84,17 @@ def test_a_pit_with_steep_walls_is_all_walls_and_one_with_gentle_ones_all_ground
     assert steep.wall_share > 0.99
     assert gentle.wall_share < 0.01
     assert gentle.ground_p10 == gentle.beams
+
+
+def test_ground_that_the_start_does_not_reach_does_not_count() -> None:
+    """A race track in an open field was expected to show no walls."""
+    x, y = axes()
+    ring = np.abs(np.maximum(np.abs(x), np.abs(y)) - 4.0) < 0.3
+    world = terrain(np.where(ring, 3.0, 0.0))
+    found = scan_support(world, HUSKY)
+    assert found.wall_p10 == found.beams
+    outside = replace(world, spawn_poses=(Pose2(15.0, 0.0),))
+    assert scan_support(outside, HUSKY).wall_median < 0.3 * found.beams
 
 
 def test_the_hits_of_a_wall_are_those_within_its_angle_and_the_range() -> None:
