@@ -203,7 +203,7 @@ def _path_sentence(figures: VerdictFigures) -> str:
 def _map_sentence(figures: VerdictFigures) -> str:
     """Return the quality of the map, or that it was not evaluated."""
     if figures.occupied == 0:
-        return "Its map is empty."
+        return "Its map has no occupied cells."
     if figures.f1_aligned is not None:
         false, reference = figures.false_occupied, figures.reference_false_occupied
         ghosts = "" if false is None else f"; {100 * false:.0f} % of its occupied cells are false"

@@ -33,7 +33,7 @@ def test_the_sentence_names_cause_errors_map_and_evaluated_part() -> None:
     assert verdict.sentence == (
         "gmapping on jackal adds nothing to the odometry on quarry: "
         "at least half of its scans see nothing within 20 m. "
-        "Its path error is 0.205 m after 31 m, the odometry's 0.205 m. Its map is empty. "
+        "Its path error is 0.205 m after 31 m, the odometry's 0.205 m. Its map has no occupied cells. "
         "Evaluated on a window of 50 m of 16 km. "
         "The source's samples are 62 m apart: they do not resolve a robot of 0.64 m."
     )
