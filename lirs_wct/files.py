@@ -13,6 +13,7 @@ import re
 import secrets
 import shutil
 import sys
+import tempfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -155,6 +156,27 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         _WRITING.discard(temporary.name)
+
+
+def check_writable(folder: Path | None) -> None:
+    """Check before long work that files can be written to a folder.
+
+    Args:
+        folder: which may not exist yet; None = nothing is to be written.
+
+    Raises:
+        OutputError: they cannot.
+    """
+    if folder is None:
+        return
+    try:
+        existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        if not existing.is_dir():
+            raise OutputError(f"{folder}: cannot be written: {existing} is a file")
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written: {error.strerror or error}") from error
 
 
 @contextmanager

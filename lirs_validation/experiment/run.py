@@ -37,7 +37,7 @@ from lirs_validation.metrics.elevation import ELEVATION, write_elevation
 from lirs_validation.record.run_record import RunRecord, file_sizes
 from lirs_validation.record.verdict import Verdict
 from lirs_wct import BuildOptions, ConfigError, SimulationError, World
-from lirs_wct.files import atomic_folder
+from lirs_wct.files import atomic_folder, check_writable
 from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.drive_csv import Commands, write_commands, write_imu
 from lirs_wct.formats.map_server import write_map
@@ -140,6 +140,7 @@ def run(
     """
     if config.bag is not None and out is None:
         raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
+    check_writable(out)
     return drive_and_conclude(
         prepare(config, progress, scenarios), out, progress, name, concurrent=concurrent
     )

@@ -32,6 +32,7 @@ from lirs_validation.live.graph import PUBLISHED, LiveTopic
 from lirs_validation.live.middleware import Middleware
 from lirs_validation.live.options import LiveOptions
 from lirs_wct import ConfigError, Pose2, unknown_name
+from lirs_wct.files import check_writable
 from lirs_wct.formats.rosbag.messages import MAP_TOPIC
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import MAPPERS
@@ -79,6 +80,7 @@ def live(
     """
     robot = make_robot(config.robot)
     _check(config, options)
+    check_writable(out)
     progress("build", 0.0)
     scenario = build_scenario(config)
     start = start_pose(scenario.world, robot, config)

@@ -39,7 +39,7 @@ from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsiste
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.provenance import is_stale
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
-from lirs_wct.files import atomic_folder, atomic_write, readable_lines
+from lirs_wct.files import atomic_folder, atomic_write, check_writable, readable_lines
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
@@ -143,6 +143,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
         )
     if config.second is not None and config.second not in ("none", *MAPPERS):
         raise unknown_name("--second", config.second, ["none", *MAPPERS])
+    check_writable(out)
     with log_mapper(config) as mapper:
         mapped = _mapped_log(config, mapper, progress)
     if out is None:

@@ -11,7 +11,7 @@ from lirs_validation.sweep.engines import Executor, Limits, Processes, ProgressO
 from lirs_validation.sweep.experiment import Experiment, Manifest, Outcome
 from lirs_validation.sweep.ray_engine import RayCluster
 from lirs_wct.errors import OutputError, WctError
-from lirs_wct.files import remove_leftovers
+from lirs_wct.files import check_writable, remove_leftovers
 from lirs_wct.progress import no_progress
 
 ROUNDS = 2
@@ -78,8 +78,10 @@ class Sweep:
         """Run pending experiments; yield each outcome once its folder is written.
 
         Raises:
-            WctError: the only experiment cannot be run as it was asked for, or not be written.
+            WctError: the only experiment cannot be run as it was asked for, or `out` not be written.
         """
+        if self.pending:
+            check_writable(self.out)
         if self.kept:
             self._save_manifest()
         for _ in range(ROUNDS):

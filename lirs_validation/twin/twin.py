@@ -33,7 +33,7 @@ from lirs_validation.twin.replay import place_log, replay_log
 from lirs_validation.twin.result import TwinResult
 from lirs_wct import LaserScan, Pose2, SourceError, Trajectory
 from lirs_wct.arrays import FloatArray
-from lirs_wct.files import atomic_folder, write_json
+from lirs_wct.files import atomic_folder, check_writable, write_json
 from lirs_wct.progress import Progress, no_progress
 
 LEAST_BLOCKS = 4
@@ -74,6 +74,7 @@ def run_twin(
         WctError: the log cannot be used or mapped, or the result cannot be written.
     """
     make_lidar_preset(lidar)
+    check_writable(out)
     mapped = run_mapping(replace(config, second="none"), progress=progress)
     if mapped.record.status != "ok":
         raise SourceError(f"{config.log}: {config.mapper} lost its place ({mapped.record.reason})")

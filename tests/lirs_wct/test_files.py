@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lirs_wct.errors import OutputError
-from lirs_wct.files import atomic_folder, atomic_write, remove_orphans, staged_files
+from lirs_wct.files import atomic_folder, atomic_write, check_writable, remove_orphans, staged_files
 from lirs_wct.foreign_files import MANIFEST
 
 
@@ -79,6 +79,18 @@ def test_errors_begin_with_the_path(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="is a file"), atomic_folder(tmp_path / "file"):
         pass
     assert listing(tmp_path) == ["file", "folder"]
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/none")):
+        with pytest.raises(OutputError) as refused:
+            check_writable(folder)
+        assert str(refused.value).startswith(f"{folder}: cannot be written: ")
+    check_writable(None)
+    check_writable(tmp_path)
+    check_writable(tmp_path / "new" / "folder")
+    assert listing(tmp_path) == ["file"]
 
 
 def test_an_error_shows_no_hidden_folder(tmp_path: Path) -> None:

@@ -4,13 +4,18 @@ import os
 import resource
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lirs_validation import RunConfig, map_log, validate
+from lirs_validation.live.options import LiveOptions
+from lirs_validation.live.run import live
+from lirs_validation.map_config import MapConfig
+from lirs_validation.twin.twin import run_twin
 from lirs_wct.errors import OutputError
 from lirs_wct.formats.images.picture import write_image
 from lirs_wct.formats.map_server import write_map
@@ -106,3 +111,21 @@ def test_a_terminal_without_room_is_said() -> None:
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr
     assert "output: cannot be written: No space left on device" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda out: validate("no-source.png", out=out),
+        lambda out: map_log("no-log.clf", out=out),
+        lambda out: run_twin(MapConfig(log="no-log.clf"), lidar="lms200", seed=1, out=out),
+        lambda out: list(live(RunConfig(source="no-source.png", mapper="gmapping"), LiveOptions(), out=out)),
+    ],
+)
+def test_an_output_folder_that_cannot_be_written_is_refused_first(
+    tmp_path: Path, work: Callable[[Path], object]
+) -> None:
+    """The drive or the mapping was made before, and then lost."""
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="file is a file"):
+        work(tmp_path / "file" / "out")

@@ -9,7 +9,7 @@ import pytest
 from lirs_validation.sweep.engines import Limits, Processes, Serial
 from lirs_validation.sweep.experiment import Manifest
 from lirs_validation.sweep.sweep import Sweep
-from lirs_wct.errors import WctError
+from lirs_wct.errors import OutputError, WctError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment, Manner
 
 
@@ -35,6 +35,14 @@ def test_a_failed_cell_is_written_down_and_the_rest_go_on(tmp_path: Path, notes:
     assert outcomes[1].reason == "IndexError: list index out of range"
     assert "fake_experiments.py" in (tmp_path / "out" / "1-raises" / "failed").read_text()
     assert hidden(tmp_path / "out") == []
+
+
+def test_nothing_is_run_whose_results_cannot_be_written(tmp_path: Path, notes: str) -> None:
+    (tmp_path / "file").write_text("")
+    asked = experiments(notes, "good", "good")
+    with pytest.raises(OutputError, match="is a file"):
+        list(Sweep(asked, tmp_path / "file" / "out").run(Serial()))
+    assert [experiment.runs for experiment in asked] == [[], []]
 
 
 def test_the_same_sweep_again_runs_nothing_twice(tmp_path: Path, notes: str) -> None:
