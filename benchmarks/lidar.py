@@ -153,10 +153,7 @@ def measure(quick: bool, console: Console) -> tuple[dict[str, float], list[dict[
             row |= compared(surface, ours, rays, quick)
         if samples == SAMPLES:
             figures["laser_map_2000"] = map_ms(rounds) / row["ours_ms"]
-            for name, beams in (
-                ("scan_541_ms", fan(541)),
-                ("rings_16x900_ms", rings(16, 900, 0.26)),
-            ):
+            for name, beams in (("scan_541_ms", fan(541)), ("rings_16x900_ms", rings(16, 900, 0.26))):
                 times = milliseconds(ours, scans(surface, POSES, beams), rounds // 3)
                 figures[name] = float(np.median(times))
             figures |= {key: row[key] for key in LIMITS if key in row}

@@ -161,13 +161,7 @@ def indoor() -> list[Plan]:
     for robot, navigation, mapping in (("jackal", 4, 0), ("turtlebot2", 0, 2)):
         for name, split in MAPS:
             plans.append(
-                Plan(
-                    world=from_files(name),
-                    split=split,
-                    robot=robot,
-                    navigation=navigation,
-                    mapping=mapping,
-                )
+                Plan(world=from_files(name), split=split, robot=robot, navigation=navigation, mapping=mapping)
             )
     # Last, so that the seeds of the tasks above stay.
     return plans + [

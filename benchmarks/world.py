@@ -82,12 +82,7 @@ def plan(quick: bool, data: Path) -> list[Row]:
         ),
         *(
             Row(job=f"large {kind}", samples=n, budget=n, limits={"cpu_off": 1.5, "peak_mb_off": 1.5})
-            for kind, n in (
-                ("terrain", 8193),
-                ("terrain", 16385),
-                ("map", 10_000),
-                ("full grid", 4097),
-            )
+            for kind, n in (("terrain", 8193), ("terrain", 16385), ("map", 10_000), ("full grid", 4097))
         ),
         Row(job="8 bit", samples=1025, budget=5e-4),
         Row(job="8 bit, deterraced", samples=1025, budget=5e-4, limits={"triangle_ratio": 1.5}),

@@ -38,7 +38,7 @@ default_role = "code"
 nitpicky = True
 nitpick_ignore_regex = [
     # A type in a signature links to its entry where it has one.
-    (r"py:(class|obj|data)", r".*"),
+    (r"py:(class|obj|data)", r".*")
 ]
 
 # `--option` stays what one types.

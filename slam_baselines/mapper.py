@@ -167,7 +167,7 @@ OWN_CLOUD_MAPPERS: Mapping[str, Method] = {
         "WheelLioMapper",
         license="ours",
         needs="odometry, inertial readings",
-    ),
+    )
 }
 """Our methods that read point clouds, by name."""
 ALL_CLOUD_MAPPERS = {**OWN_CLOUD_MAPPERS, **CLOUD_MAPPERS}

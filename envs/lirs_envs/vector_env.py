@@ -151,10 +151,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         self._paths: list[list[Pose2]] = [[] for _ in range(num_envs)]
 
     def reset(
-        self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observed, dict[str, Any]]:
         """Begin episodes: of all, or of those in `options["reset_mask"]`.
 

@@ -85,12 +85,7 @@ class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArg
         lower_at: float = 0.3,
     ) -> None:
         gym.utils.RecordConstructorArgs.__init__(
-            self,
-            difficulty=difficulty,
-            step=step,
-            episodes=episodes,
-            raise_at=raise_at,
-            lower_at=lower_at,
+            self, difficulty=difficulty, step=step, episodes=episodes, raise_at=raise_at, lower_at=lower_at
         )
         super().__init__(env)
         if not env.has_wrapper_attr("difficulty"):

@@ -283,12 +283,7 @@ def _score_map(
     _check_place(path, built, reference)
     world = build_scenario(config).world
     scores = map_scores(
-        built,
-        reference,
-        surface=world.surface,
-        walls=world.walls,
-        truth=world.truth,
-        alignment=alignment,
+        built, reference, surface=world.surface, walls=world.walls, truth=world.truth, alignment=alignment
     )
     return asdict(scores)
 

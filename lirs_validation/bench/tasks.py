@@ -218,10 +218,4 @@ def set_entry(found: TaskSet) -> dict[str, Any]:
     """Return the JSON value of a set (see `read_task_set`)."""
     worlds = {t.world.name: t.world.describe() for t in found.tasks if t.world is not None}
     tasks = [t.describe() | ({} if t.world is None else {"world": t.world.name}) for t in found.tasks]
-    return {
-        "schema": SCHEMA,
-        "name": found.name,
-        "version": found.version,
-        "worlds": worlds,
-        "tasks": tasks,
-    }
+    return {"schema": SCHEMA, "name": found.name, "version": found.version, "worlds": worlds, "tasks": tasks}

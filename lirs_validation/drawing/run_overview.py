@@ -61,10 +61,7 @@ def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, buil
     title(axes[0], "Elevation by the mapper's poses")
     map_axes(axes[1], canvas, error_picture(canvas, world, built))
     title(axes[1], "Less the surface")
-    handles = [
-        Patch(color=BLUE, label=f"{FULL:.1f} m too low"),
-        Patch(color=VERMILLION, label="too high"),
-    ]
+    handles = [Patch(color=BLUE, label=f"{FULL:.1f} m too low"), Patch(color=VERMILLION, label="too high")]
     legend(axes[1], handles)
 
 

@@ -40,12 +40,7 @@ class PolicyDriver:
     frame: Frame = "world"
 
     def __init__(
-        self,
-        policy: Policy,
-        robot: Robot,
-        start: Pose2,
-        goals: FloatArray,
-        factors: tuple[float, float],
+        self, policy: Policy, robot: Robot, start: Pose2, goals: FloatArray, factors: tuple[float, float]
     ) -> None:
         self.start, self.stuck = start, False
         self._policy, self._robot, self._goals, self._factors = policy, robot, goals, factors

@@ -152,12 +152,7 @@ def evaluate_maps(world: World, log: DriveLog, mapper: MapperUnderTest) -> Maps:
     built = mapper.map()
     true_pose, built = true_pose_map(log, built.resolution), built.moved(T_world_map)
     scores = map_scores(
-        built,
-        true_pose,
-        surface=world.surface,
-        walls=world.walls,
-        truth=world.truth,
-        alignment=alignment,
+        built, true_pose, surface=world.surface, walls=world.walls, truth=world.truth, alignment=alignment
     )
     return Maps(built, true_pose, asdict(scores), alignment)
 

@@ -24,12 +24,7 @@ from typing import IO, TYPE_CHECKING, Any, NoReturn
 from weakref import finalize
 
 from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
-from lirs_validation.experiment.mapper_loading import (
-    MapperSpec,
-    interpreter_of,
-    mapper_named,
-    warm_up_mapper,
-)
+from lirs_validation.experiment.mapper_loading import MapperSpec, interpreter_of, mapper_named, warm_up_mapper
 from lirs_validation.experiment.mapper_under_test import METHODS, Estimate, MapperUnderTest, SensorReadings
 from lirs_validation.interrupts import end_with, is_interrupt
 from lirs_wct.errors import MapperError, WctError

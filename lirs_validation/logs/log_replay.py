@@ -194,11 +194,7 @@ RESOLUTION = 0.05
 
 
 def replay_clouds(
-    path: str,
-    mapper: MapperUnderTest,
-    log: LaserLog,
-    readings: Sequence[Imu | None],
-    progress: Progress,
+    path: str, mapper: MapperUnderTest, log: LaserLog, readings: Sequence[Imu | None], progress: Progress
 ) -> tuple[LostRule, list[LaserScan]]:
     """Replay all clouds; return whether the place was kept, and each cloud's horizontal beams.
 

@@ -373,9 +373,7 @@ def read_truth(config: MapConfig) -> tuple[tuple[RelativePoseConstraint, ...] | 
 
 
 def odometry_accuracy(
-    odometry: Trajectory,
-    relations: Sequence[RelativePoseConstraint] | None,
-    reference: Trajectory | None,
+    odometry: Trajectory, relations: Sequence[RelativePoseConstraint] | None, reference: Trajectory | None
 ) -> dict[str, Any]:
     """Return the accuracy of a log's raw odometry; empty without odometry."""
     if len(odometry) == 0:

@@ -8,13 +8,7 @@ from lirs_validation.metrics.alignment import (
     scan_coverage,
     start_alignment,
 )
-from lirs_validation.metrics.map import (
-    MapScores,
-    false_occupied,
-    iou,
-    map_scores,
-    unknown_share,
-)
+from lirs_validation.metrics.map import MapScores, false_occupied, iou, map_scores, unknown_share
 from lirs_validation.metrics.relative_pose_error import ConstraintErrorSummary, RelativePoseError
 from lirs_validation.metrics.trajectory import TrajectoryErrors, trajectory_errors
 

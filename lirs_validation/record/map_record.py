@@ -150,10 +150,7 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
         *_contradiction_line(record),
         *_quality_lines(record),
         ("scans with a pose", f"{100 * record.trajectory['scan_coverage']:.1f} %"),
-        (
-            "ms a scan (p50, p95, max)",
-            ", ".join(f"{mapper[f'ms_{p}']:.2f}" for p in ("p50", "p95", "max")),
-        ),
+        ("ms a scan (p50, p95, max)", ", ".join(f"{mapper[f'ms_{p}']:.2f}" for p in ("p50", "p95", "max"))),
         ("mapping took", f"{cost['map_seconds']:.1f} s"),
         ("memory of the maps", f"{mapper['memory'] / 1e6:.0f} MB"),
     ]

@@ -21,16 +21,7 @@ from lirs_wct.formats.rosbag.storage import FILES, METADATA, Storage
 SCHEMA = 3
 
 Status = Literal[
-    "ok",
-    "wall limit",
-    "tipped",
-    "stuck",
-    "off world",
-    "diverged",
-    "lost",
-    "incomplete",
-    "error",
-    "timeout",
+    "ok", "wall limit", "tipped", "stuck", "off world", "diverged", "lost", "incomplete", "error", "timeout"
 ]
 SUCCEEDED: tuple[Status, ...] = ("ok", "wall limit")
 """A run that ended so did not fail: it drove its time, or as much of it as it was allowed."""

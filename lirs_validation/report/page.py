@@ -185,11 +185,7 @@ def _tiles(report: Report) -> list[dict[str, Any]]:
     seeds = "seed" if report.seeds[1] == 1 else "seeds"
     tiles: list[dict[str, Any]] = [
         {"value": f"{len(good)} of {len(entries)}", "name": "runs finished", "bad": failed > 0},
-        {
-            "value": seeds_text(report.seeds),
-            "name": seeds,
-            "bad": False,
-        },
+        {"value": seeds_text(report.seeds), "name": seeds, "bad": False},
     ]
     if len(by_group(entries)) == 1:
         tiles += _metric_tiles(good)

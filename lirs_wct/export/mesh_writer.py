@@ -52,11 +52,7 @@ def _write_ply(path: Path, mesh: TriangleMesh) -> None:
 
 
 def write_collada(
-    path: Path,
-    mesh: TriangleMesh,
-    texture: str | None = None,
-    *,
-    progress: Progress = no_progress,
+    path: Path, mesh: TriangleMesh, texture: str | None = None, *, progress: Progress = no_progress
 ) -> None:
     """Write a mesh with texture coordinates; missing ones are made by cube projection.
 

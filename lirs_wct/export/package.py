@@ -171,11 +171,7 @@ def _write_textures(world: World, folder: Path) -> list[MeshPart]:
     """Write the textures and return the parts of the mesh files."""
     degrees = world.export_options.rotate_x
     return [
-        MeshPart(
-            part.wear.name,
-            _turn(part.mesh, degrees),
-            f"../{part.wear.write(world, folder).as_posix()}",
-        )
+        MeshPart(part.wear.name, _turn(part.mesh, degrees), f"../{part.wear.write(world, folder).as_posix()}")
         for part in world_parts(world, world.file_mesh)
     ]
 

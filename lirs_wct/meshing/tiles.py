@@ -17,12 +17,7 @@ MUJOCO_FACES = 200_000
 """MuJoCo refuses a mesh file with more triangles."""
 
 
-def split_tiles(
-    mesh: TriangleMesh,
-    *,
-    aim: int,
-    most: int = MUJOCO_FACES,
-) -> Iterator[TriangleMesh]:
+def split_tiles(mesh: TriangleMesh, *, aim: int, most: int = MUJOCO_FACES) -> Iterator[TriangleMesh]:
     """Yield tiles of a mesh, squares of the ground plan.
 
     Args:

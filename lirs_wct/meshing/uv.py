@@ -129,11 +129,7 @@ def _sides(mask: NDArray[np.uint16]) -> NDArray[np.int8]:
 
 
 def _unfold(
-    points: FloatArray,
-    top: FloatArray,
-    side: NDArray[np.int8],
-    bounds: FloatArray,
-    span: float,
+    points: FloatArray, top: FloatArray, side: NDArray[np.int8], bounds: FloatArray, span: float
 ) -> FloatArray:
     """Return (n, 2) coordinates on the unfolded cube, in units of the texture.
 

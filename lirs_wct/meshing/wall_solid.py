@@ -62,12 +62,7 @@ def _corners(rectangles: IntArray, shape: tuple[int, int]) -> BoolArray:
 
 
 def _decode(
-    used: IntArray,
-    rectangles: IntArray,
-    is_wall: BoolArray,
-    kind: CellKinds,
-    walls: WallGrid,
-    slab: float,
+    used: IntArray, rectangles: IntArray, is_wall: BoolArray, kind: CellKinds, walls: WallGrid, slab: float
 ) -> FloatArray:
     """Return the (n, 3) positions of codes: lattice points at a level, then rectangle centers."""
     rows, cols = walls.shape

@@ -244,12 +244,7 @@ def _triangle_gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Arra
 
 @njit(cache=True)
 def _triangle_gradients(
-    z: Float32Array,
-    cell: tuple[float, float],
-    shift: tuple[float, float],
-    step: float,
-    rows: int,
-    cols: int,
+    z: Float32Array, cell: tuple[float, float], shift: tuple[float, float], step: float, rows: int, cols: int
 ) -> Float32Array:
     """Return (rows, cols) gradients at the cell centers, which are `step` meters apart."""
     found = np.empty((rows, cols), np.float32)

@@ -86,9 +86,7 @@ def _cut(surface: HeightField, window: Window) -> HeightField:
     r0, r1 = _span(y - half - south, y + half - south, surface.cell[1], rows)
     z = surface.z[rows - 1 - r1 : rows - r0, c0 : c1 + 1]
     return HeightField(
-        np.ascontiguousarray(z),
-        surface.cell,
-        (west + c0 * surface.cell[0], south + r0 * surface.cell[1]),
+        np.ascontiguousarray(z), surface.cell, (west + c0 * surface.cell[0], south + r0 * surface.cell[1])
     )
 
 

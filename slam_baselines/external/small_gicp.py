@@ -12,13 +12,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry import PointCloud
-from slam_baselines.external.cloud_odometry import (
-    TimedOdometry,
-    TimedSystem,
-    deskew,
-    matrix_of,
-    sweep_times,
-)
+from slam_baselines.external.cloud_odometry import TimedOdometry, TimedSystem, deskew, matrix_of, sweep_times
 
 KEPT = 10**6
 """Sweeps for which a voxel is kept that no sweep meets: the robot comes back."""

@@ -227,14 +227,7 @@ class Samples(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def propose(
-    maps: Any,
-    wall_slope: int,
-    beams: Any,
-    odometry: Any,
-    first: Any,
-    samples: Any,
-    tuning: Any,
-    out: Any,
+    maps: Any, wall_slope: int, beams: Any, odometry: Any, first: Any, samples: Any, tuning: Any, out: Any
 ) -> int:
     """Fill a proposal; return the number of searches."""
     res, (poses, means, sigmas, log_eta, hit_ratio, known_ratio) = maps.resolution, out

@@ -38,12 +38,7 @@ def world_of(name: str) -> World:
 @pytest.mark.parametrize("name", GROUND)
 @pytest.mark.parametrize("kind", ["laser map", "terrain", "prop"])
 def test_a_wall_is_a_collision_at_once(
-    kind: str,
-    name: str,
-    walled: World,
-    plane: World,
-    T_world_wall: Pose2,
-    make_world: Callable[..., World],
+    kind: str, name: str, walled: World, plane: World, T_world_wall: Pose2, make_world: Callable[..., World]
 ) -> None:
     frame, robot = T_world_wall if kind == "laser map" else Pose2(), make_robot(name)
     ridge = make_world(lambda x, _: 0.5 * ((x > 2.95) & (x < 4.0)))

@@ -67,11 +67,7 @@ def test_every_kind_of_ground_reads_back(tmp_path: Path) -> None:
         (Terrain(surface, gaps), set(), {"surface", "bare"}),
         (LaserMap(surface, walls, truth), {"walls", "truth"}, {"surface", "walls", "hole", "truth"}),
         (ClosedMesh(surface, solid), {"overhangs"}, {"surface", "vertices", "faces"}),
-        (
-            ClosedMesh(surface, solid, True, gaps),
-            {"overhangs"},
-            {"bare", "surface", "vertices", "faces"},
-        ),
+        (ClosedMesh(surface, solid, True, gaps), {"overhangs"}, {"bare", "surface", "vertices", "faces"}),
     )
     common = {"schema", "name", "kind", "scale", "surface", "arrays", "finish", "source"}
     common |= {"starts", "starts_for"}

@@ -90,11 +90,7 @@ class DistanceNoises:
     """
 
     def __init__(self, config: OdometryConfig, count: int) -> None:
-        self.parameters = (
-            float(config.scale_sigma),
-            float(config.scale_length),
-            float(config.scale_bias),
-        )
+        self.parameters = (float(config.scale_sigma), float(config.scale_length), float(config.scale_bias))
         self._rngs = [np.random.default_rng(0) for _ in range(count)]
         self.normals = np.zeros((count, BLOCK))
         self.used = np.zeros(count, np.int64)

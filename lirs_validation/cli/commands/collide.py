@@ -11,7 +11,7 @@ import typer
 
 from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
 from lirs_validation.cli.typer_options import Sources, mujoco_terrain, with_options
-from lirs_validation.config import SourceOptions
+from lirs_validation.config import RunConfig, SourceOptions
 from lirs_wct.errors import WctError
 from lirs_wct.option import read_names, read_numbers
 
@@ -76,7 +76,6 @@ def _make_experiments(
 ) -> Iterator[CollisionVerdict | WctError]:
     """Yield an experiment for each robot, terrain and seed in each world."""
     from lirs_validation.collision.validation import check_collisions
-    from lirs_validation.config import RunConfig
     from lirs_validation.experiment.scenario import build_scenario
 
     checks = list(itertools.product(robots, terrains, seeds))

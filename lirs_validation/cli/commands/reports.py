@@ -26,8 +26,7 @@ Across = Annotated[
     ),
 ]
 OnlyA = Annotated[
-    str | None,
-    typer.Option(metavar="FIELD=VALUE,...", help="Only these runs of A, such as mapper=hector."),
+    str | None, typer.Option(metavar="FIELD=VALUE,...", help="Only these runs of A, such as mapper=hector.")
 ]
 OnlyB = Annotated[str | None, typer.Option(metavar="FIELD=VALUE,...", help="Only these runs of B.")]
 Figures = Annotated[
@@ -86,11 +85,7 @@ def compare(
     from lirs_validation.analysis.compare import only
     from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
-    from lirs_validation.report.compare_tables import (
-        compare_table,
-        write_compare_csv,
-        write_compare_json,
-    )
+    from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
 
     names = (_result_name(a, only_a), _result_name(b, only_b))
     first, second = read_results(a), read_results(b)

@@ -11,9 +11,9 @@ import typer
 
 from lirs_validation.cli.progress import GATE_FAILED, manifest_of_command, out, run_sweep
 from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source, with_options
-from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, SourceOptions
+from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, SourceOptions, run_name
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, OutputError, SourceError
 
 if TYPE_CHECKING:
     from lirs_validation.record.verdict import Verdict
@@ -155,9 +155,7 @@ def _check_free(folder: Path, experiment: SlamExperiment) -> None:
     Raises:
         OutputError: it does.
     """
-    from lirs_validation.config import run_name
     from lirs_validation.record.run_record import read_record
-    from lirs_wct.errors import OutputError, SourceError
 
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return

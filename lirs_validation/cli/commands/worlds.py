@@ -33,8 +33,7 @@ GazeboModel = Annotated[
     ),
 ]
 MapHeight = Annotated[
-    float | None,
-    typer.Option(metavar="METERS", show_default="0.3", help="Height of the lidar for --to map."),
+    float | None, typer.Option(metavar="METERS", show_default="0.3", help="Height of the lidar for --to map.")
 ]
 
 

@@ -102,11 +102,7 @@ class LiveDrive(Playback):
         self.world = ready.scenario.world
         self._meter = CostMeter()
         self._drive = Drive(
-            ready.simulation,
-            self.driver,
-            ready.mapper,
-            ready.seconds,
-            wall_limit=config.wall_limit,
+            ready.simulation, self.driver, ready.mapper, ready.seconds, wall_limit=config.wall_limit
         )
         self._steps = iter(self._drive)
         self._T_world_map = self._drive.log.truth[0].to_pose2()

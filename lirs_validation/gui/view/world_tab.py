@@ -51,9 +51,7 @@ class WorldTab:
 
     def _add_source(self, gui: viser.GuiApi) -> None:
         self._source = gui.add_dropdown(
-            "source",
-            tuple(self._sources),
-            hint="A bundled world, or a file that was opened here.",
+            "source", tuple(self._sources), hint="A bundled world, or a file that was opened here."
         )
         self._source.on_update(self._page.guard(self._chosen))
         upload = gui.add_upload_button(

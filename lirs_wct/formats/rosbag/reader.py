@@ -270,14 +270,7 @@ def _number_by_stamp(scans: list[Message], odoms: list[Message]) -> tuple[list[M
 def _scan(beams: BeamGeometry, message: Message, mount: Pose3) -> LaserScan:
     first, step, range_min, range_max = geometry(beams, len(message.ranges))
     return LaserScan(
-        message.ranges,
-        first,
-        step,
-        range_min,
-        range_max,
-        message.stamp,
-        mount,
-        beams.time_increment,
+        message.ranges, first, step, range_min, range_max, message.stamp, mount, beams.time_increment
     )
 
 

@@ -13,12 +13,7 @@ SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sen
 """Types of the messages that are read as a log."""
 CLOUD = "sensor_msgs/msg/PointCloud2"
 PATH = "nav_msgs/msg/Path"
-POSES = (
-    ODOMETRY,
-    "geometry_msgs/msg/PoseStamped",
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    PATH,
-)
+POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", PATH)
 """Types of the messages that hold poses."""
 NAMES = {False: "laser scans", True: "point clouds"}
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")

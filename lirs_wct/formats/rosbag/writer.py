@@ -138,10 +138,7 @@ class BagWriter:
     def _connection(self, topic: str) -> Connection:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
-                topic,
-                TOPICS[topic],
-                typestore=self._store,
-                offered_qos_profiles=[_qos(topic in LATCHED)],
+                topic, TOPICS[topic], typestore=self._store, offered_qos_profiles=[_qos(topic in LATCHED)]
             )
         return self._connections[topic]
 

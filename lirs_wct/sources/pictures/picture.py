@@ -219,8 +219,7 @@ def _to_terrain(
     warn_slope_change(path, raster, surface, options)
     if options.kind is None and looks_like_map(raster.pixels):
         warnings.warn(
-            f"{path}: looks like a laser map: give its YAML file, or --as map with --resolution",
-            stacklevel=4,
+            f"{path}: looks like a laser map: give its YAML file, or --as map with --resolution", stacklevel=4
         )
     return surface, _scale_text(raster.info, options), place_of(raster, surface, height, options)
 

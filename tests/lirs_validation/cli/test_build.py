@@ -234,10 +234,7 @@ BAD = {
     "sdf alone": (("build", "hill.png", "--to", "sdf"), "ask for dae or stl as well"),
     "terrain": (("build", "hill.png", "--terrain", "prisms"), "--terrain must be solid or heightmap"),
     "no texture": (("build", "hill.png", "--texture", "gone.png"), "gone.png: cannot be read"),
-    "texture is none": (
-        ("build", "hill.png", "--texture", "room.yaml"),
-        "room.yaml: a texture must be",
-    ),
+    "texture is none": (("build", "hill.png", "--texture", "room.yaml"), "room.yaml: a texture must be"),
     "broken texture": (("build", "hill.png", "--texture", "cut.png"), "cut.png: "),
     "empty mesh": (("build", "empty.stl"), "empty.stl: "),
     "no mesh": (("convert", "hill.png", "x.stl"), "hill.png: not a mesh that is read; legal: .stl, .dae"),

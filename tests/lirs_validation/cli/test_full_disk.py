@@ -65,10 +65,7 @@ def test_a_picture_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     ],
 )
 def test_a_command_on_a_full_disk_says_so_in_one_line(
-    words: tuple[str, ...],
-    size: int,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...], size: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # With room first: kernels that are compiled under the limit could not be cached.
     assert run_command(*words, "-o", str(tmp_path / "roomy")) == 0

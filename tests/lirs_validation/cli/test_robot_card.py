@@ -79,9 +79,7 @@ def test_every_card_can_be_drawn() -> None:
     ],
 )
 def test_names_that_are_none(
-    arguments: tuple[str, ...],
-    words: str,
-    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_command("robot", *arguments) == 2
     assert words in capsys.readouterr().err.replace("\n", " ")

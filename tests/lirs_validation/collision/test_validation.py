@@ -80,10 +80,7 @@ def test_every_robot_among_blocks(name: str, blocks: World) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "kind", "name"),
-    [
-        ("medium", "mesh", "turtlebot3_waffle"),
-        ("advanced", "prisms", "turtlebot2"),
-    ],
+    [("medium", "mesh", "turtlebot3_waffle"), ("advanced", "prisms", "turtlebot2")],
 )
 def test_bundled_worlds(source: str, kind: ContactGeometry, name: str) -> None:
     world = build_world(source, BuildOptions(window=(0, 0, 20)))

@@ -200,12 +200,7 @@ def test_an_overview_shows_the_same_meters_in_all_panels(status: str, tmp_path: 
     world, truth, grid = drive()
     figure = overview_figure(world, record(status), truth, truth, grid, grid, grid)
     panels = {axes.get_title(loc="left"): axes for axes in figure.axes}
-    names = [
-        "Input map and paths",
-        "Map at the true poses",
-        "Built map",
-        "Built map, aligned",
-    ]
+    names = ["Input map and paths", "Map at the true poses", "Built map", "Built map, aligned"]
     assert len({(*panels[n].get_xlim(), *panels[n].get_ylim()) for n in names}) == 1
     texts = {t.get_text() for axes in figure.axes for t in axes.texts}
     assert {"0.020 m", "F1 0.930", "F1 0.990"} <= texts

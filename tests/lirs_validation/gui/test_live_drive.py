@@ -68,11 +68,7 @@ def driven(config: RunConfig, scenarios: ScenarioCache, ticks: int | None = None
 
 @pytest.mark.parametrize(
     ("mapper", "driver", "threads"),
-    [
-        ("hector", "tour", 1),
-        ("cartographer", "tour", 2),
-        ("hector", "frontier", 1),
-    ],
+    [("hector", "tour", 1), ("cartographer", "tour", 2), ("hector", "frontier", 1)],
 )
 def test_a_saved_drive_is_validates_run(
     tmp_path: Path,

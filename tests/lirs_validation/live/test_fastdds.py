@@ -118,9 +118,7 @@ def test_50_clients_that_are_killed_do_no_harm(program, domain, tmp_path):
     command = [program, domain, 10**6, 10**6, 0.3, tmp_path / "received"]
     script = 'for k in $(seq 50); do timeout -s KILL 0.$((k % 5 + 1)) "$@"; done; exec "$@"'
     clients = subprocess.Popen(
-        ["bash", "-c", script, "-", *map(str, command)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        ["bash", "-c", script, "-", *map(str, command)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     try:
         (result,) = live(config, options)

@@ -73,13 +73,7 @@ def test_metrics_of_the_record_by_hand() -> None:
         }
     )
     assert found["reference"] == pytest.approx(
-        {
-            "ate_rmse": math.sqrt(12.5),
-            "ate_max": 4.0,
-            "yaw_rmse_deg": math.sqrt(50),
-            "used": 2,
-            "outside": 7,
-        }
+        {"ate_rmse": math.sqrt(12.5), "ate_max": 4.0, "yaw_rmse_deg": math.sqrt(50), "used": 2, "outside": 7}
     )
 
 

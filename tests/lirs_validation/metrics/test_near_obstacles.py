@@ -124,12 +124,7 @@ def test_both_sides_of_a_face_are_alike(distance: float, turned: bool) -> None:
     assert near_obstacle(points, field, None, distance).tolist() == [False, True, True, False]
     assert near_obstacle(
         points, FLAT, WallGrid(solid.T.copy() if turned else solid, 0.25), distance
-    ).tolist() == [
-        False,
-        True,
-        True,
-        False,
-    ]
+    ).tolist() == [False, True, True, False]
 
 
 def test_in_the_footprint_is_near_at_no_distance() -> None:

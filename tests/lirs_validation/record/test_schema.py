@@ -94,11 +94,7 @@ def verdict(**more: Any) -> dict[str, Any]:
 
 def test_collision_checks_are_read_or_named(tmp_path: Path) -> None:
     saved(tmp_path)
-    for name, held in {
-        "good": [verdict()],
-        "odd": [verdict(force_peak="much")],
-        "none": [],
-    }.items():
+    for name, held in {"good": [verdict()], "odd": [verdict(force_peak="much")], "none": []}.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / "cell.json").write_text(json.dumps({"status": "ok", "reason": ""}))
         (tmp_path / name / "collisions.json").write_text(json.dumps({"collisions": held}))

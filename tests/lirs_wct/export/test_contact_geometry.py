@@ -39,9 +39,7 @@ def hills() -> World:
     axis = np.abs(np.linspace(-1, 1, 161, dtype=np.float32))
     z += 3 * np.maximum(axis[:, None], axis) ** 8
     return World(
-        "hills",
-        Terrain(HeightField.centered(z, (0.1, 0.1))),
-        export_options=ExportOptions(max_error=0.004),
+        "hills", Terrain(HeightField.centered(z, (0.1, 0.1))), export_options=ExportOptions(max_error=0.004)
     )
 
 

@@ -34,11 +34,7 @@ def source(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     ("name", "given", "expected"),
-    [
-        ("ramp.png", {}, TERRAIN),
-        ("ramp.png", {"max_error": 0.0}, FULL_GRID),
-        ("floor.yaml", {}, MAP),
-    ],
+    [("ramp.png", {}, TERRAIN), ("ramp.png", {"max_error": 0.0}, FULL_GRID), ("floor.yaml", {}, MAP)],
 )
 def test_a_refusal_says_memory_time_and_the_option(
     source: Path, name: str, given: dict[str, float], expected: Effort

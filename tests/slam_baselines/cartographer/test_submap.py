@@ -221,9 +221,7 @@ def ten_laps() -> tuple[CartographerMapper, list[Pose2], list[int]]:
     return mapper, truth, memory
 
 
-def test_memory_does_not_grow_with_time(
-    ten_laps: tuple[CartographerMapper, list[Pose2], list[int]],
-) -> None:
+def test_memory_does_not_grow_with_time(ten_laps: tuple[CartographerMapper, list[Pose2], list[int]]) -> None:
     mapper, _, memory = ten_laps
     counts = mapper.stats.counts
     assert counts["submaps"] > 20

@@ -30,9 +30,7 @@ def test_constant_errors_are_learnt(
         d, a, east, north = (rng.uniform(0, 0.05), rng.normal(0, 0.03), *rng.normal(0, 0.15, 2))
         step, down = Pose2(d, 0.0, a), (east, north)
         true = Pose2(
-            d * (1 + meter) + slide * abs(a) * east,
-            lateral * a + slide * abs(a) * north,
-            a + turn * d,
+            d * (1 + meter) + slide * abs(a) * east, lateral * a + slide * abs(a) * north, a + turn * d
         )
         calibration.learn(step, true, down)
     step, down = Pose2(0.05, 0.0, 0.04), (0.2, -0.1)

@@ -305,10 +305,7 @@ ROWS = "end_header\n1 2 3\n4 5 6\n7 8 8\n"
     [
         (PLY.format("vertex", "red") + ROWS, "points need x, y and z; missing: z; got: x, y, red"),
         (PLY.format("vertex", "Z") + FACES + ROWS + "3 0 1 2\n", "missing: z; got: x, y, Z"),
-        (
-            PLY.format("point", "z") + ROWS,
-            "an element 'vertex' with x, y and z; its elements are: point",
-        ),
+        (PLY.format("point", "z") + ROWS, "an element 'vertex' with x, y and z; its elements are: point"),
     ],
 )
 def test_a_ply_without_positions_says_what_it_has(text: str, reason: str, tmp_path: Path) -> None:

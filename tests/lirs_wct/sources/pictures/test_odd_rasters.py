@@ -199,8 +199,7 @@ def test_pictures_of_more_bits_are_terrains(bits: type) -> None:
 
 @pytest.mark.shared
 @pytest.mark.parametrize(
-    ("name", "expected"),
-    [*((f"maps/{m}", True) for m in MAPS), *((f"height/{t}", False) for t in TERRAINS)],
+    ("name", "expected"), [*((f"maps/{m}", True) for m in MAPS), *((f"height/{t}", False) for t in TERRAINS)]
 )
 def test_real_pictures(shared_data: Path, name: str, expected: bool) -> None:
     picture = cv2.imread(str(shared_data / name), cv2.IMREAD_UNCHANGED)
