@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())
 """Without a handler, trimesh prints a traceback for each texture that it cannot read."""
-PLAIN = (".stl", ".ply")
-"""Suffixes of files with one mesh."""
 FARTHEST = 1e9
 """Largest coordinate of a vertex, in the file's unit."""
 _HEAD = 1 << 16
@@ -107,13 +105,12 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
 
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
-    suffix = path.suffix.lower()
-    if suffix == ".ply":
+    if path.suffix.lower() == ".ply":
         require_positions(path)
     files = _referenced_files(path)
     try:
         # Processing drops vertices that are not finite.
-        loaded = trimesh.load_mesh(path, resolver=files, process=suffix not in PLAIN)
+        loaded = trimesh.load_mesh(path, resolver=files, process=False)
     except SourceError:
         raise
     except Exception as error:  # every loader of trimesh raises different errors

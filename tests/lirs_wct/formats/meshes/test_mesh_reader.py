@@ -114,13 +114,12 @@ def test_a_corner_that_is_not_in_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", ["inf", "-inf", "nan", "1e400", "1e39", "-1e200"])
-@pytest.mark.parametrize("suffix", [".stl", ".ply"])
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".obj"])
 def test_a_coordinate_that_is_no_place(tmp_path: Path, suffix: str, number: str) -> None:
     """One bad vertex was dropped with its triangles, and a message on a hole or on a cell followed."""
     path, box = tmp_path / f"a{suffix}", trimesh.creation.box((4.0, 4.0, 12345.0))
-    kind = {".stl": "stl_ascii", ".ply": "ply"}[suffix]
-    options = {".stl": {}, ".ply": {"encoding": "ascii"}}[suffix]
-    box.export(path, file_type=kind, **options)
+    kind = {".stl": "stl_ascii"}.get(suffix, suffix[1:])
+    box.export(path, file_type=kind, **({"encoding": "ascii"} if suffix == ".ply" else {}))
     assert len(read_upright(path).vertices) == 8
     text = path.read_text()
     assert "6172.5" in text
@@ -132,6 +131,15 @@ def test_a_coordinate_that_is_no_place(tmp_path: Path, suffix: str, number: str)
     assert str(refused.value).startswith(
         f"{path}: has vertices that are not finite, or farther than 1e+09 units"
     )
+
+
+@pytest.mark.parametrize("number", [np.inf, np.nan, -1e38])
+def test_a_coordinate_of_a_binary_scene_that_is_no_place(tmp_path: Path, number: float) -> None:
+    path, box = tmp_path / "a.glb", trimesh.creation.box((4.0, 4.0, 4.0))
+    box.vertices[3, 2] = number
+    trimesh.Trimesh(box.vertices, box.faces, process=False).export(path)
+    with pytest.raises(SourceError, match="has vertices that are not finite, or farther than"):
+        read_upright(path)
 
 
 def test_a_suffix_that_is_no_mesh(tmp_path: Path) -> None:
