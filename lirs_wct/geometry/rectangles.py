@@ -28,7 +28,7 @@ def _cover(solid: BoolArray) -> IntArray:
 def _rectangles(left: BoolArray) -> IntArray:
     """Cover a mask by rectangles in row order; the mask is cleared."""
     rows, cols = left.shape
-    boxes = np.empty((max(1, left.sum()), 4), np.int64)
+    boxes = np.empty((max(1, int(left.sum())), 4), np.int64)
     count = 0
     for r in range(rows):
         for c in range(cols):

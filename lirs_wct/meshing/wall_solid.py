@@ -98,8 +98,8 @@ def _triangles(
     base = (rows + 1) * (cols + 1) * LEVELS + len(rectangles)
     room = 0
     for r0, c0, r1, c1 in rectangles:
-        room += marked[r0, c0:c1].sum() + marked[r1, c0:c1].sum()
-        room += marked[r0:r1, c0].sum() + marked[r0:r1, c1].sum() + 4
+        room += int(marked[r0, c0:c1].sum() + marked[r1, c0:c1].sum())
+        room += int(marked[r0:r1, c0].sum() + marked[r0:r1, c1].sum()) + 4
     faces = np.empty((6 * room + 2 * (rows + cols) + 8, 3), np.int64)
     n = 0
     for k in range(len(rectangles)):

@@ -338,7 +338,7 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
     def _is_informative(self, beams: ScanBeams, known_ratio: float) -> bool:
         """Return whether enough beams at walls end where the map is known."""
         c = self.config
-        return known_ratio >= c.tracking.known_ratio and beams.weights.sum() >= c.min_beams
+        return bool(known_ratio >= c.tracking.known_ratio and beams.weights.sum() >= c.min_beams)
 
     def _learn_bias(self, motion: MotionIncrement) -> None:
         """Update the gyro's bias once the start is refined; before, too few walls are known."""

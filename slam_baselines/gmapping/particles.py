@@ -92,7 +92,8 @@ class UniformSource(Protocol):
 def normalize(log_weights: FloatArray) -> FloatArray:
     """Return (n,) weights of sum 1 from their logarithms up to a constant."""
     weights: FloatArray = np.exp(log_weights - log_weights.max())
-    return weights / weights.sum()  # type: ignore[no-any-return]
+    weights /= weights.sum()
+    return weights
 
 
 def effective_number(weights: FloatArray) -> float:
