@@ -103,12 +103,13 @@ def correlations(rows: list[dict[str, Any]], mapper: str) -> dict[str, float]:
 
 
 def came_true(rows: list[dict[str, Any]], mapper: str) -> dict[str, list[int]]:
-    """For each expectation: runs better than their odometry, and all runs."""
+    """For each expectation, without its numbers: runs better than their odometry, and all runs."""
     counts: dict[str, list[int]] = {}
     for row in rows:
-        held, total = counts.get(row["forecast"]["expectation"], (0, 0))
+        expectation = row["forecast"]["expectation"].rpartition(": ")[2]
+        held, total = counts.get(expectation, (0, 0))
         better = sum(outcome(entry) < 1.0 for entry in row["runs"][mapper])
-        counts[row["forecast"]["expectation"]] = [held + better, total + len(row["runs"][mapper])]
+        counts[expectation] = [held + better, total + len(row["runs"][mapper])]
     return counts
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import yaml
 
+from benchmarks.forecast import came_true
 from benchmarks.log_quality import correlation, table, thinned, worsened
 from benchmarks.mrpt import write_rawlog
 from lirs_validation.bench.tasks import task_set
@@ -167,3 +168,10 @@ def test_mrpt_reads_it(log: LaserLog, tmp_path: Path) -> None:
     assert found["Actions/SensoryFrame format"] == "Yes"
     assert found["Overall number of objects"] == str(2 * len(log.scans))
     assert f"{log.stamps[-1] - log.stamps[0]:.3f}" in told
+
+
+def test_forecasts_with_other_numbers_are_one_expectation() -> None:
+    said = ("walls on 93 of 541 beams: enough", "walls on 80 to 174 of 541 beams: enough", "nowhere")
+    run = {"status": "ok", "ate": 0.1, "odometry": 0.2}
+    rows = [{"forecast": {"expectation": text}, "runs": {"hector": [run]}} for text in said]
+    assert came_true(rows, "hector") == {"enough": [2, 2], "nowhere": [1, 1]}
