@@ -15,6 +15,7 @@ test: .venv/kernels
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy benchmarks
 	$(BIN)/lint-imports
 	$(BIN)/pytest $(PYTEST_ARGS) -m "not slow"
 

@@ -37,6 +37,7 @@ import lirs_envs  # noqa: F401  registers
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import seen_frame
 from lirs_envs.vector_env import RobotVectorEnv
+from lirs_wct.arrays import Int32Array
 from lirs_wct.geometry.pose import Pose3
 
 N, HELD = 16, 10
@@ -109,9 +110,9 @@ class Recording:
         self.ranges: list[np.ndarray] = []
         step = bodies.step
 
-        def recorded(ids: Any, count: int) -> dict[int, str]:
+        def recorded(ids: Int32Array | None, steps: int) -> dict[int, str]:
             self.controls.append(bodies.ctrl.copy())
-            return step(ids, count)
+            return step(ids, steps)
 
         bodies.step = recorded  # type: ignore[method-assign]
         for k in range(steps):

@@ -21,12 +21,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import yaml
-from planted_mappers import DEFECTS
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.planted_mappers import DEFECTS
 from lirs_validation.falsify import FalsifyOptions
 from lirs_validation.falsify.drives import (
     CaseDrives,
@@ -55,10 +56,11 @@ COLUMNS = (
 
 def searches(methods: list[str], kinds: list[str], seeds: list[int], jobs: int) -> Iterator[FalsifyOptions]:
     """Yield the options of each search, seed by seed."""
+    common: dict[str, Any] = {"drives": DRIVES, "cases": 1, "jobs": jobs}
     for method in methods:
         for kind in kinds:
             for seed in seeds:
-                shared = {"search": kind, "seed": seed, "drives": DRIVES, "cases": 1, "jobs": jobs}
+                shared = common | {"search": kind, "seed": seed}
                 if method == "planted":
                     for defect in DEFECTS.values():
                         name = f"planted_mappers:{defect.__name__}"

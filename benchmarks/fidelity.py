@@ -133,7 +133,7 @@ def ates(run: Path, seeds: Sequence[int], noise: float = 0.0) -> Row:
     """Return the ATEs of one run."""
     log, scans = recorded(run, noise)
     readings, truth = read_imu(run / "imu.csv.gz"), unpacked(run / "truth.tum.gz")
-    odometry = Trajectory.from_poses(log.stamps.tolist(), list(log.odometry))
+    odometry = Trajectory.from_poses(log.stamps, [pose for pose in log.odometry if pose is not None])
     paths = {column: [unpacked(f) for f in sorted(run.glob(name))] for column, name in ORIGINALS.items()}
     paths["odometry"] = [odometry]
     for method in COLUMNS:

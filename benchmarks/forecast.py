@@ -83,8 +83,8 @@ def measured(options: argparse.Namespace, console: Console) -> list[dict[str, An
         except WctError as error:
             console.print(f"left out: {error}", highlight=False, markup=False)
             continue
-        rows.append({"world": world.name, "forecast": vars(forecast), "runs": found})
-        rows[-1]["forecast"] |= {"expectation": forecast.expectation}
+        figures = vars(forecast) | {"expectation": forecast.expectation}
+        rows.append({"world": world.name, "forecast": figures, "runs": found})
         if options.json:
             options.json.write_text(json.dumps({"worlds": rows}, indent=1) + "\n")
     return rows

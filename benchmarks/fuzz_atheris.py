@@ -21,8 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fuzz_seeds import KINDS, write_seeds
-
+from benchmarks.fuzz_seeds import KINDS, write_seeds
 from lirs_envs.sensing.sensors import read_noise
 from lirs_validation.bench.tasks import task_set
 from lirs_validation.falsify.drives import read_search_limits

@@ -32,7 +32,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 import numpy as np
-from fuzz_seeds import KINDS, Kind, write_seeds
+
+from benchmarks.fuzz_seeds import KINDS, Kind, write_seeds
 
 LIMIT_S, HANG_S, LIMIT_GB, ADDRESS_GB = 10.0, 60.0, 1.0, 6.0
 """Processor seconds, wall seconds and resident memory of one input; address space, beyond which an
@@ -120,7 +121,7 @@ def _extreme(data: bytes, rng: np.random.Generator) -> bytes:
     place = int(rng.integers(max(min(HEADER, len(out)) - width, 1)))
     word = EXTREME_WORDS[int(rng.integers(len(EXTREME_WORDS)))]
     order = "little" if rng.random() < 0.5 else "big"
-    out[place : place + width] = (word & (256**width - 1)).to_bytes(width, order)  # type: ignore[arg-type]
+    out[place : place + width] = (word & (256**width - 1)).to_bytes(width, order)
     return bytes(out)
 
 

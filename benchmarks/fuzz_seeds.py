@@ -45,8 +45,8 @@ class Kind:
 
 
 def _pictures() -> list[Kind]:
-    names = ("gray8.png", "gray16.png", "palette.png", "rgba.png", "gray8.jpg", "float.tif", "gray8.pgm")
-    names += ("ascii.pgm", "gray8.webp", "gray8.bmp", "gray8.gif")
+    names = ["gray8.png", "gray16.png", "palette.png", "rgba.png", "gray8.jpg", "float.tif", "gray8.pgm"]
+    names += ["ascii.pgm", "gray8.webp", "gray8.bmp", "gray8.gif"]
     return [
         Kind(name.replace(".", "_"), name, text=name == "ascii.pgm", wrong_suffixes=PICTURES)
         for name in names
@@ -156,7 +156,8 @@ def _link(kind: Kind, shared: Path, folder: Path) -> None:
 
 def _heights(n: int = 41) -> NDArray[Any]:
     y, x = np.mgrid[0:n, 0:n] / n
-    return 0.5 + 0.3 * np.sin(5 * x) * np.cos(4 * y)
+    heights: NDArray[Any] = 0.5 + 0.3 * np.sin(5 * x) * np.cos(4 * y)
+    return heights
 
 
 def _write_pictures(folder: Path) -> None:

@@ -24,12 +24,14 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from golden_envs import environment_outcomes
+from benchmarks.golden_envs import environment_outcomes
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
-DIGESTED = (".tum", ".pgm", ".yaml", ".stl", ".dae", ".xml", ".sdf", ".world", ".config", ".hfield", ".npz")
-DIGESTED += ("scans.clf.gz", "imu.csv.gz", "commands.csv", "collisions.csv")
+DIGESTED = (
+    *(".tum", ".pgm", ".yaml", ".stl", ".dae", ".xml", ".sdf", ".world", ".config", ".hfield", ".npz"),
+    *("scans.clf.gz", "imu.csv.gz", "commands.csv", "collisions.csv"),
+)
 MAPPERS = "hector,gmapping,cartographer"
 PARTS = (
     *("builds", "runs", "options", "originals", "clouds"),

@@ -62,9 +62,10 @@ def vector(task: str, steps: int, **options: Any) -> dict[str, Any]:
     envs = gym.make_vec(
         f"lirs_envs:{task}", num_envs=COUNT, vectorization_mode="vector_entry_point", **options
     )
+    shape = envs.action_space.shape or ()
     found = {"step 000": outcome(*envs.reset(seed=SEED))}
     for step in range(1, steps + 1):
-        observation, reward, terminated, truncated, info = envs.step(actions(step, *envs.action_space.shape))
+        observation, reward, terminated, truncated, info = envs.step(actions(step, *shape))
         ends = {"reward": reward, "terminated": terminated, "truncated": truncated}
         found[f"step {step:03d}"] = outcome(observation, info, **ends)
     envs.close()

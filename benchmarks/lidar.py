@@ -188,9 +188,8 @@ def main() -> None:
     kept = Table("figure", "measured", "limit", "kept")
     for key, (words, sign, limit) in LIMITS.items():
         shown = f"{figures[key]:.4g}" if key in figures else "needs embreex"
-        kept.add_row(
-            words, shown, f"{sign} {limit:g}", {True: "yes", False: "no"}.get(holds(figures, key), "")
-        )
+        said = {True: "yes", False: "no", None: ""}[holds(figures, key)]
+        kept.add_row(words, shown, f"{sign} {limit:g}", said)
     console.print(kept)
     if arguments.json:
         arguments.json.write_text(json.dumps({**figures, "rows": rows}, indent=2) + "\n")

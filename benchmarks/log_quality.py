@@ -99,7 +99,9 @@ def result(mapper: str, case: Mapping[str, Any], log: Path, data: Path) -> tuple
     if not done.is_file():
         name = case["log"]
         known = name in REFERENCES
-        truth = {"reference": data / REFERENCES[name]} if known else {"relations": data / RELATIONS}
+        truth: dict[str, Any] = (
+            {"reference": data / REFERENCES[name]} if known else {"relations": data / RELATIONS}
+        )
         mapped = map_log(log, mapper=mapper, **truth)
         record = mapped.record
         accuracy = record.accuracy["reference" if known else "relations"]
@@ -127,7 +129,10 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
 def correlation(rows: Iterable[Mapping[str, Any]], figure: str) -> float:
     """Return Spearman's rank correlation of a figure with the true error, over results that have both."""
     pairs = [(float(row["error"]), float(row[figure])) for row in rows if row[figure] not in (None, "")]
-    return float(spearmanr(*zip(*pairs, strict=True)).statistic) if len(pairs) > 2 else math.nan
+    if len(pairs) < 3:
+        return math.nan
+    errors, figures = np.array(pairs).T
+    return float(spearmanr(errors, figures).statistic)
 
 
 def shown(value: Any) -> Any:

@@ -32,9 +32,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mutations import Mutation, mutations_of
 from rich.console import Console
 from rich.table import Table
+
+from benchmarks.mutations import Mutation, mutations_of
 
 ROOT = Path(__file__).resolve().parents[1]
 CARMEN = ("lines", "laser", "repairs", "log")

@@ -14,6 +14,7 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -46,7 +47,7 @@ def wander(sim: Simulation, seconds: float, seed: int = 0) -> float:
     return driven
 
 
-def measure(source: str, robot: str, seconds: float, repeats: int) -> dict[str, object]:
+def measure(source: str, robot: str, seconds: float, repeats: int) -> dict[str, Any]:
     world = build_world(source)
     sim = Simulation(world, SimulationConfig(robot=make_robot(robot)), seed=1)
     driven = wander(sim, seconds)

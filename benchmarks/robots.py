@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from robot_figures import LIDAR, Row, figures
 
+from benchmarks.robot_figures import LIDAR, Row, figures
 from lirs_envs.robots.robot import ROBOTS, Robot, Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

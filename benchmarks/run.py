@@ -67,7 +67,8 @@ def main() -> None:
 def levelled_ate(run: Run) -> float | None:
     """Feed the run's scans again, levelled by the true attitude; return the ATE, if one is defined."""
     log, config = run.log, run.record.config
-    mapper, answers = mapper_named(config.mapper, config.seed), []
+    mapper: Any = mapper_named(config.mapper, config.seed)  # planar, as the lidar
+    answers = []
     for seen, truth in zip(log.observations, log.truth, strict=True):
         imu = None if seen.imu is None else replace(seen.imu, roll=truth.roll, pitch=truth.pitch)
         answers.append(mapper.update(seen.scan, seen.odometry, imu))

@@ -16,8 +16,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from task_plans import COURSE_DIFFICULTIES, PLANS, Plan
 
+from benchmarks.task_plans import COURSE_DIFFICULTIES, PLANS, Plan
 from lirs_envs.env import RobotEnv
 from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.robot import make_robot
@@ -104,8 +104,8 @@ def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> BenchTask:
             observation, info = env.reset(seed=seed + 10_000 * draw)
         except SimulationError:
             break
-        (x, y, yaw), goal = rounded(info["T_world_base"]), rounded(info["goal"])
-        found = {area_at(*areas, x, y), area_at(*areas, *goal)}
+        (x, y, yaw), (goal_x, goal_y) = rounded(info["T_world_base"]), rounded(info["goal"])
+        found = {area_at(*areas, x, y), area_at(*areas, goal_x, goal_y)}
         if 0 in found or len(found) > 1 or abs(observation["goal"][1]) < NEAR_START:
             continue
         task = BenchTask(
@@ -117,7 +117,7 @@ def draw_navigation(plan: Plan, world: World, seed: int, k: int) -> BenchTask:
             time_limit=float(math.ceil(20 + 4 * info["shortest_path"] / pace(plan.robot))),
             world=plan.world,
             start=(x, y, yaw),
-            goal=goal,
+            goal=(goal_x, goal_y),
         )
         if can_begin(env, task):
             return task
@@ -180,7 +180,7 @@ def free_ahead(grid: OccupancyGrid, areas: np.ndarray, x: float, y: float, yaw: 
     """Return the meters that lie free straight ahead."""
     for distance in np.arange(0.0, 2 * BLOCKED, 0.1).tolist():
         if not area_at(grid, areas, x + distance * math.cos(yaw), y + distance * math.sin(yaw)):
-            return distance
+            return float(distance)
     return math.inf
 
 

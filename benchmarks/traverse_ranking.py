@@ -12,8 +12,9 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -21,14 +22,14 @@ from rich.progress import track
 from rich.table import Table
 from scipy.stats import spearmanr
 
-from lirs_envs.policies import GoToGoal, PolicyContext, RandomActions, StraightAhead
+from lirs_envs.env import RobotEnv
+from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, StraightAhead
 from lirs_validation.bench.episode import make_task_env, reset_options
 from lirs_validation.bench.policies import BASELINES
 from lirs_validation.bench.scores import distance_share
 from lirs_validation.bench.tasks import BenchTask, task_set
 
 LEAST = 0.8
-Act = Callable[[dict[str, np.ndarray]], np.ndarray]
 
 
 class Constant:
@@ -54,14 +55,14 @@ class Beeline:
     def reset(self, info: object) -> None:
         """Begin an episode."""
 
-    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+    def act(self, observation: Mapping[str, Any]) -> np.ndarray:
         """Turn to the goal and drive."""
         bearing = float(observation["goal"][1])
         ahead = self._speed * max(0.0, np.cos(bearing))
         return np.array((ahead, np.clip(2 * bearing / self._turn_rate, -1, 1)), np.float32)
 
 
-POLICIES = {
+POLICIES: dict[str, Callable[[RobotEnv, PolicyContext], Policy]] = {
     "still": lambda env, context: Constant(0.0, 0.0),
     "spin": lambda env, context: Constant(0.0, 1.0),
     "random": lambda env, context: RandomActions(context),

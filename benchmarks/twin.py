@@ -129,7 +129,8 @@ def show_logs(console: Console, logs: Sequence[str], draws: int, out: Path) -> N
     for given in logs:
         path, _, truth = given.partition(",")
         kind = "relations" if "relations" in Path(truth).name else "reference"
-        config = MapConfig(log=path, **({kind: truth} if truth else {}))
+        known: dict[str, Any] = {kind: truth} if truth else {}
+        config = MapConfig(log=path, **known)
         begun = time.process_time()
         names = REPLAYED if draws else ()
         result, _ = run_twin(config, lidar="lms200", seed=1, out=out, replayed=names, draws=draws)

@@ -105,8 +105,10 @@ def sites(data: Path) -> Iterator[Site]:
         "courses": [(f"{kind} 51", _course(kind, 0.3, 51)) for kind in courses],
         "maps": [(path, _file(data / "maps" / path)) for path in MAPS],
         "heights": [(path, _file(data / "height" / path)) for path in HEIGHTS],
-        "bundled": [(name, _file(Path(name))) for name in ("simple", "medium", "advanced")]
-        + [(name, _file(EXAMPLES / name)) for name in ("office.yaml", "dunes.png")],
+        "bundled": [
+            *((name, _file(Path(name))) for name in ("simple", "medium", "advanced")),
+            *((name, _file(EXAMPLES / name)) for name in ("office.yaml", "dunes.png")),
+        ],
     }
     for family, worlds in families.items():
         for k, (name, make) in enumerate(worlds):
@@ -327,7 +329,8 @@ def data_of(method: str, tables: Tables) -> MethodData:
             site = SiteFeatures(**dict(zip(FEATURES, sites[family, world, lidar], strict=True)))
             rows.append((family, site.vector, (site.walls,), classes.count("w"), len(evaluated), classes))
     families, *numbers, letters = zip(*rows, strict=True)
-    return MethodData(np.array(families), *(np.array(column, float) for column in numbers), letters)
+    features, walls, successes, drives = (np.array(column, float) for column in numbers)
+    return MethodData(np.array(families), features, walls, successes, drives, letters)
 
 
 def left_out_predictions(data: MethodData) -> dict[str, FloatArray]:

@@ -27,8 +27,8 @@ import cv2
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
-from world_jobs import BUNDLED, JOBS, Figures, picture, warm
 
+from benchmarks.world_jobs import BUNDLED, JOBS, Figures, picture, warm
 from lirs_wct.errors import WctError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.sources.build import build_world

@@ -40,7 +40,8 @@ def picture(samples: int, seed: int = 0) -> np.ndarray:
         lattice = rng.standard_normal((2**octave + 3,) * 2).astype(np.float32)
         z += 0.45**octave * cv2.resize(lattice, (samples, samples), interpolation=cv2.INTER_CUBIC)
     z -= z.min()
-    return np.rint(z / z.max() * 65535).astype(np.uint16)
+    heights: np.ndarray = np.rint(z / z.max() * 65535).astype(np.uint16)
+    return heights
 
 
 def package(source: Path, out: Path, formats: tuple[str, ...], **options: float | int | None) -> World:
@@ -120,7 +121,7 @@ def triangulation(path: Path, _: Path, share: float) -> Figures:
         peer = importlib.import_module("pydelatin").Delatin
         jobs["peer"] = lambda: len(peer(surface.z, max_error=share * RELIEF).triangles)
     seconds, triangles = dict.fromkeys(jobs, np.inf), dict.fromkeys(jobs, 0)
-    for _ in range(5 if surface.shape[0] < 2000 else 2):
+    for _turn in range(5 if surface.shape[0] < 2000 else 2):
         for name, job in jobs.items():
             start = time.process_time()
             triangles[name] = job()
@@ -155,7 +156,9 @@ def agreement(path: Path, _: Path, __: float) -> Figures:
 
 def cut_to_8_bits(path: Path, _: Path, share: float, *, deterrace: bool = False) -> Figures:
     cut = path.with_name("cut.png")
-    cv2.imwrite(str(cut), (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) / 257).round().astype(np.uint8))
+    wide = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert wide is not None
+    cv2.imwrite(str(cut), (wide / 257).round().astype(np.uint8))
 
     def count(source: Path, options: BuildOptions) -> int:
         return len(triangulate(read_height_field(source, options), max_error=share * RELIEF)[1])
@@ -191,7 +194,7 @@ def large_map(_: Path, out: Path, cells: float) -> Figures:
     side = int(cells)
     floor, rng = np.full((side, side), 254, np.uint8), np.random.default_rng(0)
     floor[:10] = floor[-10:] = floor[:, :10] = floor[:, -10:] = 0
-    for _ in range(side // 5):
+    for _block in range(side // 5):
         (row, col), (rows, cols) = rng.integers(0, side, 2), rng.integers(5, 100, 2)
         floor[row : row + rows, col : col + cols] = 0
     cv2.imwrite(str(out / "floor.png"), floor)
