@@ -68,5 +68,6 @@ def test_the_log_holds_the_observations() -> None:
     assert len(seen) == len(drive.log.observations) - 1 == 40
     for kept, given in zip(drive.log.observations[1:], seen, strict=True):
         np.testing.assert_array_equal(kept.scan.ranges, given.scan.ranges)
-        assert replace(kept.scan, ranges=given.scan.ranges) == given.scan
+        beam = given.scan.ranges[:1]  # comparing arrays of more is ambiguous
+        assert replace(kept.scan, ranges=beam) == replace(given.scan, ranges=beam)
         assert (kept.odometry, kept.imu, kept.cloud) == (given.odometry, given.imu, None)
