@@ -17,7 +17,7 @@ from gymnasium import registry
 
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.tasks.task import Rewards
-from lirs_validation.cli.app import app
+from lirs_validation.cli.app import make_app
 from lirs_validation.record.schema import record_schema
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,7 +57,7 @@ def exists(name: str) -> bool:
 
 def options() -> Iterator[str]:
     """Yield each command, and each flag of its options, hidden ones included."""
-    program: Any = typer.main.get_command(app)
+    program: Any = typer.main.get_command(make_app())
     for name, command in program.commands.items():
         yield name
         for param in command.params:

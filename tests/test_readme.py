@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from lirs_validation.cli.app import app
+from lirs_validation.cli.app import make_app
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -88,7 +88,7 @@ def test_no_command_has_a_pattern_that_a_second_run_matches_too() -> None:
 @pytest.mark.parametrize("command", dict.fromkeys((*COMMANDS, *QUOTED)))
 def test_the_parser_takes_a_command(command: str) -> None:
     _, name, *arguments = shlex.split(command)
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    commands = typer.main.get_command(make_app()).commands  # type: ignore[attr-defined]
     with commands[name].make_context(name, arguments) as context:
         assert not context.args
 

@@ -30,9 +30,9 @@ def _fill(_: Sphinx, __: str, source: list[str]) -> None:
 
 def command_line_reference() -> str:
     """Return all commands of `lirs-wct` as Markdown, in the order of its help."""
-    from lirs_validation.cli.app import app
+    from lirs_validation.cli.app import make_app
 
-    program: Any = typer.main.get_command(app)
+    program: Any = typer.main.get_command(make_app())
     with program.make_context("lirs-wct", [], resilient_parsing=True) as context:
         names = program.list_commands(context)
         return "\n".join(line for name in names for line in _command(program, context, name))

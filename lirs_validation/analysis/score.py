@@ -17,9 +17,16 @@ from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.map_log import read_trajectory
-from lirs_validation.metrics import StartAlignment, map_scores, start_alignment, trajectory_errors
 from lirs_validation.metrics.agreement import agreement, as_stored, sample_like
-from lirs_validation.metrics.alignment import MAX_GAP, associated, rigid_alignment
+from lirs_validation.metrics.alignment import (
+    MAX_GAP,
+    StartAlignment,
+    associated,
+    rigid_alignment,
+    start_alignment,
+)
+from lirs_validation.metrics.map import map_scores
+from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct import ConfigError, OccupancyGrid, Pose2, SourceError, Trajectory, unknown_name, wrap_angle

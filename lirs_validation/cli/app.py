@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 import errno
-import importlib.metadata
 import os
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.exceptions import TyperException
 
-from lirs_validation.cli.commands.bench import bench
-from lirs_validation.cli.commands.collide import collide
-from lirs_validation.cli.commands.doctor import doctor
-from lirs_validation.cli.commands.gui import gui
-from lirs_validation.cli.commands.live import live
-from lirs_validation.cli.commands.map import map_log, twin
-from lirs_validation.cli.commands.mappers import mappers
-from lirs_validation.cli.commands.reports import compare, export, report, score
-from lirs_validation.cli.commands.robot_card import robot
-from lirs_validation.cli.commands.validate import record, validate
-from lirs_validation.cli.commands.verdict import falsify, tune, verdict
-from lirs_validation.cli.commands.worlds import build, convert, info, view
 from lirs_validation.cli.help import Command, epilog
 from lirs_validation.cli.progress import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
+from lirs_validation.cli.typer_options import with_options
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.interrupts import is_interrupt, raise_interrupts
 from lirs_wct.errors import MapperError, WctError
@@ -43,48 +32,80 @@ PHRASES = {
 """Phrases of pydantic, and ours."""
 LONGEST = 900
 """Characters of an error message, at most; of longer ones the middle is omitted."""
-app = typer.Typer(
-    name="lirs-wct",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
-)
-COMMANDS: Mapping[str, Callable[..., Any]] = {
-    "verdict": verdict,
-    "validate": validate,
-    "map": map_log,
-    "falsify": falsify,
-    "tune": tune,
-    "twin": twin,
-    "build": build,
-    "report": report,
-    "compare": compare,
-    "score": score,
-    "info": info,
-    "view": view,
-    "gui": gui,
-    "mappers": mappers,
-    "robot": robot,
-    "export": export,
-    "record": record,
-    "live": live,
-    "bench": bench,
-    "collide": collide,
-    "convert": convert,
-    "doctor": doctor,
+COMMANDS: Mapping[str, str] = {
+    "verdict": "verdict:verdict",
+    "validate": "validate:validate",
+    "map": "map:map_log",
+    "falsify": "verdict:falsify",
+    "tune": "verdict:tune",
+    "twin": "map:twin",
+    "build": "worlds:build",
+    "report": "reports:report",
+    "compare": "reports:compare",
+    "score": "reports:score",
+    "info": "worlds:info",
+    "view": "worlds:view",
+    "gui": "gui:gui",
+    "mappers": "mappers:mappers",
+    "robot": "robot_card:robot",
+    "export": "reports:export",
+    "record": "validate:record",
+    "live": "live:live",
+    "bench": "bench:bench",
+    "collide": "collide:collide",
+    "convert": "worlds:convert",
+    "doctor": "doctor:doctor",
 }
-"""The commands in order of use."""
-for name, command in COMMANDS.items():
-    app.command(name, cls=Command, epilog=epilog(name))(command)
+"""Module and function of each command in `commands`, in order of use."""
+COMPLETION = "_LIRS_WCT_COMPLETE"
+"""Environment variable with which a shell asks for completions."""
+
+
+def make_app(names: Collection[str] = tuple(COMMANDS), *, listed_only: bool = False) -> typer.Typer:
+    """Return the program with some of its commands, whose modules alone are loaded.
+
+    Args:
+        names: names of the commands.
+        listed_only: whether the commands are for the program's help, without their options.
+    """
+    app = typer.Typer(
+        name="lirs-wct",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
+    )
+    for name in names:
+        module, function = COMMANDS[name].split(":")
+        command = getattr(import_module(f"lirs_validation.cli.commands.{module}"), function)
+        taken = _without_options(command) if listed_only else with_options(command)
+        app.command(name, cls=Command, epilog=epilog(name))(taken)
+    app.callback()(options)
+    return app
+
+
+def _app_for(arguments: list[str]) -> typer.Typer:
+    """Return the program for a command line: of its commands, the one that is called."""
+    if COMPLETION in os.environ:
+        return make_app()
+    called = [argument for argument in arguments[:1] if argument in COMMANDS]
+    return make_app(called) if called else make_app(listed_only=True)
+
+
+def _without_options(command: Callable[..., Any]) -> Callable[[], None]:
+    def listed() -> None: ...
+
+    listed.__doc__ = command.__doc__
+    return listed
 
 
 def _show_version(asked: bool) -> None:
     if asked:
-        out.print(f"lirs-wct {importlib.metadata.version('lirs-wct')}", highlight=False)
+        from importlib.metadata import version
+
+        out.print(f"lirs-wct {version('lirs-wct')}", highlight=False)
         raise typer.Exit
 
 
-@app.callback()
 def options(
     version: Annotated[
         bool,
@@ -102,7 +123,7 @@ def main() -> None:
     raise_interrupts()
     try:
         with importable(Path.cwd()):
-            code = app(standalone_mode=False)
+            code = _app_for(sys.argv[1:])(standalone_mode=False)
         if code == INTERRUPTED:
             # Typer turns Ctrl-C into its exit code, and says nothing.
             raise KeyboardInterrupt

@@ -12,19 +12,12 @@ from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.mapper_loading import RESOLUTION, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.scenario import Scenario
-from lirs_validation.metrics import (
-    MapScores,
-    StartAlignment,
-    map_scores,
-    scan_coverage,
-    start_alignment,
-    trajectory_errors,
-)
-from lirs_validation.metrics.alignment import associated
+from lirs_validation.metrics.alignment import StartAlignment, associated, scan_coverage, start_alignment
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
+from lirs_validation.metrics.map import MapScores, map_scores
 from lirs_validation.metrics.real_time_factor import real_time_factor
 from lirs_validation.metrics.scan_support import observed_support
-from lirs_validation.metrics.trajectory import spatial_errors
+from lirs_validation.metrics.trajectory import spatial_errors, trajectory_errors
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status

@@ -21,7 +21,6 @@ from lirs_validation.live.graph import (
     DISCOVERY_TYPE,
     ENCLAVE,
     SUBSCRIBED,
-    Distribution,
     LiveTopic,
     dds_type,
     discovery_message,
@@ -29,7 +28,7 @@ from lirs_validation.live.graph import (
     user_data,
 )
 from lirs_validation.live.middleware import Received, own_address
-from lirs_validation.live.options import LiveOptions
+from lirs_validation.live.options import Distribution, LiveOptions
 from lirs_wct.errors import ConfigError
 
 PATIENT, BRIEF = 10.0, 0.1

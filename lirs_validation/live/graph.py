@@ -10,15 +10,15 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from lirs_validation.live.options import Distribution
 from lirs_wct.formats.rosbag.messages import LATCHED, TOPICS
 
-Distribution = Literal["humble", "jazzy", "kilted"]
 STORES: dict[Distribution, Stores] = {
     "humble": Stores.ROS2_HUMBLE,
     "jazzy": Stores.ROS2_JAZZY,

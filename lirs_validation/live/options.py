@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
-from lirs_validation.live.graph import STORES, Distribution
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options, documented, one_of, option, positive, within
 
+Distribution = Literal["humble", "jazzy", "kilted"]
 LIVE = "Live topics (extra [live])"
 MOST_DOMAIN = 232
 """Largest domain whose ports exist."""
@@ -33,7 +33,7 @@ class LiveOptions(Options):
         "ROS distribution of the client: types and discovery.",
         metavar="humble|jazzy|kilted",
         panel=LIVE,
-        check=one_of(tuple(STORES)),
+        check=one_of(get_args(Distribution)),
     )
     host: str | None = option(
         None, "Address of this machine to serve other machines from; default: loopback only.", panel=LIVE

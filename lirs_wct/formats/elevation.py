@@ -10,7 +10,7 @@ import re
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from lirs_wct.formats.images import tiff
 from lirs_wct.formats.images.gdal import DRIVERS, GdalRaster, read_gdal
 from lirs_wct.formats.images.header import MAX_PIXELS
 from lirs_wct.formats.images.picture import check_size, read_picture
-from lirs_wct.formats.suffixes import RASTERS
+from lirs_wct.formats.suffixes import ENCODINGS, RASTERS, Encoding
 from lirs_wct.geometry.geodesy import (
     TURNED,
     WGS84,
@@ -273,8 +273,6 @@ def _affine(path: Path, header: dict[str, float], rows: int) -> Affine:
     return dx, 0.0, west, 0.0, -dy, south + dy * (rows - 1)
 
 
-Encoding = Literal["gray", "terrain-rgb", "terrarium"]
-ENCODINGS: tuple[Encoding, ...] = ("gray", "terrain-rgb", "terrarium")
 LOWEST, LAND, HIGHEST = -11_500.0, -500.0, 9_000.0
 """Heights of the deepest sea, the lowest land and the highest land, meters; colors that encode others belong
 to a photo."""

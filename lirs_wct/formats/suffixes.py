@@ -1,6 +1,7 @@
-"""Suffixes by which a file's format is recognized."""
+"""Suffixes and encodings by which a file's format is named."""
 
 from pathlib import Path
+from typing import Literal
 
 MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Mesh files."""
@@ -22,6 +23,9 @@ RASTERS = (
     ".jp2",
 )
 """Elevation data besides GeoTIFF; GDAL reads all but the first two."""
+Encoding = Literal["gray", "terrain-rgb", "terrarium"]
+ENCODINGS: tuple[Encoding, ...] = ("gray", "terrain-rgb", "terrarium")
+"""Encodings of heights in a picture: gray levels, or colors of map tiles."""
 LOGS = (".clf", ".log")
 """CARMEN logs, which may end in .gz as well."""
 BAGS = (".mcap", ".db3", ".bag")

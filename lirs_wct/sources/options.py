@@ -11,8 +11,8 @@ from enum import Enum
 from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.elevation import ENCODINGS, Encoding
 from lirs_wct.formats.images.header import MAX_PIXELS
+from lirs_wct.formats.suffixes import ENCODINGS, Encoding
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.option import (

@@ -13,12 +13,12 @@ import typer
 
 from lirs_envs.episodes.config import RANDOMIZED, EnvConfig
 from lirs_envs.episodes.observations import GROUPS
-from lirs_validation.cli.app import app
+from lirs_validation.cli.app import make_app
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+COMMANDS = typer.main.get_command(make_app()).commands  # type: ignore[attr-defined]
 COMMAND = re.compile(r"^ *(?:\$ )?(lirs-wct [a-z].*)$|`(lirs-wct [a-z][^`]* [^`]*)`", re.MULTILINE)
 ENVIRONMENTS = (DOCS / "reference" / "environments.md").read_text()
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import typer
 
-from lirs_validation.cli.app import app
+from lirs_validation.cli.app import make_app
 
 for library in ("sphinx", "myst_parser", "furo"):
     pytest.importorskip(library, reason=f"{library} is not installed (extra [docs])")
@@ -37,7 +37,7 @@ def test_the_site_builds_without_a_warning_and_holds_the_reference(tmp_path: Pat
 def check_command_line(site: Path) -> None:
     """Every command and option is in the reference."""
     page = re.sub(r"<[^>]+>", "", (site / "reference" / "command_line.html").read_text())
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    commands = typer.main.get_command(make_app()).commands  # type: ignore[attr-defined]
     for name, command in commands.items():
         assert f"lirs-wct {name}" in page
         for parameter in command.params:

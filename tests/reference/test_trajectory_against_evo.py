@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from lirs_validation.metrics import trajectory_errors
 from lirs_validation.metrics.alignment import planar
 from lirs_validation.metrics.relative_pose_error import (
     close_pairs,
@@ -14,6 +13,7 @@ from lirs_validation.metrics.relative_pose_error import (
     pairs_by_time,
     relative_pose_error,
 )
+from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.geometry.pose import Pose2, Trajectory
 
 metrics = pytest.importorskip("evo.core.metrics")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.progress import err, manifest_of_command, out, run_sweep
-from lirs_validation.cli.typer_options import with_options
 from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 
@@ -48,7 +47,6 @@ FEW = 3
 """Episodes in which a policy failed that are named one by one."""
 
 
-@with_options
 def bench(
     policies: Annotated[list[str], typer.Argument(help=POLICY_HELP)],
     set_name: SetName = "lirs",

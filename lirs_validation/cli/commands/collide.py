@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
-from lirs_validation.cli.typer_options import Sources, mujoco_terrain, with_options
+from lirs_validation.cli.typer_options import Sources, mujoco_terrain
 from lirs_validation.config import RunConfig, SourceOptions
 from lirs_wct.errors import WctError
 from lirs_wct.option import read_names, read_numbers
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from lirs_wct.contact.contact_geometry import ContactGeometry
 
 
-@with_options
 def collide(
     sources: Sources,
     robot: Annotated[str, typer.Option(metavar="R,R,...", help="Robots.")] = "husky,jackal,turtlebot2",

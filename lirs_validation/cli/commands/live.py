@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lirs_validation.cli.progress import err, out, progress_bar
-from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source, with_options
+from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source
 from lirs_validation.config import CLIENT, RUN_AXES, RunConfig, SourceOptions
 from lirs_validation.live.options import LiveOptions
 from lirs_wct.errors import ConfigError
@@ -22,7 +22,6 @@ Source = Annotated[str, typer.Argument(metavar="SOURCE", help=SOURCE_HELP, autoc
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the run's folder.")]
 
 
-@with_options
 def live(
     source: Source,
     output: Output = Path("out"),

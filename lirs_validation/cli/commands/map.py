@@ -11,7 +11,6 @@ import typer
 from rich.table import Table
 
 from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
-from lirs_validation.cli.typer_options import with_options
 from lirs_validation.map_config import MapConfig
 
 if TYPE_CHECKING:
@@ -23,7 +22,6 @@ Log = Annotated[
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the map's folder.")]
 
 
-@with_options
 def map_log(log: Log, output: Output = Path("out"), *, given: Annotated[dict[str, Any], MapConfig]) -> None:
     """Map a laser log: map.pgm and map.yaml for ROS, path, picture and accuracy."""
     from lirs_validation.logs.map_log import run_mapping
@@ -63,7 +61,6 @@ Draws = Annotated[
 TwinOutput = Annotated[Path, typer.Option("-o", "--output", help="Folder for the result's folder.")]
 
 
-@with_options
 def twin(
     log: Log,
     output: TwinOutput = Path("out"),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lirs_validation.cli.progress import GATE_FAILED, manifest_of_command, out, run_sweep
-from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source, with_options
+from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source
 from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, SourceOptions, run_name
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError, OutputError, SourceError
@@ -43,7 +43,6 @@ LimitsFile = Annotated[
 ]
 
 
-@with_options
 def validate(
     sources: Sources = None,
     suite: SuiteName = None,
@@ -71,7 +70,6 @@ def validate(
         raise typer.Exit(GATE_FAILED)
 
 
-@with_options
 def record(
     sources: Sources = None,
     suite: SuiteName = None,

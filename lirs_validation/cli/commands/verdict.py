@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lirs_validation.cli.progress import GATE_FAILED, err, out
-from lirs_validation.cli.typer_options import Sources, with_options
+from lirs_validation.cli.typer_options import Sources
 from lirs_validation.config import EngineOptions, RunConfig, SourceOptions
 from lirs_validation.falsify import FalsifyOptions
 from lirs_validation.map_config import MapConfig
@@ -48,7 +48,6 @@ def read_duration(text: str, flag: str) -> float:
     return float(match[1]) * UNITS[match[2]]
 
 
-@with_options
 def verdict(
     sources: Sources,
     budget: Budget = "10min",
@@ -119,7 +118,6 @@ def _print_state(trial: Trial) -> None:
 Failures = Annotated[Path, typer.Option("-o", "--output", help="Folder for cases, page and archive.")]
 
 
-@with_options
 def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> None:
     """Search for the easiest terrain, drive and sensor degradation on which a method fails.
 
@@ -148,7 +146,6 @@ Tuned = Annotated[Path, typer.Option("-o", "--output", help="Folder for tuned va
 TuneSource = Annotated[str, typer.Argument(metavar="SOURCE", help="World, picture, map or laser log.")]
 
 
-@with_options
 def tune(
     source: TuneSource,
     output: Tuned = Path("tune"),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lirs_validation.cli.progress import err, out, progress_bar
-from lirs_validation.cli.typer_options import Source, gazebo_terrain, typer_option, with_options
+from lirs_validation.cli.typer_options import Source, gazebo_terrain, typer_option
 from lirs_validation.config import SourceOptions
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, ExportOptions
 from lirs_wct.option import read_names
@@ -37,7 +37,6 @@ MapHeight = Annotated[
 ]
 
 
-@with_options
 def build(
     source: Source,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path(
@@ -72,7 +71,6 @@ def build(
     _say_what_was_built(world, folder, to)
 
 
-@with_options
 def view(
     source: Source,
     output: Annotated[
@@ -90,7 +88,6 @@ def view(
     _draw(world, output or Path(f"{world.name}-view.png"), oblique)
 
 
-@with_options
 def info(
     source: Source,
     output: Annotated[

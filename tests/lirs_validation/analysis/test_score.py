@@ -13,7 +13,8 @@ from lirs_validation.analysis.recorded_run import export_run, recorded_config, t
 from lirs_validation.analysis.result_folders import RunFolder, read_run
 from lirs_validation.analysis.score import score
 from lirs_validation.config import SourceOptions
-from lirs_validation.metrics import agreement, iou
+from lirs_validation.metrics.agreement import agreement
+from lirs_validation.metrics.map import iou
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum

@@ -7,11 +7,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from lirs_validation.cli.app import app
+from lirs_validation.cli.app import make_app
 from lirs_validation.cli.help import EXAMPLES
 
 ROOT = Path(__file__).resolve().parents[3]
-PROGRAM = typer.main.get_command(app)
+PROGRAM = typer.main.get_command(make_app())
 COMMANDS = PROGRAM.commands  # type: ignore[attr-defined]
 
 
@@ -21,7 +21,7 @@ def test_every_command_has_examples_and_no_other_has() -> None:
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_help_shows_each_example_on_a_line_of_its_own(name: str) -> None:
-    shown = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "200", "TERM": "dumb"}).output
+    shown = CliRunner().invoke(make_app(), [name, "--help"], env={"COLUMNS": "200", "TERM": "dumb"}).output
     lines = [line.strip() for line in shown.splitlines()]
     assert "Examples:" in lines
     for example in EXAMPLES[name]:

@@ -8,16 +8,16 @@ import typer
 from typer.exceptions import TyperException
 from typer.testing import CliRunner
 
-from lirs_validation.cli.app import COMMANDS, app
+from lirs_validation.cli.app import COMMANDS, make_app
 from lirs_validation.cli.help import COMMON, MOST
 
-PROGRAM = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+PROGRAM = typer.main.get_command(make_app()).commands  # type: ignore[attr-defined]
 WIDE = {"COLUMNS": "300", "TERM": "dumb"}
 
 
 def flags(name: str, flag: str = "--help") -> list[str]:
     """First flag of each option that the help of a command lists."""
-    shown = CliRunner().invoke(app, [name, flag], env=WIDE)
+    shown = CliRunner().invoke(make_app(), [name, flag], env=WIDE)
     assert shown.exit_code == 0
     return re.findall(r"^│ (?:\*|) *(-[\w-]+)", shown.output, re.MULTILINE)
 
@@ -39,7 +39,9 @@ def test_the_common_options_come_in_order_of_use_and_all_with_help_all(name: str
     assert flags(name) == [*(long[flag] for flag in COMMON[name]), "--help-all", "--help"]
     assert set(flags(name, "--help-all")) == {*long.values(), "--help"}
     assert len(set(long.values())) > MOST
-    told = re.search(r"Show all (\d+) options", CliRunner().invoke(app, [name, "--help"], env=WIDE).output)
+    told = re.search(
+        r"Show all (\d+) options", CliRunner().invoke(make_app(), [name, "--help"], env=WIDE).output
+    )
     assert told is not None
     assert int(told[1]) == len(set(long.values())) - 1
 
@@ -52,7 +54,7 @@ def test_a_help_changes_no_later_one() -> None:
 
 
 def test_commands_are_listed_in_order_of_use() -> None:
-    shown = CliRunner().invoke(app, ["--help"], env=WIDE).output
+    shown = CliRunner().invoke(make_app(), ["--help"], env=WIDE).output
     listed = re.findall(r"^│ ([a-z]+)  ", shown, re.MULTILINE)
     assert listed == list(COMMANDS)
     assert listed[:3] == ["verdict", "validate", "map"]
@@ -78,7 +80,7 @@ def test_the_shell_completes(
     monkeypatch.chdir(tmp_path)
     line = f"lirs-wct {words}"
     env = {"_LIRS_WCT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words.split()))}
-    shown = CliRunner().invoke(app, [], env=env, prog_name="lirs-wct")
+    shown = CliRunner().invoke(make_app(), [], env=env, prog_name="lirs-wct")
     assert shown.output.split() == found
 
 
@@ -93,6 +95,6 @@ def test_the_shell_completes(
     ],
 )
 def test_a_misspelled_name_suggests_the_right_one(words: str, similar: str) -> None:
-    error = CliRunner().invoke(app, words.split(), standalone_mode=False).exception
+    error = CliRunner().invoke(make_app(), words.split(), standalone_mode=False).exception
     told = error.format_message() if isinstance(error, TyperException) else str(error)
     assert re.search(rf"[Dd]id you mean '?{similar}'?\?|Possible options: .*{similar}\b", told)

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import ROBOTS, make_robot
-from lirs_validation.cli.app import app
+from lirs_validation.cli.app import make_app
 from lirs_validation.collision.contact_log import ContactRecorder
 from lirs_validation.collision.contact_metrics import energy_gain, penetrations, stuck_seconds
 from lirs_validation.collision.contact_solid import ContactSolid
@@ -305,8 +305,10 @@ def test_files_and_table(blocks: World, tmp_path: Path) -> None:
 
 
 def test_the_command(tmp_path: Path) -> None:
+    program = make_app()
+
     def run(*words: str) -> tuple[int, str]:
-        result = CliRunner().invoke(app, ["collide", *words, "-o", str(tmp_path)], standalone_mode=False)
+        result = CliRunner().invoke(program, ["collide", *words, "-o", str(tmp_path)], standalone_mode=False)
         code = getattr(result.exception, "exit_code", None)
         return result.return_value or code or 0, str(result.exception)
 

@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from lirs_validation.metrics import map_scores, start_alignment, trajectory_errors
+from lirs_validation.metrics.alignment import start_alignment
+from lirs_validation.metrics.map import map_scores
+from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Trajectory

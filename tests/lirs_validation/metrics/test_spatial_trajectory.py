@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from lirs_validation.metrics import trajectory_errors
-from lirs_validation.metrics.trajectory import spatial_alignment, spatial_errors
+from lirs_validation.metrics.trajectory import spatial_alignment, spatial_errors, trajectory_errors
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 

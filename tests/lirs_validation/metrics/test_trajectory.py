@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_validation.metrics import trajectory_errors
+from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Trajectory
 

@@ -15,7 +15,7 @@ from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.odometry import DistanceNoise, OdometryConfig
 from lirs_envs.sensing.sensors import read_noise
 from lirs_validation import cli
-from lirs_validation.cli.app import app
+from lirs_validation.cli.app import make_app
 from lirs_validation.twin.compare import GATE, LogComparison, blocks_of, compare
 from lirs_validation.twin.fit import Sample, fit_noise, fit_odometry, resolution_of
 from lirs_validation.twin.result import _beam_shares
@@ -222,7 +222,7 @@ def test_a_log_that_is_too_short_is_named(
 def test_the_command_writes_page_figures_and_preset(tmp_path: Path) -> None:
     log = str(ROOT / "examples" / "data" / "office.clf.gz")
     result = CliRunner().invoke(
-        app, ["twin", log, "-o", str(tmp_path), "--replay", "hector,cartographer", "--draws", "2"]
+        make_app(), ["twin", log, "-o", str(tmp_path), "--replay", "hector,cartographer", "--draws", "2"]
     )
     assert result.exit_code == 0, result.output
     (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())
