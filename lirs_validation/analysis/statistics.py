@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import stats
+import scipy  # its modules load on first use
 
 from lirs_wct.arrays import FloatArray
 
@@ -47,7 +47,7 @@ def repeats(values: Sequence[float]) -> Repeats | None:
     if n == 1:
         return Repeats(mean=mean, std=None, half_width=None, count=1)
     std = float(np.std(values, ddof=1))
-    reach = float(stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std / math.sqrt(n)
+    reach = float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std / math.sqrt(n)
     return Repeats(mean=mean, std=std, half_width=reach, count=n)
 
 
@@ -60,12 +60,12 @@ def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float 
     if np.ptp(d) <= 1e-12 * max(1.0, float(np.abs(d).max())):
         # Without spread there is no t test, only the common sign.
         return "sign", 1.0 if abs(found.mean) <= 1e-12 else 2.0 ** (1 - len(d)), low, high
-    if len(d) >= RANKED and float(stats.shapiro(d).pvalue) < PLAINLY:
-        interval = stats.bootstrap(
+    if len(d) >= RANKED and float(scipy.stats.shapiro(d).pvalue) < PLAINLY:
+        interval = scipy.stats.bootstrap(
             (d,), np.mean, confidence_level=CONFIDENCE, rng=np.random.default_rng(0)
         ).confidence_interval
-        return "Wilcoxon", float(stats.wilcoxon(d).pvalue), float(interval.low), float(interval.high)
-    return "t", float(stats.ttest_1samp(d, 0.0).pvalue), low, high
+        return "Wilcoxon", float(scipy.stats.wilcoxon(d).pvalue), float(interval.low), float(interval.high)
+    return "t", float(scipy.stats.ttest_1samp(d, 0.0).pvalue), low, high
 
 
 def holm(p: FloatArray) -> FloatArray:

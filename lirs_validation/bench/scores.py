@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # its modules load on first use
 
 from lirs_envs.tasks.mapping import COVERED
 from lirs_wct.arrays import FloatArray
@@ -43,7 +43,7 @@ def score_of(values: Sequence[float]) -> PolicyScore | None:
         return PolicyScore(mean=mean, low=None, high=None, count=1)
     if np.ptp(scores) == 0:
         return PolicyScore(mean=mean, low=mean, high=mean, count=len(scores))
-    found = stats.bootstrap(
+    found = scipy.stats.bootstrap(
         (scores,),
         np.mean,
         confidence_level=CONFIDENCE,

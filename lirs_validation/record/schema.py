@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
-
-from jsonschema import Draft202012Validator
-from jsonschema.exceptions import best_match
+from typing import TYPE_CHECKING, Any
 
 from lirs_validation.record.run_record import read_record
 from lirs_wct.errors import SourceError
+
+if TYPE_CHECKING:
+    from jsonschema import Draft202012Validator
 
 
 def record_schema() -> dict[str, Any]:
@@ -25,6 +25,8 @@ def record_schema() -> dict[str, Any]:
 
 def schema_error(entry: Mapping[str, Any]) -> str | None:
     """Return the first schema violation in one line; None if valid."""
+    from jsonschema.exceptions import best_match  # imported here: a new run has no record to be checked
+
     error = best_match(_validator().iter_errors(entry))
     if error is not None:
         place = ".".join(str(part) for part in error.absolute_path) or "record"
@@ -51,4 +53,6 @@ def read_whole_record(folder: Path) -> dict[str, Any]:
 
 @cache
 def _validator() -> Draft202012Validator:
+    from jsonschema import Draft202012Validator
+
     return Draft202012Validator(record_schema())

@@ -12,8 +12,8 @@ from statistics import fmean, median
 from typing import Any
 
 import numpy as np
+import scipy  # its modules load on first use
 import yaml
-from scipy import stats
 
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
@@ -222,7 +222,7 @@ def compare(drives: TuneDrives, tuned: Case) -> UnseenComparison:
     d = np.array([(b.loss or 0.0) - (a.loss or 0.0) for a, b in pairs])
     interval = (0.0, 0.0)
     if np.ptp(d) > 0:
-        made = stats.bootstrap((d,), np.mean, method="percentile", rng=np.random.default_rng(0))
+        made = scipy.stats.bootstrap((d,), np.mean, method="percentile", rng=np.random.default_rng(0))
         interval = (float(made.confidence_interval.low), float(made.confidence_interval.high))
     elif len(d):
         interval = (float(d[0]), float(d[0]))
