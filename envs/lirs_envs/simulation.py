@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from array import array
 from collections.abc import Sequence
@@ -285,10 +286,12 @@ class Simulation:
         """
         return self._bodies.controls[:, [side[0] for side in self.body.actuators]]
 
-    def replay(self, *, reference: bool = False) -> PhysicsReplay:
+    def replay(self, *, reference: bool = False, seconds: float = math.inf) -> PhysicsReplay:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
 
         Args:
+            seconds: simulated time of the replay from the reset on, rounded up to whole periods, if the drive
+                was longer.
             reference: whether to use the reference physics (see `RobotModel.replay`), in which the robot may
                 take another path.
 
@@ -302,10 +305,10 @@ class Simulation:
         if walkers is not None and self._initial_walkers is not None:
             walkers.restore(self._initial_walkers)
         try:
-            seconds, pose = self.body.replay(
-                self._initial_state, self._bodies.controls, walkers, reference=reference
-            )
+            periods = math.ceil(min(self.time, seconds) / self.period - 1e-9)
+            controls = self._bodies.controls[: periods * len(self.body.substeps)]
+            spent, pose = self.body.replay(self._initial_state, controls, walkers, reference=reference)
         finally:
             if walkers is not None and present is not None:
                 walkers.restore(present)
-        return PhysicsReplay(seconds, self.time, pose)
+        return PhysicsReplay(spent, periods * self.period, pose)

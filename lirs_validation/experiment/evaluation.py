@@ -25,6 +25,8 @@ from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct import OccupancyGrid, SimulationError, World
 from slam_baselines.mapping.known_pose import KnownPoseMapper
 
+REPLAYED = 10.0
+"""Simulated seconds of a drive whose physics is replayed."""
 COUNTED_SCANS = 300
 """Scans of a drive, evenly spaced, whose hits on walls are counted."""
 
@@ -195,7 +197,7 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
         **factor,
         "parts": _parts(log, simulation),
         "mapper_in": log.mapper_in,
-        **physics_rtf(simulation),
+        **physics_rtf(simulation, measured=not log.concurrent),
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
         "timestep": simulation.body.timestep,
@@ -221,18 +223,23 @@ def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
     return parts | {"rest": sum(log.walls) / driven - summed}
 
 
-def physics_rtf(simulation: Simulation) -> dict[str, float | None]:
-    """Return the RTF of physics alone.
+def physics_rtf(simulation: Simulation, *, measured: bool) -> dict[str, float | None]:
+    """Return the RTF of physics alone, over the first seconds of the drive.
 
     The recorded controls are replayed with MuJoCo's step, and with the reference physics.
 
-    The latter is None where that diverges: some robots need a shorter step.
+    Args:
+        simulation: Driven simulation.
+        measured: Whether wall-clock times count; otherwise both are None. The latter is also None where the
+            reference physics diverges: some robots need a shorter step.
     """
-    alone = simulation.replay().rtf
+    if not measured:
+        return {"physics_only": None, "physics_reference": None}
+    alone = simulation.replay(seconds=REPLAYED).rtf
     if simulation.body.steps_as_reference:
         return {"physics_only": alone, "physics_reference": alone}
     try:
-        reference = simulation.replay(reference=True).rtf
+        reference = simulation.replay(reference=True, seconds=REPLAYED).rtf
     except SimulationError:
         reference = None
     return {"physics_only": alone, "physics_reference": reference}

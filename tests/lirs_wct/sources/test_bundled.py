@@ -6,15 +6,24 @@ import cv2
 import numpy as np
 import pytest
 
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.bundled import PIXELS, RECIPES, SIZE, bundled_picture, slope_over
+from lirs_wct.sources.bundled import PIXELS, RECIPES, SIZE, bundled_picture
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import find_source
 
 CELL = SIZE / (PIXELS - 1)
 CLAIMS = {"simple": (4.0, 0.5, 1), "medium": (10.0, 2.0, 2), "advanced": (18.0, 5.0, 4)}
+
+
+def slope_over(z: FloatArray, meters: float, cell: float) -> FloatArray:
+    """Return slopes in degrees of heights (rows, cols) over a baseline in meters."""
+    step = max(1, round(meters / cell / 2))
+    dx = (z[step:-step, 2 * step :] - z[step:-step, : -2 * step]) / (2 * step * cell)
+    dy = (z[2 * step :, step:-step] - z[: -2 * step, step:-step]) / (2 * step * cell)
+    return np.degrees(np.arctan(np.hypot(dx, dy)))
 
 
 @pytest.mark.parametrize("name", CLAIMS)
