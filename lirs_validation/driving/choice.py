@@ -23,9 +23,8 @@ from lirs_validation.driving.paths import area_round
 from lirs_validation.driving.policy_driver import PolicyDriver
 from lirs_validation.driving.replay import COMMANDS, read_replay, replay
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
-from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, World
+from lirs_wct import ConfigError, OccupancyGrid, Pose2, World
 from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
-from lirs_wct.ground import Terrain
 from lirs_wct.option import numbers
 
 MARGIN = 0.15
@@ -226,16 +225,12 @@ def _cause(world: World, robot: Robot, place: tuple[float, float]) -> tuple[str,
 
 CELLS = 500
 """Cells along the longer side, at most, of the grid on which room is looked for."""
-LARGEST = 1000.0
-"""How many times larger a world is tried, at most."""
-HALVINGS = 7
-"""Of the interval between a size that is too small and one that is enough: to 1 % of the doubling."""
 
 
 def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigError:
     """Return the error for a world without space for a robot.
 
-    It names robots that fit, and a sufficient size.
+    It names robots that fit.
 
     Args:
         source: as the user called it.
@@ -248,36 +243,9 @@ def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigErr
         f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
     )
     others = [name for name, other in ROBOTS.items() if _fits(world, other, margin)]
-    hints = [f"{', '.join(others)} would fit" if others else "no other robot fits"]
-    size = enough_size(world, robot, margin)
-    if size is not None:
-        hints.append(f"{robot.name} does from --size {size:g}")
-    return ConfigError(f"{needed}; {'; '.join(hints)}")
-
-
-def enough_size(world: World, robot: Robot, margin: float) -> float | None:
-    """Return a sufficient longer side of a terrain, meters; None if none is found.
-
-    The heights stay as they are, as they do with `--size`.
-    """
-    if world.kind == "map" or world.overhangs:
-        return None
-    longer = max(world.surface.size)
-    low, high = 1.0, 2.0
-    while not _fits(_stretch(world, high), robot, margin):
-        low, high = high, 2 * high
-        if high > LARGEST:
-            return None
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        low, high = (low, middle) if _fits(_stretch(world, middle), robot, margin) else (middle, high)
-    return _rounded_up(high * longer)
-
-
-def _stretch(world: World, factor: float) -> World:
-    surface = world.surface
-    cell, origin = ((pair[0] * factor, pair[1] * factor) for pair in (surface.cell, surface.origin))
-    return replace(world, ground=Terrain(HeightField(surface.z, cell, origin), world.no_ground), start=None)
+    return ConfigError(
+        f"{needed}; {', '.join(others)} would fit" if others else f"{needed}; no other robot fits"
+    )
 
 
 def _fits(world: World, robot: Robot, margin: float) -> bool:
@@ -286,9 +254,3 @@ def _fits(world: World, robot: Robot, margin: float) -> bool:
         clearance=robot.radius + margin, max_slope=robot.max_slope, resolution=resolution
     )
     return bool(world.driven(free).free.any())
-
-
-def _rounded_up(number: float) -> float:
-    """Return a number rounded up to two digits."""
-    unit: float = 10.0 ** (math.floor(math.log10(number)) - 1)
-    return math.ceil(number / unit) * unit
