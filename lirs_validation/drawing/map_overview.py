@@ -17,14 +17,18 @@ from lirs_wct.drawing.canvas import (
     BLUE,
     GRAY,
     GREEN,
+    PAGE_DPI,
     VERMILLION,
     Canvas,
     Drawing,
+    bare_figure,
     bounds_shown,
+    head_height,
     headline,
     legend,
     map_axes,
-    new_figure,
+    page_size,
+    panel_grid,
     path_ends,
     plain_axes,
     title,
@@ -32,8 +36,8 @@ from lirs_wct.drawing.canvas import (
 )
 from lirs_wct.geometry import OccupancyGrid, Trajectory
 
-WIDTH = 6.4
-"""Of the map, inches."""
+WIDTH, SIDE = 6.4, 4.0
+"""Widths of the map, and of metrics and plots beside it, inches."""
 LINE = 110
 """Characters in a line of the verdict."""
 LEAST_PLOTS = 2
@@ -56,18 +60,20 @@ def map_overview(
         reference: in its own frame.
         accuracy: errors of each pose; missing ones are not drawn.
     """
-    canvas = Canvas.over(bounds_shown(estimate, grid))
+    canvas = Canvas.over(bounds_shown(estimate, grid), round(WIDTH * PAGE_DPI))
     rows, cols = canvas.shape
     plots = _plots(record, accuracy)
     tall = max(WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6)
-    figure = new_figure(WIDTH + 4.4, tall + 1.6)
-    c = record.config
+    c, widths = record.config, (WIDTH, SIDE)
     verdict = textwrap.fill(str(record.verdict), LINE)
-    headline(figure, f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}\n{verdict}")
-    halves = figure.add_gridspec(1, 2, width_ratios=(WIDTH, 4.0))
+    text = f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}\n{verdict}"
+    head = head_height(text)
+    figure = bare_figure(*page_size((tall,), widths, head=head), PAGE_DPI)
+    headline(figure, text)
+    halves = panel_grid(figure, (tall,), widths, head=head)
     _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _reference_in_map(reference, accuracy))
     rows = max(len(plots), LEAST_PLOTS)
-    cells = halves[1].subgridspec(1 + rows, 1, height_ratios=(1.5, *[1.0] * rows))
+    cells = halves[1].subgridspec(1 + rows, 1, height_ratios=(1.5, *[1.0] * rows), hspace=0.6)
     value_list(figure.add_subplot(cells[0]), map_lines(record))
     for k, (name, unit, stamps, errors) in enumerate(plots, start=1):
         _errors(figure.add_subplot(cells[k]), name, unit, stamps - estimate.stamps[0], errors)

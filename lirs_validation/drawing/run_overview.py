@@ -23,22 +23,25 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import (
     BLACK,
     BLUE,
-    DPI,
     GRAY,
     GREEN,
     MARGIN,
+    PAGE_DPI,
     TEXT,
     UNKNOWN_SHADE,
     VERMILLION,
     WALL,
     Canvas,
     Drawing,
+    bare_figure,
     bounds_shown,
+    head_height,
     headline,
     height_colors,
     legend,
     map_axes,
-    new_figure,
+    page_size,
+    panel_grid,
     path_ends,
     plain_axes,
     rgb,
@@ -49,7 +52,7 @@ from lirs_wct.drawing.canvas import (
 
 FULL = 0.20
 """Height error at full color, meters."""
-PANEL = 4.7
+PANEL = 4.1
 """Width of a panel, inches."""
 LINE = 150
 """Characters of a line of the headline."""
@@ -121,13 +124,15 @@ def overview_figure(
         aligned: the same after the trajectory's alignment; None without a map.
         elevation: elevation map of the clouds at the mapper's poses, world frame; None of a planar mapper.
     """
-    canvas = Canvas.over(shown_bounds(world, truth, true_pose), round(PANEL * DPI))
+    canvas = Canvas.over(shown_bounds(world, truth, true_pose), round(PANEL * PAGE_DPI))
     rows, cols = canvas.shape
-    shape = min(max(rows / cols, 0.35), 1.5)
-    upper = max(PANEL * shape, 4.2)
-    figure = new_figure(3 * PANEL + 0.6, 2.0 + upper + PANEL * shape)
-    grid = figure.add_gridspec(2, 3, height_ratios=(upper, PANEL * shape))
-    headline(figure, f"{_headline(record)}\n{_wrapped_verdict(record)}")
+    tall = PANEL * min(max(rows / cols, 0.35), 1.5)
+    heights, widths = (max(tall, 4.2), tall), (PANEL,) * 3
+    text = f"{_headline(record)}\n{_wrapped_verdict(record)}"
+    head = head_height(text)
+    figure = bare_figure(*page_size(heights, widths, head=head), PAGE_DPI)
+    grid = panel_grid(figure, heights, widths, head=head)
+    headline(figure, text)
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
     value_list(figure.add_subplot(grid[0, 2]), picture_lines(record))

@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
@@ -29,8 +30,8 @@ from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
-DPI, SCREEN_DPI = 150, 72
-"""Resolution of files and in Jupyter, dots per inch."""
+DPI, PAGE_DPI, SCREEN_DPI = 150, 100, 72
+"""Resolution of files, of the overviews of runs and mapped logs, and in Jupyter, dots per inch."""
 COMPRESSION = 3
 """zlib level of PNG files; the usual level 6 takes twice the time for 4 % fewer bytes."""
 TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
@@ -117,6 +118,11 @@ def headline(figure: Figure, text: str, **place: float) -> None:
     figure.suptitle(text, fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK, **place)
 
 
+def head_height(text: str) -> float:
+    """Return the height of a page's headline and the titles below it, inches."""
+    return 0.5 + 0.21 * (1 + text.count("\n"))
+
+
 def value_list(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
     """Write a table with names on the left and values on the right."""
     axes.set_axis_off()
@@ -197,9 +203,34 @@ class Drawing(Figure):
         return small.getvalue()
 
 
-def bare_figure(width: float, height: float) -> Drawing:
+def bare_figure(width: float, height: float, dpi: float = DPI) -> Drawing:
     """Return a white figure in inches without a layout engine."""
-    return Drawing(figsize=(width, height), dpi=DPI, facecolor="white")
+    return Drawing(figsize=(width, height), dpi=dpi, facecolor="white")
+
+
+def panel_grid(figure: Figure, heights: Sequence[float], widths: Sequence[float], *, head: float) -> GridSpec:
+    """Return a grid of panels by their sizes in inches, below a headline.
+
+    The figure must be as large as `page_size` says.
+    """
+    width, height = figure.get_size_inches()
+    return figure.add_gridspec(
+        *(len(heights), len(widths)),
+        height_ratios=heights,
+        width_ratios=widths,
+        left=LEFT / width,
+        right=1 - RIM / width,
+        top=1 - head / height,
+        bottom=BELOW / height,
+        wspace=LEFT / (sum(widths) / len(widths)),
+        hspace=(BELOW + GAP) / (sum(heights) / len(heights)),
+    )
+
+
+def page_size(heights: Sequence[float], widths: Sequence[float], *, head: float) -> Size:
+    """Return the size of a figure with a `panel_grid`."""
+    above = head + (len(heights) - 1) * (BELOW + GAP) + BELOW
+    return Size(len(widths) * LEFT + sum(widths) + RIM, above + sum(heights))
 
 
 def new_figure(width: float, height: float) -> Drawing:
