@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import os
 import sys
 import warnings
@@ -148,6 +149,7 @@ def main() -> None:
         if not is_interrupt(error):
             raise
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
+    gc.freeze()  # nothing is left to collect; the end of the interpreter would look through all of it
     sys.exit(code if isinstance(code, int) else 0)
 
 

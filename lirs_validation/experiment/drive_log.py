@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 from typing import Literal, TypeVar, overload
@@ -85,6 +85,10 @@ class PackedList(_SlicedSequence[T]):
     def __len__(self) -> int:
         return len(self._numbers) // self._width
 
+    def __iter__(self) -> Iterator[T]:
+        numbers, width = self._numbers, self._width
+        return (self._unpack(*numbers[k : k + width]) for k in range(0, len(numbers), width))
+
     def _value(self, index: int) -> T:
         first = index * self._width
         return self._unpack(*self._numbers[first : first + self._width])
@@ -95,24 +99,32 @@ _numbers3: Callable[[Pose3], tuple[float, ...]] = attrgetter("x", "y", "z", "qw"
 
 
 class ObservationList(_SlicedSequence[Observation]):
-    """Append-only sequence of observations without clouds and inertial readings."""
+    """Append-only sequence of observations without clouds and inertial readings.
+
+    Attributes:
+        scans: Scans alone.
+        odometry: `T_odom_base` of each scan.
+    """
 
     def __init__(self) -> None:
-        self._scans: list[LaserScan] = []
-        self._odometry = PackedList(_numbers2, Pose2)
+        self.scans: list[LaserScan] = []
+        self.odometry = PackedList(_numbers2, Pose2)
         self._imu = PackedList(attrgetter("row"), Imu.from_row)
 
     def append(self, observation: Observation) -> None:
         """Add an observation at the end."""
-        self._scans.append(observation.scan)
-        self._odometry.append(observation.odometry)
+        self.scans.append(observation.scan)
+        self.odometry.append(observation.odometry)
         self._imu.append(observation.imu)
 
     def __len__(self) -> int:
-        return len(self._scans)
+        return len(self.scans)
+
+    def __iter__(self) -> Iterator[Observation]:
+        return map(Observation, self.scans, self.odometry, self._imu)
 
     def _value(self, index: int) -> Observation:
-        return Observation(self._scans[index], self._odometry[index], self._imu[index])
+        return Observation(self.scans[index], self.odometry[index], self._imu[index])
 
 
 @dataclass
@@ -175,7 +187,7 @@ class DriveLog:
     @property
     def stamps(self) -> FloatArray:
         """(n,) stamps of the scans, seconds."""
-        return np.array([observation.scan.stamp for observation in self.observations])
+        return np.array([scan.stamp for scan in self.observations.scans])
 
     @property
     def T_world_map(self) -> Pose2 | Pose3:  # noqa: N802  a frame pair
@@ -213,10 +225,10 @@ class DriveLog:
 
         The final estimate is the mapper's own, with all that it learnt later; see `online`.
         """
-        T_odom_base = self.observations[0].odometry
+        stamps, T_odom_base = self.stamps, self.observations.odometry[0]
         T_world_odom = self.truth[0].to_pose2() @ T_odom_base.inverse()
         return (
-            Trajectory.from_poses(self.stamps, self.truth),
+            Trajectory.from_poses(stamps, self.truth),
             (self.online() if self.final is None else self.final).moved(self.T_world_map),
-            Trajectory.from_poses(self.stamps, [o.odometry for o in self.observations]).moved(T_world_odom),
+            Trajectory.from_poses(stamps, self.observations.odometry).moved(T_world_odom),
         )

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_wct.arrays import Float32Array, IntArray
+from lirs_wct.arrays import ByteArray, Float32Array, IntArray
 from lirs_wct.files import write_gzipped
 from lirs_wct.formats.carmen.laser import mount_comment
 from lirs_wct.geometry.pose import Pose2
@@ -45,27 +45,29 @@ def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
         for k, (scan, T_odom_base) in enumerate(scans):
             if k == 0:
                 zipped.write(mount_comment(scan.T_base_laser).encode())
-            zipped.write(_message(scan, T_odom_base).encode())
+            zipped.write(_message(scan, T_odom_base))
 
 
-def _message(scan: LaserScan, T_odom_base: Pose2) -> str:
+def _message(scan: LaserScan, T_odom_base: Pose2) -> bytes:
     n = len(scan.ranges)
     laser = T_odom_base @ scan.T_base_laser.to_pose2()
     fov = scan.angle_increment * (n - 1)
     geometry = f"{scan.angle_min:.9f} {fov:.9f} {scan.angle_increment:.12f} {scan.range_max:.3f}"
     poses = f"{_pose(laser)} {_pose(T_odom_base)}"
     stamp = f"{scan.stamp:.6f}"
-    return f"ROBOTLASER1 0 {geometry} 0 0 {n} {_ranges(scan)} 0 {poses} 0 0 0 0 0 {stamp} {HOST} {stamp}\n"
+    before, after = f"ROBOTLASER1 0 {geometry} 0 0 {n}", f" 0 {poses} 0 0 0 0 0 {stamp} {HOST} {stamp}\n"
+    return before.encode() + _ranges(scan) + after.encode()
 
 
 def _pose(pose: Pose2) -> str:
     return f"{pose.x:.6f} {pose.y:.6f} {pose.yaw:.8f}"
 
 
-def _ranges(scan: LaserScan) -> str:
-    texts = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
-    mm = _millimeters(scan.ranges, len(texts) - 2)
-    return " ".join([texts[k] for k in mm.tolist()])
+def _ranges(scan: LaserScan) -> bytes:
+    """Return the ranges as text, a space before each."""
+    letters = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
+    text = letters[_millimeters(scan.ranges, len(letters) - 2)]
+    return bytes(text[text != 0].tobytes())
 
 
 def _millimeters(ranges: Float32Array, most: int) -> IntArray:
@@ -81,6 +83,9 @@ def _millimeters(ranges: Float32Array, most: int) -> IntArray:
 
 
 @cache
-def _formatted_ranges(millimeters: int) -> list[str]:
-    """Return the texts of ranges by millimeter, and last that of "invalid"."""
-    return [*(f"{mm / 1000:.3f}" for mm in range(millimeters)), f"{INVALID:.2f}"]
+def _formatted_ranges(millimeters: int) -> ByteArray:
+    """Return the letters of ranges by millimeter, filled up with 0, and last those of "invalid"."""
+    texts = np.array(
+        [*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"], dtype=np.bytes_
+    )
+    return np.array(texts, dtype=np.bytes_).view(np.uint8).reshape(len(texts), -1)
