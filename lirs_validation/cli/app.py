@@ -85,7 +85,7 @@ def make_app(names: Collection[str] = tuple(COMMANDS), *, listed_only: bool = Fa
 
 
 def _app_for(arguments: list[str]) -> typer.Typer:
-    """Return the program for a command line: of its commands, the one that is called."""
+    """Return the program for a command line, with the command that is called alone."""
     if COMPLETION in os.environ:
         return make_app()
     called = [argument for argument in arguments[:1] if argument in COMMANDS]

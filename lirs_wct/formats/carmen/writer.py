@@ -84,7 +84,7 @@ def _millimeters(ranges: Float32Array, most: int) -> IntArray:
 
 @cache
 def _formatted_ranges(millimeters: int) -> ByteArray:
-    """Return the letters of ranges by millimeter, filled up with 0, and last those of "invalid"."""
+    """Return the letters of ranges by millimeter, padded by 0; last those of "invalid"."""
     texts = np.array(
         [*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"], dtype=np.bytes_
     )

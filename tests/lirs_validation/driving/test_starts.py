@@ -14,7 +14,7 @@ from lirs_envs.placement import standing_pose
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.collision.random_drive import places
 from lirs_validation.config import RunConfig
-from lirs_validation.driving.choice import check_driver, make_driver, plan_tour
+from lirs_validation.driving.choice import MARGIN, check_driver, make_driver, plan_tour
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
