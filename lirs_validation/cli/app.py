@@ -122,6 +122,7 @@ def main() -> None:
     # Of NumPy, about numbers in damaged files; a message of ours about the file follows.
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     raise_interrupts()
+    gc.set_threshold(100_000, 50, 50)  # imports and compiler make many objects, and little garbage
     try:
         with importable(Path.cwd()):
             code = _app_for(sys.argv[1:])(standalone_mode=False)

@@ -120,11 +120,17 @@ def _mean(total: FloatArray, count: IntArray) -> float | None:
 def _wall_thickness(points: FloatArray) -> float | None:
     """Return the median deviation of points (n, 2) across their walls, meters."""
     chosen = points[:: max(1, len(points) // PLACES)]
-    near = (
-        [points[ids] for ids in cKDTree(points).query_ball_point(chosen, NEIGHBORHOOD)] if len(points) else []
-    )
-    across = [np.linalg.eigvalsh(np.cov(ends.T))[0] for ends in near if len(ends) >= NEIGHBORS]
-    return math.sqrt(max(0.0, float(np.median(across)))) if across else None
+    near = cKDTree(points).query_ball_point(chosen, NEIGHBORHOOD) if len(points) else []
+    near = [ids for ids in near if len(ids) >= NEIGHBORS]
+    if not near:
+        return None
+    counts = np.array([len(ids) for ids in near])
+    first, ends = np.cumsum(counts) - counts, points[np.concatenate(near)]
+    centered = ends - np.repeat(np.add.reduceat(ends, first) / counts[:, None], counts, axis=0)
+    x, y = centered.T
+    xx, yy, xy = (np.add.reduceat(product, first) / (counts - 1) for product in (x * x, y * y, x * y))
+    across = (xx + yy) / 2 - np.hypot((xx - yy) / 2, xy)  # the smaller eigenvalue of each covariance
+    return math.sqrt(max(0.0, float(np.median(across))))
 
 
 @dataclass(frozen=True)
