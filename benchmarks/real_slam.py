@@ -54,7 +54,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("sources", nargs="*")
-    parser.add_argument("--systems", default=",".join(n for n in ALL_CLOUD_MAPPERS if n != "kiss-slam"))
+    parser.add_argument("--systems", default=",".join(ALL_CLOUD_MAPPERS))
     parser.add_argument("--planar", default=PLANAR, help="with the robot's own lidar")
     parser.add_argument("--lidar", default="vlp16", help="of the 3D systems")
     parser.add_argument("--seeds", default="1-2", help="such as 1-5 or 1,3")

@@ -131,15 +131,6 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         requirements=("small_gicp>=1.0", "numpy"),
         license="MIT",
     ),
-    "kiss-slam": Method(
-        f"{_EXTERNAL}.kiss_slam",
-        "KissSlamConfig",
-        "KissSlamMapper",
-        package="kiss_slam",
-        extra="slam-loop",
-        requirements=("kiss-slam",),
-        license="MIT",
-    ),
     "rko-lio": Method(
         f"{_EXTERNAL}.rko_lio",
         "RkoLioConfig",
