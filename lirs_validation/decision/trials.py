@@ -192,7 +192,10 @@ def run_trials(
         if not configs:
             break
         sweep = Sweep(
-            [SlamExperiment(config) for config in configs], out, listed=False, retry_failed=retry_failed
+            [SlamExperiment(config, draws_success=False) for config in configs],
+            out,
+            listed=False,
+            retry_failed=retry_failed,
         )
         done = [_with_results(trial, out, sweep, report) for trial in done]
         with closing(perform(sweep)) as outcomes:

@@ -124,6 +124,7 @@ def run(
     scenarios: ScenarioCache | None = None,
     concurrent: bool = False,
     name: str | None = None,
+    draws_success: bool = True,
 ) -> Run:
     """Run a config (see `validate`).
 
@@ -134,6 +135,7 @@ def run(
         scenarios: worlds that were built before.
         concurrent: whether other runs share the processor; found out beside that.
         name: of the run's folder; None = the record's.
+        draws_success: Whether a run that works gets its overview picture, too.
 
     Raises:
         WctError: see `validate`; a bag is to be recorded, and nothing written.
@@ -142,7 +144,12 @@ def run(
         raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
     check_writable(out)
     return drive_and_conclude(
-        prepare(config, progress, scenarios), out, progress, name, concurrent=concurrent
+        prepare(config, progress, scenarios),
+        out,
+        progress,
+        name,
+        concurrent=concurrent,
+        draws_success=draws_success,
     )
 
 
@@ -203,6 +210,7 @@ def drive_and_conclude(
     name: str | None = None,
     *,
     concurrent: bool = False,
+    draws_success: bool = True,
 ) -> Run:
     """Drive, record, evaluate and write a prepared run (see `run`); close its mapper.
 
@@ -214,7 +222,8 @@ def drive_and_conclude(
             log, cost = _timed_drive(ready, progress, recorded.add)
             log.concurrent = log.concurrent or concurrent
             evaluated = _evaluate(ready, log, cost, progress)
-        return _write_run(evaluated, out, name, recorded)
+        drawn = draws_success or evaluated.verdict.kind != "works"
+        return _write_run(evaluated, out, name, recorded, drawn=drawn)
 
 
 def prepare(
@@ -316,7 +325,14 @@ def _evaluate(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Pr
     return Run(record, log, maps, scenario.world, None)
 
 
-def _write_run(run: Run, out: Path | None, name: str | None = None, recorded: Recording | None = None) -> Run:
+def _write_run(
+    run: Run,
+    out: Path | None,
+    name: str | None = None,
+    recorded: Recording | None = None,
+    *,
+    drawn: bool = True,
+) -> Run:
     """Write the folder of a run where one is wanted."""
     if out is None:
         return run
@@ -324,7 +340,8 @@ def _write_run(run: Run, out: Path | None, name: str | None = None, recorded: Re
     T_map_world = log.truth[0].to_pose2().inverse()
     built = None if maps.built is None else maps.built.moved(T_map_world)
     bag = (recorded or Recording()).finish(built)
-    return replace(run, record=write_results(folder, run.record, log, maps, run.world, bag), folder=folder)
+    record = write_results(folder, run.record, log, maps, run.world, bag, drawn=drawn)
+    return replace(run, record=record, folder=folder)
 
 
 def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tuple[DriveLog, dict[str, Any]]:
@@ -347,7 +364,14 @@ def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tup
 
 
 def write_results(
-    folder: Path, record: RunRecord, log: DriveLog, maps: Maps, world: World, bag: Sequence[Path] = ()
+    folder: Path,
+    record: RunRecord,
+    log: DriveLog,
+    maps: Maps,
+    world: World,
+    bag: Sequence[Path] = (),
+    *,
+    drawn: bool = True,
 ) -> RunRecord:
     """Write a run's folder atomically; return the record as written.
 
@@ -360,13 +384,11 @@ def write_results(
         maps: of the run.
         world: where it took place.
         bag: files of its recording, which are moved into the folder.
+        drawn: Whether the overview picture is drawn.
 
     Raises:
         OutputError: the folder cannot be written.
     """
-    # Matplotlib takes 25 MB and half a second, which a drive that nobody draws can do without.
-    from lirs_validation.drawing.run_overview import overview_figure
-
     truth, estimate, odometry = log.trajectories()
     period = record.rtf["simulated_seconds"] / len(log.walls)
     with atomic_folder(folder) as temporary:
@@ -384,10 +406,8 @@ def write_results(
         write_imu(temporary / "imu.csv.gz", [o.imu for o in log.observations])
         lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
-        elevation = None if maps.elevation is None else maps.elevation.built
-        drawn = (maps.true_pose, maps.built, maps.aligned, elevation)
-        overview = overview_figure(world, record, truth, estimate, *drawn)
-        overview.savefig(temporary / "overview.png")
+        if drawn:
+            Run(record, log, maps, world, None).overview().savefig(temporary / "overview.png")
         for file in bag:
             shutil.move(file, temporary / file.name)
         record = replace(record, file_sizes=file_sizes(temporary))

@@ -127,6 +127,8 @@ def sample_like(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
 
     NaN where unknown or outside.
     """
+    if (grid.shape, grid.resolution, grid.origin) == (like.shape, like.resolution, like.origin):
+        return grid.log_odds
     rows, cols = like.shape
     found = np.empty(like.shape, np.float32)
     for first in range(0, rows, BAND):

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -120,8 +121,8 @@ def _mean(total: FloatArray, count: IntArray) -> float | None:
 def _wall_thickness(points: FloatArray) -> float | None:
     """Return the median deviation of points (n, 2) across their walls, meters."""
     chosen = points[:: max(1, len(points) // PLACES)]
-    near = cKDTree(points).query_ball_point(chosen, NEIGHBORHOOD) if len(points) else []
-    near = [ids for ids in near if len(ids) >= NEIGHBORS]
+    found: Any = cKDTree(points).query_ball_point(chosen, NEIGHBORHOOD) if len(points) else []
+    near = [ids for ids in found if len(ids) >= NEIGHBORS]
     if not near:
         return None
     counts = np.array([len(ids) for ids in near])

@@ -96,6 +96,7 @@ def map_scores(
         alignment: of the trajectory that belongs to the built map, where there is one.
     """
     built, true_pose = as_stored(built), as_stored(true_pose)
+    seen = OccupancyGrid(sample_like(built, true_pose), true_pose.resolution, true_pose.origin)
     own = agreement(built, true_pose)
     other = NO_AGREEMENT if truth is None else agreement(built, as_stored(truth))
     aligned = None if alignment is None else built.moved(alignment.T_world_aligned)
@@ -118,10 +119,10 @@ def map_scores(
         false_occupied=false_share(built, true_pose),
         false_occupied_aligned=None if aligned is None else false_share(aligned, true_pose),
         reference_false_occupied=false_share(true_pose, built),
-        unknown=unknown_share(built, true_pose),
+        unknown=unknown_share(seen, true_pose),
         to_reference=cell_distance(built, true_pose),
         from_reference=cell_distance(true_pose, built),
-        ssim=map_ssim(built, true_pose),
+        ssim=map_ssim(seen, true_pose),
         occupied_cells=int(built.occupied.sum()),
     )
 

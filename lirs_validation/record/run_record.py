@@ -131,7 +131,6 @@ BAG = "bag"
 """Stem of the file of a run's bag, whose folder is the run's."""
 WITH_RESULTS = (
     RECORD,
-    "overview.png",
     "map.pgm",
     "map.yaml",
     "map_true_pose.pgm",

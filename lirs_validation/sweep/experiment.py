@@ -190,11 +190,13 @@ class SlamExperiment:
         config: configuration of the run.
         tables: tables of the suite that its metrics belong to; empty outside suites.
         folder: name of its folder; None = the run's unique name.
+        draws_success: Whether a run that works gets its overview picture, too.
     """
 
     config: RunConfig
     tables: tuple[str, ...] = ()
     folder: str | None = None
+    draws_success: bool = True
 
     @cached_property
     def world(self) -> str:
@@ -234,6 +236,7 @@ class SlamExperiment:
             scenarios=scenarios,
             concurrent=concurrent,
             name=self.folder,
+            draws_success=self.draws_success,
         ).record
         return Outcome(experiment=self.name, status=record.status, reason=record.reason, written=True)
 
