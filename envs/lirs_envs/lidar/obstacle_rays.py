@@ -198,7 +198,8 @@ def _cast_fan(
         for j in range(blocks):
             towards = -(x * cones[j, 0] + y * cones[j, 1]) / distance if distance > RADIUS else 1.0
             spread = cones[j, 2]
-            if towards < cosine * spread - sine * math.sqrt(1.0 - spread * spread):
+            # Around the whole circle no walker is aside.
+            if spread > -1.0 and towards < cosine * spread - sine * math.sqrt(1.0 - spread * spread):
                 continue
             for k in range(j * BLOCK, min((j + 1) * BLOCK, n)):
                 hit = _capsule_range(x, y, z, directions[k, 0], directions[k, 1], directions[k, 2])
