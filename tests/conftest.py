@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,46 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("shared/data is not beside the checkout")
     return folder
+
+
+@pytest.fixture(scope="session")
+def recorded_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recorded results (tests/make_data.py), a folder of results each: run, mapped, sweep."""
+    folder = tmp_path_factory.mktemp("recorded")
+    for packed in (ROOT / "tests" / "data").glob("*.zip"):
+        with zipfile.ZipFile(packed) as file:
+            file.extractall(folder / packed.stem)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def finished_run(recorded_results: Path) -> Path:
+    """Folder of a run of hector on a jackal in `simple`: 10 s, 101 scans; read only."""
+    return next(recorded_results.glob("run/*/record.json")).parent
+
+
+@pytest.fixture(scope="session")
+def mapped_log(recorded_results: Path) -> Path:
+    """Folder of hector's map of that run's scans, without truth; read only."""
+    return next(recorded_results.glob("mapped/*/record.json")).parent
+
+
+@pytest.fixture(scope="session")
+def sweep_folder(recorded_results: Path) -> Path:
+    """Folder of results of two runs of 2 s, hector and gmapping; read only."""
+    return recorded_results / "sweep"
+
+
+@pytest.fixture
+def finished_run_copy(finished_run: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run to write in, alone in a folder of results."""
+    return shutil.copytree(finished_run, tmp_path / "results" / finished_run.name)
+
+
+@pytest.fixture
+def sweep_copy(sweep_folder: Path, tmp_path: Path) -> Path:
+    """A copy of the sweep to write in."""
+    return shutil.copytree(sweep_folder, tmp_path / "sweep")
 
 
 @pytest.fixture(scope="session")
