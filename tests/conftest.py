@@ -4,6 +4,7 @@ import os
 import shutil
 import zipfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,8 @@ import pytest
 from hypothesis import settings
 
 import lirs_envs  # noqa: F401  before mujoco, so that it renders without a screen
+from lirs_wct.sources.bundled import BundledPicture
+from lirs_wct.sources.pictures import picture
 
 # Kernels compile inside the first example; a shared machine is slow at times.
 settings.register_profile("local", deadline=None, max_examples=25)
@@ -35,6 +38,33 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("shared/data is not beside the checkout")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def pictures_of_bundled_worlds() -> Iterator[None]:
+    """Make the picture of each bundled world once; 0.4 s each."""
+
+    @cache
+    def made(name: str) -> BundledPicture:
+        found = make(name)
+        found.pixels.flags.writeable = found.hills.flags.writeable = False
+        return found
+
+    make = picture.bundled_picture
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(picture, "bundled_picture", made)
+        yield
+
+
+@pytest.fixture(scope="module")
+def plain_pictures() -> Iterator[None]:
+    """White pictures in the folders of runs and maps: drawing takes 0.5 s, and few tests look at them."""
+    from lirs_wct.drawing.canvas import bare_figure
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("run_overview.overview_figure", "map_overview.map_overview"):
+            patch.setattr(f"lirs_validation.drawing.{name}", lambda *_: bare_figure(1, 1))
+        yield
 
 
 @pytest.fixture(scope="session")
