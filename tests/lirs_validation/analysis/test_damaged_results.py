@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from lirs_validation import cli, map_log, validate
+from lirs_validation import cli, map_log
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.record.run_record import WITH_RESULTS
@@ -24,19 +24,11 @@ ROOT = Path(__file__).resolve().parents[3]
 NONSENSE: tuple[Any, ...] = (None, [], {}, "much", -7, [[1]], {"a": {"b": 1}}, True, "\u0000", 1e308)
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = validate("simple", seconds=4, out=tmp_path_factory.mktemp("out"))
-    assert made.folder is not None
-    return made.folder
-
-
 @pytest.fixture
-def folder(run: Path, tmp_path: Path) -> Path:
+def folder(finished_run_copy: Path) -> Path:
     """A copy of the run, beside a second one that is whole."""
-    saved(tmp_path / "out", seed=2)
-    shutil.copytree(run, tmp_path / "out" / run.name)
-    return tmp_path / "out" / run.name
+    saved(finished_run_copy.parent, seed=2)
+    return finished_run_copy
 
 
 def lines(
