@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory
+from lirs_wct.geometry import OccupancyGrid, Pose2, Pose3, Trajectory
 from slam_baselines.mapper import MapperStats
 
 
@@ -20,14 +20,14 @@ class Own:
     lost = False
 
     def __init__(self) -> None:
-        self.stamps, self.poses, self.attitudes = list[float](), list[Pose2](), set[bool]()
+        self.stamps, self.poses, self.attitudes = list[float](), list[Pose2](), 0
 
     def update(self, scan: Any, odometry: Any, imu: Any) -> Pose2:
         if len(self.poses) == 4:
             self.act(scan, odometry, imu)
         self.stamps.append(scan.stamp)
         self.poses.append(Pose2(*odometry.as_array().tolist()))
-        self.attitudes.add(imu is not None)
+        self.attitudes += imu is not None
         return self.poses[-1]
 
     def act(self, scan: Any, odometry: Any, imu: Any) -> None:
@@ -41,13 +41,71 @@ class Own:
 
     @property
     def stats(self) -> MapperStats:
-        return MapperStats(received=len(self.poses), counts={"attitude": sorted(self.attitudes)})
+        return MapperStats(received=len(self.poses), counts={"attitudes": self.attitudes})
 
 
 class Slow(Own):
     def update(self, scan: Any, odometry: Any, imu: Any) -> Pose2:
         time.sleep(0.002)  # the simulation gets ahead
         return super().update(scan, odometry, imu)
+
+
+class Still:
+    """Reads clouds, says that the robot never moves, and where that is: a drift of 1 cm a sweep, upward."""
+
+    reads_clouds, lost = True, False
+
+    def __init__(self) -> None:
+        self.stamps, self.poses, self.imus = list[float](), list[Pose3](), list[Any]()
+
+    def update(self, cloud: Any, imu: Any) -> Pose3:
+        self.imus.append(imu)
+        return self.answer(cloud.stamp, Pose3(0.0, 0.0, 0.01 * len(self.poses)))
+
+    def answer(self, stamp: float, pose: Pose3) -> Pose3:
+        self.stamps.append(stamp)
+        self.poses.append(pose)
+        return pose
+
+    def trajectory(self) -> Trajectory:
+        return Trajectory.from_poses(self.stamps, self.poses)
+
+    @property
+    def stats(self) -> MapperStats:
+        return MapperStats(received=len(self.poses), used=len(self.poses))
+
+
+class Gyro(Still):
+    """Turns by the yaw rate of all inertial readings."""
+
+    reads_inertial = True
+    yaw = 0.0
+
+    def update(self, cloud: Any, imu: Any, readings: Any) -> Pose3:
+        wanted = 20 if self.stamps else 0
+        if len(readings) != wanted:
+            raise ValueError(f"{len(readings)} readings instead of {wanted}")
+        if wanted and abs(readings.stamps[-1] - cloud.stamp) > 1e-9:
+            raise ValueError("late readings")
+        self.yaw += readings.angular_velocity[:, 2].sum() / 200
+        return self.answer(cloud.stamp, Pose3.from_rpy(0.0, 0.0, 0.0, 0.0, 0.0, self.yaw))
+
+
+class Wheels(Still):
+    """Says what the odometry says."""
+
+    reads_odometry = True
+
+    def update(self, cloud: Any, imu: Any, odometry: Any) -> Pose3:
+        return self.answer(cloud.stamp, Pose3.from_pose2(odometry))
+
+
+class Half:
+    """Has no trajectory."""
+
+    reads_clouds = True
+
+    def update(self, cloud: Any, imu: Any) -> Any: ...
 
 
 class Writes(Own):

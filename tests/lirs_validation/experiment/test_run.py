@@ -115,7 +115,7 @@ def test_a_record_that_is_none_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "lost"])
 def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
-    puppet, mapper = Puppet(fails, 10), SlowPuppet(0.0, lost_from=0.4 if fails == "lost" else 1e9)
+    puppet, mapper = Puppet(fails, 10), SlowPuppet(0.0, lost=(0.4 if fails == "lost" else 1e9, 1e9))
     log = drive(puppet, puppet, mapper.under_test, 20.0)  # type: ignore[arg-type]
     assert log.status == fails
     assert log.reason
