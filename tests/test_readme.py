@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -85,10 +86,14 @@ def test_no_command_has_a_pattern_that_a_second_run_matches_too() -> None:
     assert [command for command in (*COMMANDS, *QUOTED) if "*" in command] == []
 
 
+@pytest.fixture(scope="module")
+def commands() -> dict[str, Any]:
+    return typer.main.get_command(app).commands  # type: ignore[attr-defined,no-any-return]
+
+
 @pytest.mark.parametrize("command", dict.fromkeys((*COMMANDS, *QUOTED)))
-def test_the_parser_takes_a_command(command: str) -> None:
+def test_the_parser_takes_a_command(command: str, commands: dict[str, Any]) -> None:
     _, name, *arguments = shlex.split(command)
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     with commands[name].make_context(name, arguments) as context:
         assert not context.args
 
