@@ -18,6 +18,8 @@ import lirs_envs  # noqa: F401  before mujoco, so that it renders without a scre
 from lirs_wct.sources.bundled import BundledPicture
 from lirs_wct.sources.pictures import picture
 
+pytest_plugins = ["tests.cpu_time"]
+
 # Kernels compile inside the first example; a shared machine is slow at times.
 settings.register_profile("local", deadline=None, max_examples=25)
 settings.register_profile("ci", settings.get_profile("local"), derandomize=True)
