@@ -37,7 +37,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunFolder:
         (tmp_path / name).mkdir()
         cv2.imwrite(str(tmp_path / name / "hills.png"), hills(seed))
     monkeypatch.chdir(tmp_path / "here")
-    made = validate("hills.png", seconds=2, out=tmp_path / "out")
+    made = validate("hills.png", seconds=4, out=tmp_path / "out")
     assert made.folder is not None
     monkeypatch.chdir(tmp_path / "there")
     return read_run(made.folder)
@@ -66,7 +66,7 @@ def test_another_source_of_that_name_is_refused(run: RunFolder, tmp_path: Path) 
 
 
 def test_a_sweep_runs_again_what_another_source_of_that_name_gave(run: RunFolder, tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="hills.png", seconds=2.0))
+    experiment = SlamExperiment(RunConfig(source="hills.png", seconds=4.0))
     assert experiment.name == run.folder.name
     os.utime(run.folder / "record.json", (2e9, 2e9))  # the other picture is older than the record
     assert experiment.find_outcome(tmp_path / "out") is None

@@ -222,5 +222,6 @@ def test_a_wrong_pose_leads_the_explorer_astray_and_not_the_tour(simple: World) 
     assert all(np.array_equal(a.position, b.position) for a, b in zip(honest, lying, strict=True))
 
 
+@pytest.mark.slow
 def test_without_a_map_the_explorer_gives_up(simple: World) -> None:
     assert driven(simple, Blind(), 22.0).status == "stuck"

@@ -261,6 +261,7 @@ def with_files(folder: Path, seed: int) -> RunFolder:
     return read_results(folder).runs[0]
 
 
+@pytest.mark.slow
 def test_pictures_keep_their_budget(tmp_path: Path) -> None:
     run = with_files(saved(tmp_path), 3)
     few, many = Painter(2).paint(run), Painter(100).paint(run)
@@ -277,6 +278,7 @@ def test_a_lost_source_costs_the_terrain_only(tmp_path: Path) -> None:
     assert "gone.png" in picture.note
 
 
+@pytest.mark.slow
 def test_a_hundred_runs_stay_under_five_megabytes(tmp_path: Path) -> None:
     """Pictures have a budget of 3 MB of their own: all the rest must stay under 2."""
     for seed in range(1, 6):
