@@ -1,5 +1,8 @@
 """Small places that build and drive within a tenth of a second, and what a robot senses there."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
@@ -7,8 +10,18 @@ import pytest
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
+from lirs_validation.experiment import run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.geometry import Pose2
+from lirs_wct.sources.options import BuildOptions
+
+
+@pytest.fixture(scope="session", autouse=True)
+def brief_warm_up() -> Iterator[None]:
+    """Warm up by drives of 0.2 s instead of 2 s; that changes times only."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "WARM_UP", 0.2)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -24,6 +37,18 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> str:
         "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
     return str(path)
+
+
+@pytest.fixture(scope="session")
+def hills(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """A picture of hills of 0.4 m between walls, 12 x 12 m: the source and its options."""
+    x, y = np.meshgrid(*[np.linspace(0, 12, 129)] * 2)
+    heights = 0.2 * (1 + np.sin(x) * np.cos(y))
+    heights[:4] = heights[-4:] = heights[:, :4] = heights[:, -4:] = 1.5
+    heights[40:48, 50:60] = heights[80:90, 90:96] = 1.5
+    path = tmp_path_factory.mktemp("hills") / "hills.png"
+    cv2.imwrite(str(path), np.round(4e4 * heights).astype(np.uint16))
+    return {"source": str(path), "options": BuildOptions(size=12.0, height=1.5)}
 
 
 @pytest.fixture(scope="session")
