@@ -26,7 +26,7 @@ def cpu_seconds() -> float:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
+def pytest_runtest_protocol(item: pytest.Item) -> None:
     item.stash[BEGUN] = cpu_seconds()
 
 
