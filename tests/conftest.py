@@ -72,6 +72,14 @@ def plain_pictures() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def empty_charts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Charts without content in reports: drawing them takes most of the time."""
+    empty = '<svg role="img" aria-label="{}"></svg>'
+    as_svg = "lirs_validation.report.charts.as_svg"
+    monkeypatch.setattr(as_svg, lambda figure, label, key: empty.format(label))
+
+
 @pytest.fixture(scope="session")
 def recorded_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recorded results (tests/make_data.py), a folder of results each: run, mapped, sweep."""
