@@ -41,9 +41,9 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture(scope="session")
 def hills(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """A picture of hills of 0.4 m between walls, 12 x 12 m: the source and its options."""
+    """A picture of hills of 0.1 m between walls, 12 x 12 m: the source and its options."""
     x, y = np.meshgrid(*[np.linspace(0, 12, 129)] * 2)
-    heights = 0.2 * (1 + np.sin(x) * np.cos(y))
+    heights = 0.05 * (1 + np.sin(x) * np.cos(y))
     heights[:4] = heights[-4:] = heights[:, :4] = heights[:, -4:] = 1.5
     heights[40:48, 50:60] = heights[80:90, 90:96] = 1.5
     path = tmp_path_factory.mktemp("hills") / "hills.png"

@@ -19,9 +19,10 @@ from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry import Pose2, Trajectory
+from tests.kit import SMALL
 from tests.lirs_validation.records import record, saved_whole
 
-CONFIG = RunConfig(source="simple", mapper="hector", seconds=20)
+CONFIG = RunConfig(source="simple", build=SMALL, mapper="hector", seconds=20)
 
 
 def path(drift: float) -> Trajectory:
@@ -128,7 +129,7 @@ def test_a_terrain_that_the_robot_cannot_drive_ends_the_drives(
 
 
 def test_a_robot_without_room_is_refused_before_any_drive(driven: list[RunConfig], tmp_path: Path) -> None:
-    tiny = replace(CONFIG, source="simple", build=replace(CONFIG.build, size=1.0))
+    tiny = replace(CONFIG, build=replace(CONFIG.build, size=1.0))
     with pytest.raises(ConfigError, match="husky"):
         decide([tiny], tmp_path, perform, budget=60)
     assert not driven
