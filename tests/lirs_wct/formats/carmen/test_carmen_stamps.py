@@ -142,6 +142,7 @@ def test_scans_without_a_pose_are_kept_in_order(tmp_path: Path) -> None:
     assert [float(s.ranges[2]) for s in log.scans] == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_the_intel_log_is_the_same_with_the_stamps_as_logged(shared_data: Path) -> None:
     folder = shared_data / "logs" / "intel"
