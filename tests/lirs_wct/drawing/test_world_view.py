@@ -43,7 +43,7 @@ def tower() -> World:
 
 
 WORLDS: dict[str, Callable[[], World]] = {
-    "square map": lambda: laser_map(300, 300),
+    "square map": lambda: laser_map(100, 100),
     "wide map": lambda: laser_map(20, 800),
     "tall map": lambda: laser_map(800, 20),
     "as wide as panels stand side by side": lambda: laser_map(100, 249),
@@ -63,7 +63,12 @@ def margins(figure: Drawing) -> list[float]:
     return [float(v) for v in (box.x0, box.y0, width - box.x1, height - box.y1)]
 
 
-@pytest.mark.parametrize("name", WORLDS)
+FAST = ("square map", "wide terrain", "tower")
+
+
+@pytest.mark.parametrize(
+    "name", [*FAST, *(pytest.param(name, marks=pytest.mark.slow) for name in WORLDS if name not in FAST)]
+)
 def test_nothing_leaves_the_figure_and_panels_stay_apart(name: str) -> None:
     world = WORLDS[name]()
     figure = view_figure(world)
