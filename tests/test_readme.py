@@ -3,11 +3,8 @@
 The README's own size and sentences stay within `style_limits.toml`.
 """
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,6 +14,7 @@ import pytest
 import typer
 
 from lirs_validation.cli.app import app
+from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -70,17 +68,15 @@ def shortened(command: str) -> str:
 
 
 @pytest.mark.slow
-def test_commands_run_in_their_order(root: Path) -> None:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "PYTHONPATH": os.pathsep.join(sys.path)}
+def test_commands_run_in_their_order(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(root)
+    monkeypatch.syspath_prepend(str(root))
     for command in COMMANDS:
-        if any(part in command for part in PARSED):
-            continue
-        ran = subprocess.run(
-            ["bash", "-c", shortened(command)], cwd=root, env=environment, capture_output=True, text=True,
-            timeout=600, check=False,
-        )  # fmt: skip
-        assert ran.returncode == 0, f"{command}\n{ran.stdout}\n{ran.stderr}"
+        if not any(part in command for part in PARSED):
+            code = run_command(*shlex.split(shortened(command))[1:])
+            assert code == 0, (command, capsys.readouterr())
 
 
 def test_no_command_has_a_pattern_that_a_second_run_matches_too() -> None:
