@@ -112,13 +112,13 @@ def test_the_bag_holds_what_was_sensed_and_answered(made: Run) -> None:
             for mapper in ("gmapping", "cartographer", "hector_original")
         ),
         # Its range_min, .1 m, and its angles, 270.25 deg / 1080, are no float32.
-        ("jackal", "hector"),
+        pytest.param("jackal", "hector", marks=pytest.mark.slow),
     ],
 )
 def test_mapping_the_bag_gives_the_trajectory_of_the_drive(
     robot: str, mapper: str, recorded: Record, tmp_path: Path
 ) -> None:
-    driven = recorded(tmp_path, robot=robot, mapper=mapper, seconds=1.0)
+    driven = recorded(tmp_path, robot=robot, mapper=mapper, seconds=0.8)
     again = run_mapping(MapConfig(log=str(folder_of(driven)), mapper=mapper, imu_topic="/imu")).trajectory
     online = driven.log.final
     assert online is not None

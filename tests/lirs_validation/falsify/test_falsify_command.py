@@ -75,8 +75,9 @@ def test_a_mapper_that_raises_is_a_case_without_a_run(
     def fail(*_: object) -> DriveScore:
         raise MapperError("no scan matcher")
 
-    if not driven:  # except where the case is written
+    if not driven:
         monkeypatch.setattr("lirs_validation.falsify.drives._measure_mapper", fail)
+        monkeypatch.setattr("lirs_validation.falsify.results.run", fail)
         monkeypatch.setattr("lirs_validation.falsify.results.case_figure", lambda *_: bare_figure(1, 1))
     kept = folder / "out" / "case-of-mine" / "notes.txt"
     kept.parent.mkdir(parents=True)
