@@ -6,6 +6,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_ARGS ?= -n auto --dist loadscope
 
+# Compiled modules are kept between workers and runs, whatever the shell says.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test check docs clean
 
 demo: .venv/installed

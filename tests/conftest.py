@@ -2,14 +2,23 @@
 
 import os
 import shutil
+import zipfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
+
+# Waiting BLAS threads spin: beside other processes a fit of a millisecond takes a second.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
 
 import lirs_envs  # noqa: F401  before mujoco, so that it renders without a screen
+from lirs_wct.sources.bundled import BundledPicture
+from lirs_wct.sources.pictures import picture
+
+pytest_plugins = ["tests.cpu_time"]
 
 # Kernels compile inside the first example; a shared machine is slow at times.
 settings.register_profile("local", deadline=None, max_examples=25)
@@ -34,6 +43,81 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("shared/data is not beside the checkout")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def pictures_of_bundled_worlds() -> Iterator[None]:
+    """Make the picture of each bundled world once; 0.4 s each."""
+
+    @cache
+    def made(name: str) -> BundledPicture:
+        found = make(name)
+        found.pixels.flags.writeable = found.hills.flags.writeable = False
+        return found
+
+    make = picture.bundled_picture
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(picture, "bundled_picture", made)
+        yield
+
+
+@pytest.fixture(scope="module")
+def plain_pictures() -> Iterator[None]:
+    """White pictures in the folders of runs and maps: drawing takes 0.5 s, and few tests look at them."""
+    from lirs_wct.drawing.canvas import bare_figure
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("run_overview.overview_figure", "map_overview.map_overview"):
+            patch.setattr(f"lirs_validation.drawing.{name}", lambda *_: bare_figure(1, 1))
+        yield
+
+
+@pytest.fixture
+def empty_charts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Charts without content in reports: drawing them takes most of the time."""
+    empty = '<svg role="img" aria-label="{}"></svg>'
+    as_svg = "lirs_validation.report.charts.as_svg"
+    monkeypatch.setattr(as_svg, lambda figure, label, key: empty.format(label))
+
+
+@pytest.fixture(scope="session")
+def recorded_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recorded results (tests/make_data.py), a folder of results each: run, mapped, sweep."""
+    folder = tmp_path_factory.mktemp("recorded")
+    for packed in (ROOT / "tests" / "data").glob("*.zip"):
+        with zipfile.ZipFile(packed) as file:
+            file.extractall(folder / packed.stem)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def finished_run(recorded_results: Path) -> Path:
+    """Folder of a run of hector on a jackal in `simple`: 10 s, 101 scans; read only."""
+    return next(recorded_results.glob("run/*/record.json")).parent
+
+
+@pytest.fixture(scope="session")
+def mapped_log(recorded_results: Path) -> Path:
+    """Folder of hector's map of that run's scans, without truth; read only."""
+    return next(recorded_results.glob("mapped/*/record.json")).parent
+
+
+@pytest.fixture(scope="session")
+def sweep_folder(recorded_results: Path) -> Path:
+    """Folder of results of two runs of 2 s, hector and gmapping; read only."""
+    return recorded_results / "sweep"
+
+
+@pytest.fixture
+def finished_run_copy(finished_run: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run to write in, alone in a folder of results."""
+    return shutil.copytree(finished_run, tmp_path / "results" / finished_run.name)
+
+
+@pytest.fixture
+def sweep_copy(sweep_folder: Path, tmp_path: Path) -> Path:
+    """A copy of the sweep to write in."""
+    return shutil.copytree(sweep_folder, tmp_path / "sweep")
 
 
 @pytest.fixture(scope="session")

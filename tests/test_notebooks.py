@@ -6,7 +6,6 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from nbclient import NotebookClient
 from nbformat import NotebookNode
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -34,6 +33,8 @@ def test_a_notebook_runs(path: Path, beside_examples: Path, monkeypatch: pytest.
     # Runs of other tests beside it do not count as sharing the processor: their lock lies elsewhere.
     monkeypatch.setenv("TMPDIR", str(beside_examples.parent))
     notebook = nbformat.read(path, as_version=4)
+    from nbclient import NotebookClient  # here, since its import takes 0.3 s
+
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(beside_examples)}}).execute()
     check_outputs(notebook)
 

@@ -3,18 +3,18 @@
 The README's own size and sentences stay within `style_limits.toml`.
 """
 
-import os
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
 
 from lirs_validation.cli.app import make_app
+from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -68,41 +68,42 @@ def shortened(command: str) -> str:
 
 
 @pytest.mark.slow
-def test_commands_run_in_their_order(root: Path) -> None:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "PYTHONPATH": os.pathsep.join(sys.path)}
+def test_commands_run_in_their_order(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(root)
+    monkeypatch.syspath_prepend(str(root))
     for command in COMMANDS:
-        if any(part in command for part in PARSED):
-            continue
-        ran = subprocess.run(
-            ["bash", "-c", shortened(command)], cwd=root, env=environment, capture_output=True, text=True,
-            timeout=600, check=False,
-        )  # fmt: skip
-        assert ran.returncode == 0, f"{command}\n{ran.stdout}\n{ran.stderr}"
+        if not any(part in command for part in PARSED):
+            code = run_command(*shlex.split(shortened(command))[1:])
+            assert code == 0, (command, capsys.readouterr())
 
 
 def test_no_command_has_a_pattern_that_a_second_run_matches_too() -> None:
     assert [command for command in (*COMMANDS, *QUOTED) if "*" in command] == []
 
 
+@pytest.fixture(scope="module")
+def commands() -> dict[str, Any]:
+    return typer.main.get_command(make_app()).commands  # type: ignore[attr-defined,no-any-return]
+
+
 @pytest.mark.parametrize("command", dict.fromkeys((*COMMANDS, *QUOTED)))
-def test_the_parser_takes_a_command(command: str) -> None:
+def test_the_parser_takes_a_command(command: str, commands: dict[str, Any]) -> None:
     _, name, *arguments = shlex.split(command)
-    commands = typer.main.get_command(make_app()).commands  # type: ignore[attr-defined]
     with commands[name].make_context(name, arguments) as context:
         assert not context.args
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(len(PROGRAMS)))
-def test_a_program_runs(number: int, root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Programs continue from one another, in the order of their pages; the one that trains needs an extra."""
-    if "stable_baselines3" in PROGRAMS[number]:
-        pytest.importorskip("stable_baselines3", reason="Stable-Baselines3 is not installed (extra [rl])")
+def test_programs_run_in_their_order(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Programs continue from one another; the one that trains needs an extra."""
     monkeypatch.chdir(root)
-    before = [text for text in PROGRAMS[:number] if "stable_baselines3" not in text]
-    program = re.sub(r"seconds=\d+", "seconds=1", "\n".join((*before, PROGRAMS[number])))
-    exec(compile(program.replace("120_000", "1"), "program", "exec"), {"__name__": "readme"})
+    names: dict[str, Any] = {"__name__": "readme"}
+    for number, text in enumerate(PROGRAMS):
+        if "stable_baselines3" not in text or find_spec("stable_baselines3"):
+            program = re.sub(r"seconds=\d+", "seconds=1", text).replace("120_000", "1")
+            exec(compile(program, f"program {number}", "exec"), names)
 
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"examples/data/\w[\w.]*\w", README + EXAMPLES))))

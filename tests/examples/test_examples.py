@@ -50,14 +50,14 @@ def test_build_a_world(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_validate_slam(tmp_path: Path) -> None:
-    shown = run("validate_slam", "--seconds", "6", "-o", tmp_path, cwd=tmp_path)
+    shown = run("validate_slam", "--seconds", "2", "-o", tmp_path, cwd=tmp_path)
     assert [line.split()[0] for line in shown.splitlines()] == ["hector", "gmapping", "cartographer"]
     assert len([read_record(folder) for folder in tmp_path.iterdir()]) == 3
 
 
 @pytest.mark.slow
 def test_map_a_log(tmp_path: Path) -> None:
-    shown = run("map_a_log", "--seconds", "6", "-o", tmp_path, cwd=tmp_path)
+    shown = run("map_a_log", "--seconds", "2", "-o", tmp_path, cwd=tmp_path)
     assert "331 scans" in shown
     assert "in the world of that map: ok" in shown
 
@@ -74,7 +74,7 @@ def test_your_own_mapper(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
 
     monkeypatch.chdir(ROOT)
     run = validate(
-        EXAMPLES / "data" / "office.yaml", robot="turtlebot2", seconds=6,
+        EXAMPLES / "data" / "office.yaml", robot="turtlebot2", seconds=2,
         mapper="examples.your_own_mapper:DeadReckoning", out=tmp_path,
     )  # fmt: skip
     assert run.record.status == "ok"
@@ -101,6 +101,7 @@ def test_train_pretrained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     assert len(rounds) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("torch") is not None, reason="torch is installed")
 def test_train_pretrained_without_torch(tmp_path: Path) -> None:
     done = subprocess.run(

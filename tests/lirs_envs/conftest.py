@@ -66,7 +66,7 @@ def rough() -> World:
         rim = np.maximum(abs(x), abs(y)) > 14
         return np.where(rim, 5.0, hills)
 
-    return terrain_world(z, nodes=601, cell=0.05)
+    return terrain_world(z, nodes=301)
 
 
 @pytest.fixture(scope="session")

@@ -15,10 +15,10 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 
 
-def test_props_and_rays_are_options_of_plain_json() -> None:
+def test_props_and_rays_are_options_of_plain_json(plane: World) -> None:
     """A wall of props ahead is seen, by either rays, in a vector as alone."""
     wall = {"shape": "box", "size": [0.1, 2.0, 1.0], "place": [2.0, 0.0, 0.0]}
-    options = json.loads(json.dumps({"world": "simple", "props": [wall], "noise": "none"}))
+    options = {"world": plane} | json.loads(json.dumps({"props": [wall], "noise": "none"}))
     start = {"start": (0.0, 0.0, 0.0)}
     ranges = []
     for rays in ("builtin", "mujoco"):

@@ -85,7 +85,9 @@ def test_blind_policies() -> None:
         assert policy.act({}).shape == (3,)
 
 
-@pytest.mark.parametrize(("robot", "world"), [("husky", "medium"), ("jackal", "simple")])
+@pytest.mark.parametrize(
+    ("robot", "world"), [pytest.param("husky", "medium", marks=pytest.mark.slow), ("jackal", "simple")]
+)
 def test_it_reaches_goals_where_straight_ahead_does_not(robot: str, world: str) -> None:
     env: Any = gym.make("LIRS/Navigation-v1", world=world, robot=robot, difficulty=0.3).unwrapped
     successes = {GoToGoal: 0, StraightAhead: 0}

@@ -49,18 +49,20 @@ def drive_at_random(sim: Simulation, seconds: float, seed: int = 4) -> float:
 
 
 @pytest.mark.parametrize("name", GROUND)
-@pytest.mark.parametrize("where", list(RECIPES))
+@pytest.mark.parametrize(
+    "where", ["simple", *(pytest.param(name, marks=pytest.mark.slow) for name in RECIPES if name != "simple")]
+)
 def test_random_driving_never_tunnels(where: str, name: str) -> None:
     sim = Simulation(world_of(where), SimulationConfig(robot=make_robot(name), lidar="lms111"))
     sim.reset()
-    driven = drive_at_random(sim, 10.0)
+    driven = drive_at_random(sim, 6.0)
     found = sim.collisions
     assert driven > 0.3 * sim.robot.max_speed
     assert found.penetration_p999 <= 0.010
     assert found.max_penetration <= IMPACT * max(1.0, 2 * sim.robot.max_speed)
 
 
-@pytest.mark.parametrize("name", ["husky", "jackal"])
+@pytest.mark.parametrize("name", [pytest.param("husky", marks=pytest.mark.slow), "jackal"])
 def test_against_steep_blocks(name: str, rough: World) -> None:
     sim = Simulation(rough, SimulationConfig(robot=make_robot(name), lidar="lms111"))
     sim.reset()
@@ -71,7 +73,13 @@ def test_against_steep_blocks(name: str, rough: World) -> None:
     assert found.max_penetration <= IMPACT * max(1.0, 2 * sim.robot.max_speed)
 
 
-@pytest.mark.parametrize("name", ["turtlebot2", "turtlebot3_burger", "turtlebot3_waffle"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "turtlebot2",
+        *(pytest.param(f"turtlebot3_{kind}", marks=pytest.mark.slow) for kind in ("burger", "waffle")),
+    ],
+)
 @pytest.mark.parametrize(("nodes_wide", "across"), [(1, 0.0), (1, 0.04), (3, 0.0), (3, 0.1)])
 def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: int, across: float) -> None:
     """A ridge of one or three nodes, 0.5 m high; the robot is let go right above it."""

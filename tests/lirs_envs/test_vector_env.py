@@ -42,7 +42,7 @@ def options_of(name: str) -> dict[str, Any]:
     return {
         "observe": ["scan", "odometry", "attitude", "seen_map", "height_map", *goal],
         "randomize": ["friction", "mass", "sensor", "pushes", "latency", "slip", drawn],
-        "time_limit": 1.0,
+        "time_limit": 0.5,
     }
 
 
@@ -50,8 +50,7 @@ def actions(steps: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (steps, N, 2)).astype(np.float32)
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+@pytest.mark.parametrize(("mode", "threads"), [("NextStep", 1), ("SameStep", 3)])
 @pytest.mark.parametrize("name", IDS)
 def test_equal_to_single_environments(name: str, mode: str, threads: int) -> None:
     options = options_of(name)
@@ -68,7 +67,7 @@ def test_equal_to_single_environments(name: str, mode: str, threads: int) -> Non
     assert one.observation_space == many.observation_space
     for a, b in zip(one.reset(seed=4), many.reset(seed=4), strict=True):
         assert_same(a, b)
-    for row in actions(25):
+    for row in actions(12):
         for a, b in zip(one.step(row), many.step(row), strict=True):
             assert_same(a, b)
     one.close()
@@ -83,7 +82,7 @@ def test_several_worlds_are_equal_to_single_environments(mode: str, plane: World
     many = SyncVectorEnv(singles, autoreset_mode=mode)  # environment i is in world i * 2 // 3
     for a, b in zip(one.reset(seed=4), many.reset(seed=4), strict=True):
         assert_same(a, b)
-    for row in actions(15):
+    for row in actions(12):
         for a, b in zip(one.step(row), many.step(row), strict=True):
             assert_same(a, b)
     assert [world.name for world in one.get_attr("world")] == [plane.name, plane.name, "simple"]
@@ -103,7 +102,7 @@ def test_disabled_autoreset_resets_those_in_the_mask(name: str) -> None:
     many = SyncVectorEnv([lambda: gym.make(name, **options) for _ in range(N)], autoreset_mode="Disabled")
     one.reset(seed=0)
     many.reset(seed=0)
-    for row in actions(10):
+    for row in actions(5):
         stepped = one.step(row)
         assert_same(stepped[0], many.step(row)[0])
     assert stepped[3].all()

@@ -108,7 +108,7 @@ def test_walkers_wait_for_the_robot_and_turn_back(plane: World, husky: Robot) ->
 
 def test_rays_meet_capsules_where_mujoco_s_do(rough: World, husky: Robot) -> None:
     sim = simulation(rough, husky, actors=40, rays="mujoco")
-    sim.reset()
+    sim.reset(seed=1)
     assert sim.walkers is not None
     centers, rng = sim.walkers.centers, np.random.default_rng(1)
     sim.advance(Twist(0.5, 0.1))
@@ -147,7 +147,7 @@ def test_both_rays_see_the_same_walkers(rough: World, husky: Robot) -> None:
     seen = 0
     for sim in (builtin, by_mujoco):
         sim.reset()
-    for _ in range(5):
+    for _ in range(3):
         ours, theirs = builtin.advance(Twist(0.5, 0.3)).scan, by_mujoco.advance(Twist(0.5, 0.3)).scan
         assert builtin.walker_beams is not None
         assert by_mujoco.walker_beams is not None
@@ -156,7 +156,7 @@ def test_both_rays_see_the_same_walkers(rough: World, husky: Robot) -> None:
         assert np.mean(met == by_mujoco.walker_beams) > 0.99
         both = met & by_mujoco.walker_beams
         assert ours.ranges[both] == pytest.approx(theirs.ranges[both], abs=1e-5)
-    assert seen > 50
+    assert seen > 30
 
 
 def test_walker_beams_are_those_that_walkers_shorten(rough: World, husky: Robot) -> None:

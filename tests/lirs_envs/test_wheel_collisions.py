@@ -85,13 +85,13 @@ def test_validation_counts_a_wheel_at_a_wall(walled: World, T_world_wall: Pose2)
 
 
 @pytest.mark.parametrize("name", GROUND)
-@pytest.mark.parametrize("where", ["simple", "medium"])
+@pytest.mark.parametrize("where", ["simple", pytest.param("medium", marks=pytest.mark.slow)])
 def test_ground_that_can_be_driven_is_none(where: str, name: str) -> None:
     world, robot = world_of(where), make_robot(name)
     site = make_site(world, replace(robot, radius=robot.radius + 0.3))
     body, rng = RobotModel(world, robot, 0.1), np.random.default_rng(2)
     driven = 0.0
-    for _ in range(8):
+    for _ in range(5):
         body.settle(standing_pose(world, robot, site.draw_start(rng)))
         monitor, turn = ContactMonitor(body.contact_drops), rng.uniform(-1, 1)
         drive = make_controllers(robot, body.actuators, [body])
@@ -109,7 +109,7 @@ def test_ground_that_can_be_driven_is_none(where: str, name: str) -> None:
             here = body.pose()
             driven += math.hypot(here.x - before.x, here.y - before.y)
         assert monitor.body_contacts == 0
-    assert driven > 5 * robot.max_speed
+    assert driven > 3 * robot.max_speed
 
 
 DROPS = np.array((-np.inf, 0.8, np.inf))

@@ -34,7 +34,7 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture(scope="module", params=["dunes", "medium"])
+@pytest.fixture(scope="module", params=["dunes", pytest.param("medium", marks=pytest.mark.slow)])
 def world(request: pytest.FixtureRequest, picture: Path) -> World:
     if request.param == "medium":
         return build_world("medium", BuildOptions(max_error=BUDGET))

@@ -93,7 +93,7 @@ def test_no_file_saved_during_rebuilds_is_lost(
     tmp_path: Path, save: Callable[[Path, str], None], parent: str
 ) -> None:
     path = tmp_path / "w"
-    names = [f"{parent}{number}.txt" for number in range(300)]
+    names = [f"{parent}{number}.txt" for number in range(150)]
     if (save, parent) != (save_directly, ""):
         save = retried(save)
     assert save_while_rebuilding(path, save, names) > 1
@@ -169,7 +169,7 @@ def write_often(path: Path, version: str) -> None:
 
 def test_processes_that_write_one_folder_keep_the_user_s_file(tmp_path: Path) -> None:
     path = tmp_path / "w"
-    for _ in range(5):
+    for _ in range(2):
         write_world(path, "0")
         (path / "notes.txt").write_text("mine")
         writers = [FORK.Process(target=write_often, args=(path, f"{i}")) for i in range(4)]
@@ -219,9 +219,9 @@ def write_and_end(path: Path, step: int, end: Callable[[], None]) -> None:
     write_world(path, "2")
 
 
-def ended_worlds(path: Path, end: Callable[[], None]) -> Iterator[Path]:
+def ended_worlds(path: Path, end: Callable[[], None], every: int) -> Iterator[Path]:
     """Yield a world with the user's files after its rebuild ended at each step; stop after the last step."""
-    for step in range(1, 200):
+    for step in range(1, 200, every):
         place = path / str(step) / "w"
         write_world(place, "1")
         (place / "mine").mkdir()
@@ -237,13 +237,16 @@ def ended_worlds(path: Path, end: Callable[[], None]) -> Iterator[Path]:
     raise AssertionError("the write did not end")
 
 
-@pytest.mark.parametrize("end", [kill, interrupt])
+@pytest.mark.parametrize(
+    ("end", "every"),
+    [(kill, 4), *(pytest.param(end, 1, marks=pytest.mark.slow) for end in (kill, interrupt))],
+)
 def test_a_write_that_ends_at_any_step_leaves_a_complete_world(
-    tmp_path: Path, exchange: str, end: Callable[[], None]
+    tmp_path: Path, exchange: str, end: Callable[[], None], every: int
 ) -> None:
     mine = ("notes", "mine/data", "meshes/mine.stl")
     steps, versions, missing = 0, set(), 0
-    for path in ended_worlds(tmp_path, end):
+    for path in ended_worlds(tmp_path, end, every):
         steps += 1
         if path.exists():
             version = (path / "world.json").read_text()
@@ -263,7 +266,7 @@ def test_a_write_that_ends_at_any_step_leaves_a_complete_world(
         assert (path / "model~").read_text() == "edited"
         assert [entry.name for entry in path.parent.iterdir()] == ["w"]
         assert not list(path.rglob("*~2"))
-    assert steps > 15
+    assert steps > 15 / every
     assert versions == {"1", "2"}
     assert missing == 0 or (exchange == "renames" and missing < 4)
 

@@ -27,7 +27,7 @@ FIELDS = {
     "odd and square": rough(23, 18, (0.25, 0.25), 2),
     "a row of cells": rough(2, 33, (0.1, 0.6), 3),
     "one cell": rough(2, 2, (1.0, 2.0), 4),
-    "more levels than the start": rough(30, 151, (0.1, 0.15), 5),
+    (LARGEST := "more levels than the start"): rough(30, 151, (0.1, 0.15), 5),
 }
 
 
@@ -114,7 +114,9 @@ def agree(ours: Array, either: Array, other: Array) -> NDArray[np.bool_]:
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-@pytest.mark.parametrize("name", FIELDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name == LARGEST else name for name in FIELDS]
+)
 def test_equals_brute_force(name: str, kind) -> None:
     """5 x 8 x 320 = 12,800 rays."""
     surface = FIELDS[name]

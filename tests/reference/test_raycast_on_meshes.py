@@ -55,10 +55,12 @@ def unit(d: Array) -> Array:
 
 
 @needs_embree
-@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (800.0, -600.0, 90.0)])
+@pytest.mark.parametrize(
+    "offset", [(0.0, 0.0, 0.0), pytest.param((800.0, -600.0, 90.0), marks=pytest.mark.slow)]
+)
 def test_equals_brute_force(offset: tuple[float, float, float]) -> None:
     """In the last case a float32 coordinate is a multiple of 6e-5 m."""
-    mesh, rng, n = cave(offset), np.random.default_rng(4), 1500
+    mesh, rng, n = cave(offset), np.random.default_rng(4), 900
     origins = rng.uniform((-12, -12, 0.3), (12, 12, 6), (n, 3)) + offset
     directions = unit(rng.standard_normal((n, 3)))
     # The last third towards nodes and middles of edges: no ray may slip through there.
@@ -95,7 +97,7 @@ def test_equals_mujoco_s_mesh_rays() -> None:
     mujoco.mj_forward(model, data)
     caster, seen = MeshCaster(mesh), 0
     for origin in rng.uniform((-12, -12, 0.3), (12, 12, 6), (4, 3)):
-        directions = unit(rng.standard_normal((500, 3)))
+        directions = unit(rng.standard_normal((300, 3)))
         ours, theirs = (
             caster.ranges(origin, directions, 25.0),
             mujoco_hits(model, data, origin, directions, 25.0)[0],
@@ -115,7 +117,7 @@ def test_equals_mujoco_s_mesh_rays() -> None:
         expected = GROUND * abs(np.einsum("ij,ij->i", normals, directions))
         np.testing.assert_allclose(reflectances[met], expected[met], atol=1e-4)
         seen += (np.isfinite(ours) & sure).sum()
-    assert seen > 600
+    assert seen > 400
 
 
 @needs_embree

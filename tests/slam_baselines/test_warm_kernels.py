@@ -12,6 +12,7 @@ from lirs_wct.geometry.pose import Pose2
 from slam_baselines import warm_up
 from slam_baselines.mapper import MAPPERS, make_mapper
 
+SLOW = ("cartographer_original", "gmapping", "gmapping_original")
 DRIVE = """
 import sys
 import numpy as np
@@ -66,7 +67,9 @@ def test_the_room_is_seen_where_it_is() -> None:
     assert np.isfinite(ranges).all()
 
 
-@pytest.mark.parametrize("name", MAPPERS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in MAPPERS]
+)
 def test_every_mapper_keeps_its_place_in_the_warm_up_room(name: str) -> None:
     mapper = make_mapper(name)
     start = warm_up._on_circle(0.0)

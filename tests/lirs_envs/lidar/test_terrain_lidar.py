@@ -33,15 +33,15 @@ def misses(name: str, poses: int, beams: int) -> tuple[int, int]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_no_beam_misses_what_brute_force_hits(name: str) -> None:
-    wrong, met = misses(name, 20, 100)
+    wrong, met = misses(name, 10, 100)
     assert wrong == 0
-    assert met > 300
+    assert met > 150
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_a_hundred_thousand_beams_a_model(name: str) -> None:
-    assert misses(name, 100, 1000)[0] == 0
+def test_twenty_thousand_beams_a_model(name: str) -> None:
+    assert misses(name, 50, 400)[0] == 0
 
 
 def hills(**geom: str) -> mujoco.MjModel:

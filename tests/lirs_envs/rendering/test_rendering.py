@@ -130,6 +130,7 @@ def test_the_ground_wears_its_texture_where_it_belongs(source: str, in_ci: bool)
     assert alike[0] > max(alike[1:]) + 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.render
 def test_another_terrain_is_drawn_anew(in_ci: bool) -> None:
     first, second = (generate("craters", 0.9, np.random.default_rng(seed)) for seed in (1, 2))

@@ -49,6 +49,7 @@ def environment(**changed: str) -> dict[str, str]:
     return kept | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)} | changed
 
 
+@pytest.mark.slow
 @pytest.mark.render
 @pytest.mark.parametrize("end", ["close", "leave"])
 def test_a_window_shows_each_step_and_ends_with_the_program(end: str, tmp_path: Path) -> None:
@@ -69,6 +70,7 @@ def test_a_window_shows_each_step_and_ends_with_the_program(end: str, tmp_path: 
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_a_screen_that_opens_no_window_is_refused_in_one_sentence() -> None:
     program = "from lirs_envs.rendering.views import check_screen; check_screen()"
     done = subprocess.run(

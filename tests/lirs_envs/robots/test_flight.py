@@ -13,7 +13,6 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.build import build_world
 from lirs_wct.world import World
 
 TICK = 0.04
@@ -87,12 +86,8 @@ def test_commanded_is_flown(plane: World, robot: Robot) -> None:
         assert turned / (10 * TICK) == pytest.approx(command.omega, abs=max(0.05 * abs(command.omega), 0.01))
 
 
-@pytest.mark.parametrize("where", ["hills", "medium"])
-def test_follows_terrain_at_three_meters_a_second(
-    where: str, make_world: Callable[..., World], robot: Robot
-) -> None:
-    hills = make_world(lambda x, y: 1.5 * np.sin(x / 1.5) * np.cos(y / 2), nodes=401)
-    world = hills if where == "hills" else build_world("medium")
+def test_follows_terrain_at_three_meters_a_second(make_world: Callable[..., World], robot: Robot) -> None:
+    world = make_world(lambda x, y: 1.5 * np.sin(x / 1.5) * np.cos(y / 2), nodes=401)
     sim = simulation(world, robot)
     sim.reset()
     heights, speeds = [], []
@@ -125,10 +120,10 @@ def test_odometry_and_determinism(plane: World, robot: Robot) -> None:
         sim = Simulation(plane, SimulationConfig(robot=robot, lidar="lms111"), seed=seed)
         sim.reset(Pose2(-3.0, 0.0, 0.4))
         T_world_odom = sim.T_world_base.to_pose2()
-        for k in range(100):
+        for k in range(60):
             seen = sim.advance(Twist(1.0, 0.4 * math.sin(k / 20)))
         guess = T_world_odom @ seen.odometry
-        assert guess.distance(sim.T_world_base.to_pose2()) < 0.06 * 4
+        assert guess.distance(sim.T_world_base.to_pose2()) < 0.06 * 2.4
         ends.append((seen.odometry, seen.scan.ranges.tobytes()))
     assert ends[0] == ends[1] != ends[2]
 

@@ -108,10 +108,16 @@ def error_of(p: Pose2, truth: Pose2) -> np.ndarray:
     return np.array((p.x - truth.x, p.y - truth.y, math.remainder(p.yaw - truth.yaw, math.tau)))
 
 
-@pytest.mark.parametrize(("name", "stops"), [("husky", False), ("husky", True), ("turtlebot2", True)])
+@pytest.mark.parametrize(
+    ("name", "stops"),
+    [
+        ("husky", True),
+        *(pytest.param(*row, marks=pytest.mark.slow) for row in (("husky", False), ("turtlebot2", True))),
+    ],
+)
 def test_the_filter_is_consistent(name: str, stops: bool) -> None:
     """Normalized estimation error squared (Bar-Shalom, Li and Kirubarajan 2001, sec. 5.4.2)."""
-    robot, config, nees, n = make_robot(name), ImuConfig(), [], 60
+    robot, config, nees, n = make_robot(name), ImuConfig(), [], 40
     for seed in range(n):
         rng = np.random.default_rng(seed)
         imu = imu_of(config, (seed, 1))
@@ -164,6 +170,7 @@ def simulated(
     return sim._row._odometry, error_of(seen[-1], truth), repr(seen).encode()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["husky", "turtlebot2"])
 def test_in_the_simulation_the_filter_knows_how_wrong_it_is(name: str, make_world: Callable) -> None:
     world = make_world(lambda x, y: 0.1 * np.sin(x / 2) * np.cos(y / 2))
@@ -177,6 +184,7 @@ def test_in_the_simulation_the_filter_knows_how_wrong_it_is(name: str, make_worl
     assert 3 / 2.5 < np.mean(nees) < 3 * 2.5
 
 
+@pytest.mark.slow
 def test_the_filter_is_not_worse_and_better_with_stops(plane: World, husky: Robot) -> None:
     yaw = {}
     for stops in (False, True):

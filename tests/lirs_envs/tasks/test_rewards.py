@@ -88,7 +88,7 @@ def test_the_border_of_a_map_is_a_wall(yaw: float, hole: bool) -> None:
     world = open_map(yaw, hole)
     assert world.walls is not None
     x, y = middle(world.walls)
-    envs = RobotVectorEnv(8, "mapping", world=world, robot="turtlebot2", time_limit=8, observe=["scan"])
+    envs = RobotVectorEnv(8, "mapping", world=world, robot="turtlebot2", time_limit=6, observe=["scan"])
     for i in range(8):
         envs.episodes.reset(i, np.random.default_rng(i), {"start": [x, y, yaw + i * np.pi / 4]})
     ids, touched = np.arange(8), np.zeros(8, np.bool_)

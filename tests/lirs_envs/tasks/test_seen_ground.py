@@ -40,8 +40,8 @@ def see(ground: SeenGround, ranges: np.ndarray, range_max: float, T: Pose3) -> N
 @pytest.mark.parametrize("reach", [1.0, 3.0])
 def test_against_beams_followed_in_small_steps(rough: World, reach: float) -> None:
     rng = np.random.default_rng(2)
-    angle = rng.uniform(-math.pi, math.pi, 60)
-    beams = np.stack((np.cos(angle), np.sin(angle), np.zeros(60)), axis=1)
+    angle = rng.uniform(-math.pi, math.pi, 40)
+    beams = np.stack((np.cos(angle), np.sin(angle), np.zeros(40)), axis=1)
     frame = seen_frame(rough)
     ground = SeenGround(1, frame.height.shape, beams, np.zeros(3), reach)
     ground.begin(0, frame, np.isfinite(frame.height))

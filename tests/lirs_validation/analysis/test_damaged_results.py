@@ -10,33 +10,27 @@ from typing import Any
 
 import pytest
 
-from lirs_validation import cli, map_log, validate
+from lirs_validation import cli, resolve_source
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.config import SourceOptions
 from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.page import report_of
 from lirs_validation.report.run_tables import results_table
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import SourceError
+from lirs_wct.formats.map_server import read_map
 from tests.lirs_validation.records import record, saved, saved_whole
 
-ROOT = Path(__file__).resolve().parents[3]
+pytestmark = pytest.mark.usefixtures("empty_charts")
 NONSENSE: tuple[Any, ...] = (None, [], {}, "much", -7, [[1]], {"a": {"b": 1}}, True, "\u0000", 1e308)
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = validate("simple", seconds=4, out=tmp_path_factory.mktemp("out"))
-    assert made.folder is not None
-    return made.folder
-
-
 @pytest.fixture
-def folder(run: Path, tmp_path: Path) -> Path:
+def folder(finished_run_copy: Path) -> Path:
     """A copy of the run, beside a second one that is whole."""
-    saved(tmp_path / "out", seed=2)
-    shutil.copytree(run, tmp_path / "out" / run.name)
-    return tmp_path / "out" / run.name
+    saved(finished_run_copy.parent, seed=2)
+    return finished_run_copy
 
 
 def lines(
@@ -60,13 +54,15 @@ def cut(path: Path, how: str) -> None:
         )
 
 
-@pytest.mark.slow
+CUTS = [
+    *((name, how) for name in WITH_RESULTS for how in ("gone", "half")),
+    *((name, how) for name in ("record.json", "map.pgm", "truth.tum") for how in ("empty", "noise")),
+]
+
+
 @pytest.mark.parametrize(
     ("name", "how"),
-    [
-        *((name, how) for name in WITH_RESULTS for how in ("gone", "half")),
-        *((name, how) for name in ("record.json", "map.pgm", "truth.tum") for how in ("empty", "noise")),
-    ],
+    [pytest.param(*cut, marks=pytest.mark.slow) if k > 1 else cut for k, cut in enumerate(CUTS)],
 )
 def test_a_file_that_is_cut_off_is_named(
     name: str, how: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -100,13 +96,13 @@ def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 @pytest.mark.slow
 def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> None:
-    """Every value of a record is replaced by nonsense, one at a time."""
+    """Every value of a record is replaced by nonsense of three kinds, one at a time."""
     folder = saved_whole(tmp_path, record())
     whole = json.loads((folder / "record.json").read_text())
     experiment = SlamExperiment(recorded_config(whole))
     assert experiment.find_outcome(tmp_path) is not None
-    for place in places(whole):
-        for value in NONSENSE:
+    for number, place in enumerate(places(whole)):
+        for value in NONSENSE[number % 3 :: 3]:
             odd = copy.deepcopy(whole)
             at = odd
             for part in place[:-1]:
@@ -158,22 +154,18 @@ def test_a_collision_check_that_is_nonsense_is_run_again(text: str, tmp_path: Pa
     [("record.json", "half"), ("map.pgm", "gone"), ("map.pgm", "noise"), ("map.yaml", "empty")],
 )
 def test_a_mapped_log_that_is_cut_off_is_mapped_again(
-    name: str, how: str, mapped: Path, tmp_path: Path
+    name: str, how: str, mapped: Path, finished_run: Path, tmp_path: Path
 ) -> None:
-    from lirs_validation.logs.map_log import resolve_source
-    from lirs_wct.formats.map_server import read_map
-    from lirs_wct.sources.options import BuildOptions
-
-    log = ROOT / "examples" / "data" / "office.clf.gz"
-    out = tmp_path / "out"
+    log, out = finished_run / "scans.clf.gz", tmp_path / "out"
     shutil.copytree(mapped.parent, out)
     cut(out / mapped.name / name, how)
-    found = resolve_source(log, BuildOptions(), out)
+    found = resolve_source(log, SourceOptions(log_mapper="hector"), out)
     assert read_map(Path(found)).known.any()
 
 
 @pytest.fixture(scope="module")
-def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    made = map_log(ROOT / "examples" / "data" / "office.clf.gz", out=tmp_path_factory.mktemp("mapped"))
-    assert made.folder is not None
-    return made.folder
+def mapped(finished_run: Path, plain_pictures: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    options = SourceOptions(log_mapper="hector")
+    return Path(
+        resolve_source(finished_run / "scans.clf.gz", options, tmp_path_factory.mktemp("mapped"))
+    ).parent

@@ -21,6 +21,8 @@ from lirs_wct.formats.map_server import write_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.sources.build import build_world
 
+pytestmark = pytest.mark.usefixtures("plain_pictures")
+
 
 def hills(seed: int) -> np.ndarray:
     rough = np.random.default_rng(seed).normal(size=(65, 65))

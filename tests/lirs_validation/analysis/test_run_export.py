@@ -5,18 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation import validate
 from lirs_validation.analysis.recorded_run import export_run, recorded_drive
-from lirs_validation.analysis.result_folders import RunFolder, read_run
+from lirs_validation.analysis.result_folders import RunFolder, read_results
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.tum import read_tum
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    made = validate("simple", mapper="hector", seconds=2.0, out=tmp_path_factory.mktemp("out"))
-    assert made.folder is not None
-    return read_run(made.folder)
+@pytest.fixture
+def run(sweep_folder: Path) -> RunFolder:
+    return read_results(sweep_folder).runs[0]
 
 
 def test_tables_hold_what_was_recorded(run: RunFolder, tmp_path: Path) -> None:
@@ -45,8 +42,9 @@ def test_a_bag_begins_at_the_origin_and_knows_the_sensor(run: RunFolder, tmp_pat
     found = [m.ros_msg for m in reader.read_ros2_messages(str(folder / "bag.mcap"), topics=["/ground_truth"])]
     assert len(found) == len(drive.ticks)
     assert found[0].pose.position.x == pytest.approx(0, abs=1e-9)
-    assert drive.ticks[0].scan.range_min > 0.02
-    assert drive.ticks[0].scan.T_base_laser.z > 0.1
+    scan = drive.ticks[0].scan
+    assert (len(scan.ranges), scan.range_min, scan.range_max) == (682, 0.02, 5.6)
+    assert scan.T_base_laser.z > 0.1
 
 
 def test_sensors_only_leaves_the_mapper_out(run: RunFolder, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation import cli, validate
+from lirs_validation import cli
 from lirs_validation.analysis.recorded_run import export_run, recorded_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder, read_run
 from lirs_validation.analysis.score import score
@@ -19,21 +19,18 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry.pose import Pose2, Trajectory
-from lirs_wct.sources.options import BuildOptions
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    out = tmp_path_factory.mktemp("out")
-    made = validate("medium", seconds=15, seed=2, out=out, options=BuildOptions(size=40.0, height=4.0))
-    assert made.folder is not None
-    return read_run(made.folder)
+@pytest.fixture
+def run(finished_run: Path) -> RunFolder:
+    return read_run(finished_run)
 
 
-@pytest.fixture(scope="module")
-def foreign(run: RunFolder, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+@pytest.fixture
+def foreign(run: RunFolder, tmp_path: Path) -> tuple[Path, Path]:
     """The run's own result as another program would give it: in the map frame, at every third scan."""
-    folder = tmp_path_factory.mktemp("foreign")
+    folder = tmp_path / "foreign"
+    folder.mkdir()
     T_map_world = read_tum(run.folder / "truth.tum").pose2(0).inverse()
     estimate = read_tum(run.folder / "estimate.tum").moved(T_map_world)
     thinned = Trajectory(estimate.stamps[::3], estimate.positions[::3], estimate.quaternions[::3])
@@ -76,10 +73,10 @@ def test_its_own_files_score_its_own_figures(run: RunFolder) -> None:
 def test_the_map_frame_is_that_of_the_first_base_pose(run: RunFolder, foreign: tuple[Path, Path]) -> None:
     scored = score(run, trajectory=foreign[0], map_yaml=foreign[1])
     assert scored.frame == "map"
-    assert scored.given == scored.trajectory["poses"] == math.ceil(376 / 3)
-    assert scored.trajectory["scan_coverage"] == pytest.approx(126 / 376)
+    assert scored.given == scored.trajectory["poses"] == math.ceil(101 / 3)
+    assert scored.trajectory["scan_coverage"] == pytest.approx(34 / 101)
     assert scored.status == "incomplete"
-    assert "33.5 % of the scans, at least 95 %" in scored.reason
+    assert "33.7 % of the scans, at least 95 %" in scored.reason
     assert scored.trajectory["ate_rmse"] == pytest.approx(run.entry["trajectory"]["ate_rmse"], rel=0.1)
     assert scored.map["f1"] == pytest.approx(run.entry["map"]["f1"], abs=1e-6)
     assert scored.map["occupied_cells"] == run.entry["map"]["occupied_cells"]
@@ -129,7 +126,7 @@ def test_a_map_of_other_cells_meets_a_true_pose_map_of_its_own(run: RunFolder, t
 
 def test_the_config_reads_back(run: RunFolder) -> None:
     config = recorded_config(run.entry)
-    assert config.build == SourceOptions(size=40.0, height=4.0)
+    assert config.build == SourceOptions(size=20.0, height=2.0, resize=(129, 129))
     assert config.digest == run.folder.name[-8:]
     with_more = json.loads(json.dumps(run.entry)) | {"config": dict(run.entry["config"]) | {"wind": 3}}
     with pytest.raises(SourceError, match="unknown to this version: wind"):
@@ -140,7 +137,7 @@ def test_other_stamps_are_said(run: RunFolder, foreign: tuple[Path, Path], tmp_p
     estimate = read_tum(foreign[0])
     write_tum(tmp_path / "late.tum", replace(estimate, stamps=estimate.stamps + 1.7e9))
     with pytest.raises(
-        SourceError, match=r"late\.tum: other stamps: 0 of its 126 poses .*run's 0\.00 \.\. 15\.00 s"
+        SourceError, match=r"late\.tum: other stamps: 0 of its 34 poses .*run's 0\.00 \.\. 10\.00 s"
     ):
         score(run, trajectory=tmp_path / "late.tum")
 
@@ -177,8 +174,8 @@ def test_the_command(
     assert document["files"]["map"] == str(foreign[1])
     assert np.isfinite(document["trajectory"]["ate_rmse"])
     shown = " ".join(capsys.readouterr().out.split())
-    assert "126 scans have a pose, 126 poses were given" in shown
-    assert "33.5 % of the scans" in shown
+    assert "34 scans have a pose, 34 poses were given" in shown
+    assert "33.7 % of the scans" in shown
     for wrong in (words[:3], [*words, "--frame", "moon"]):
         monkeypatch.setattr("sys.argv", wrong)
         with pytest.raises(SystemExit) as ended:

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_validation import cli, validate
-from lirs_validation.analysis.result_folders import RunFolder, read_run
+from lirs_validation import cli
+from lirs_validation.analysis.result_folders import read_run
 from lirs_validation.analysis.score import find_time_offset, interpolate_poses, score
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.tum import read_tum, write_tum
@@ -68,16 +68,10 @@ def test_poses_of_another_rate_are_interpolated() -> None:
     assert not ((kept > 20.1) & (kept < 29.9)).any()
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    made = validate("medium", seconds=20, seed=2, out=tmp_path_factory.mktemp("out"))
-    assert made.folder is not None
-    return read_run(made.folder)
-
-
 def test_another_rate_clock_and_frame_score_alike(
-    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    run = read_run(finished_run)
     own = read_tum(run.folder / "estimate.tum")
     stamps = np.arange(own.stamps[0] + 0.013, own.stamps[-1], 1 / 30)
     x, y, yaw = own.planar_at(stamps).T.tolist()
@@ -88,7 +82,7 @@ def test_another_rate_clock_and_frame_score_alike(
     with pytest.raises(SourceError, match=r"another frame: .*--frame align"):
         score(run, trajectory=tmp_path / "est.tum", time_offset="auto")
     found = score(run, trajectory=tmp_path / "est.tum", time_offset="auto", frame="align")
-    assert found.time_offset == pytest.approx(1.7e9, abs=0.01)
+    assert found.time_offset == pytest.approx(1.7e9, abs=0.05)  # of 10 s
     assert found.status == "ok"
     assert found.trajectory["ate_rmse"] == pytest.approx(run.entry["trajectory"]["ate_rmse"], abs=0.01)
     with pytest.raises(ConfigError, match="--frame align needs a trajectory"):

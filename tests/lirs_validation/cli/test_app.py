@@ -55,14 +55,15 @@ def test_bad_input_is_one_line_and_code_2(case: str, files: Path, wct: Any) -> N
     assert sorted(files.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_a_process_ends_with_code_2_and_without_a_traceback(files: Path) -> None:
     done = started(*BAD["truncated"][0], cwd=files)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
 
 
-def test_build_writes_the_package(files: Path) -> None:
-    done = started("build", "good.png", "-o", "worlds", "--size", "20", "--height", "2", cwd=files)
-    assert done.returncode == 0, done.stderr
+def test_build_writes_the_package(files: Path, wct: Any) -> None:
+    code, _, err = wct("build", "good.png", "-o", "worlds", "--size", "20", "--height", "2")
+    assert code == 0, err
     folder = files / "worlds" / "good"
     expected = {
         "model.config", "model.sdf", "good.world", "good.xml", "world.json",
@@ -72,35 +73,31 @@ def test_build_writes_the_package(files: Path) -> None:
     assert [p.name for p in (files / "worlds").iterdir()] == ["good"]
 
 
-def test_build_spares_a_folder_that_is_not_its_own(files: Path) -> None:
+def test_build_spares_a_folder_that_is_not_its_own(files: Path, wct: Any) -> None:
     other = files / "worlds" / "good"
     other.mkdir(parents=True)
     (other / "thesis.tex").write_text("years of work")
-    done = started("build", "good.png", "-o", "worlds", cwd=files)
-    assert done.returncode == 2
+    assert wct("build", "good.png", "-o", "worlds")[0] == 2
     assert (other / "thesis.tex").read_text() == "years of work"
 
 
 @pytest.mark.slow
-def test_view_draws_any_source_beside_it(files: Path) -> None:
+def test_view_draws_any_source_beside_it(files: Path, wct: Any) -> None:
     before = (files / "good.png").read_bytes()
-    done = started("view", "good.png", cwd=files)
-    assert done.returncode == 0, done.stderr
+    assert wct("view", "good.png")[0] == 0
     assert cv2.imread(str(files / "good-view.png")) is not None
     assert (files / "good.png").read_bytes() == before
 
 
-def test_no_command_shows_the_help_and_nothing_else(tmp_path: Path) -> None:
-    done = started(cwd=tmp_path)
-    assert done.returncode == 2
-    assert "Usage" in done.stdout + done.stderr
-    assert "lirs-wct:" not in done.stderr
+def test_no_command_shows_the_help_and_nothing_else(wct: Any) -> None:
+    code, out, err = wct()
+    assert code == 2
+    assert "Usage" in out + err
+    assert "lirs-wct:" not in err
 
 
-def test_the_version_is_shown(tmp_path: Path) -> None:
-    said = started("--version", cwd=tmp_path)
-    assert (said.returncode, said.stderr) == (0, "")
-    assert said.stdout == f"lirs-wct {importlib.metadata.version('lirs-wct')}\n"
+def test_the_version_is_shown(wct: Any) -> None:
+    assert wct("--version") == (0, f"lirs-wct {importlib.metadata.version('lirs-wct')}\n", "")
 
 
 def test_names_are_read_each_once() -> None:

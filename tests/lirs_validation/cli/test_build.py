@@ -178,7 +178,7 @@ def test_options_without_effect_are_told(folder: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("command", ["build", "info", "view"])
+@pytest.mark.parametrize("command", ["build", "info", pytest.param("view", marks=pytest.mark.slow)])
 def test_a_window_beyond_the_world_is_told_by_every_command(
     command: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -335,13 +335,15 @@ def test_a_glb_stands_upright_where_y_is_up(folder: Path) -> None:
     np.testing.assert_allclose(np.ptp(trimesh.load_mesh("tower.glb").bounds, axis=0), (1, 5, 2), atol=1e-6)
 
 
-def test_an_mjcf_of_every_kind_of_source_compiles(folder: Path) -> None:
-    trimesh.creation.icosphere(2, 3.0).export("ball.ply")
-    for source in ("hill.png", "room.yaml", "ball.ply"):
-        built(source, to="mjcf")
-        model = mujoco.MjModel.from_xml_path("out/w/w.xml")
-        mujoco.mj_step(model, mujoco.MjData(model))
-        assert math.isfinite(model.stat.extent)
+@pytest.mark.parametrize(
+    "source", ["hill.png", "room.yaml", pytest.param("ball.ply", marks=pytest.mark.slow)]
+)
+def test_an_mjcf_of_every_kind_of_source_compiles(source: str, folder: Path) -> None:
+    trimesh.creation.icosphere(1, 3.0).export("ball.ply")
+    built(source, to="mjcf")
+    model = mujoco.MjModel.from_xml_path("out/w/w.xml")
+    mujoco.mj_step(model, mujoco.MjData(model))
+    assert math.isfinite(model.stat.extent)
 
 
 def test_without_a_budget_mesh_files_are_within_a_thousandth_of_the_relief(

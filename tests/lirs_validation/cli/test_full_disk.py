@@ -24,6 +24,7 @@ from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
 DATA = ROOT / "examples" / "data"
+SMALL = ("--size", "20", "--height", "2", "--resize", "129,129")
 
 
 @contextmanager
@@ -57,16 +58,21 @@ def test_a_picture_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     ("words", "size"),
     [
         (("build", str(DATA / "dunes.png"), "--to", "mjcf"), 15_000),  # the ground's texture
-        (("build", str(DATA / "dunes.png"), "--to", "stl"), 15_000),
         (("build", str(DATA / "dunes.png"), "--to", "dae,sdf"), 15_000),
-        (("map", str(DATA / "office.clf.gz"), "--mapper", "hector"), 15_000),
-        (("validate", "simple", "--seconds", "1"), 30_000),
-        (("validate", "simple", "--seconds", "1", "--seeds", "1,2"), 30_000),
+        (("map", "scans.clf.gz", "--mapper", "hector", "--second", "none"), 15_000),
+        (("validate", "simple", *SMALL, "--seconds", "0.4"), 15_000),
+        (("validate", "simple", *SMALL, "--seconds", "0.4", "--seeds", "1,2"), 15_000),
     ],
 )
 def test_a_command_on_a_full_disk_says_so_in_one_line(
-    words: tuple[str, ...], size: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...],
+    size: int,
+    finished_run: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(finished_run)
     # With room first: kernels that are compiled under the limit could not be cached.
     assert run_command(*words, "-o", str(tmp_path / "roomy")) == 0
     capsys.readouterr()
@@ -79,10 +85,11 @@ def test_a_command_on_a_full_disk_says_so_in_one_line(
 
 
 @pytest.mark.slow
-def test_a_full_disk_leaves_the_former_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk_leaves_the_former_report(
+    sweep_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     page = tmp_path / "report.html"
-    assert run_command("validate", "simple", "--seconds", "1", "-o", str(tmp_path / "runs")) == 0
-    words = ("report", str(tmp_path / "runs"), "-o", str(page))
+    words = ("report", str(sweep_folder), "-o", str(page))
     assert run_command(*words) == 0
     former = page.read_bytes()
     capsys.readouterr()
@@ -91,14 +98,15 @@ def test_a_full_disk_leaves_the_former_report(tmp_path: Path, capsys: pytest.Cap
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("lirs-wct: ")]
     assert said == [f"lirs-wct: {page}: cannot be written: File too large"]
     assert page.read_bytes() == former
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "runs"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_terminal_without_room_is_said() -> None:
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
-            [sys.executable, "-c", "from lirs_validation.cli import main; main()", "info", "simple"],
+            [sys.executable, "-c", "from lirs_validation.cli import main; main()", "mappers"],
             env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'envs'}"},
             stdout=full,
             stderr=subprocess.PIPE,

@@ -7,9 +7,12 @@ import pytest
 
 from lirs_validation.record.run_record import read_record
 
+pytestmark = pytest.mark.usefixtures("plain_pictures")
+SMALL = ("--size", "20", "--height", "2", "--resize", "129,129", "--seconds", "0.4")
+
 
 def test_a_drive_is_recorded_into_the_folder_that_is_named(wct: Any, tmp_path: Path) -> None:
-    told = ("simple", "--robot", "husky", "--seconds", "1", "--storage", "sqlite3", "-o", "run")
+    told = ("simple", *SMALL, "--storage", "sqlite3", "-o", "run")
     code, shown, _ = wct("record", *told)
     assert code == 0
     assert "run" in shown.splitlines()
@@ -24,12 +27,16 @@ def test_a_drive_is_recorded_into_the_folder_that_is_named(wct: Any, tmp_path: P
     code, _, complaint = wct("record", "simple", "--seconds", "2", "-o", "run")
     assert (code, complaint.count("\n")) == (2, 1)
     assert "run: holds another run, simple-husky-hector-s1-" in complaint
-    code, shown, _ = wct("map", "run", "--mapper", "hector", "--scan-topic", "/scan", "-o", "maps")
-    assert code == 0
+
+
+@pytest.mark.slow
+def test_what_was_recorded_is_mapped(wct: Any) -> None:
+    assert wct("record", "simple", *SMALL, "-o", "run")[0] == 0
+    assert wct("map", "run", "--mapper", "hector", "--scan-topic", "/scan", "-o", "maps")[0] == 0
 
 
 def test_several_drives_are_recorded_beside_each_other(wct: Any, tmp_path: Path) -> None:
-    code, _, _ = wct("record", "simple", "--seeds", "1-2", "--seconds", "1", "-o", "bags")
+    code, _, _ = wct("record", "simple", *SMALL, "--seeds", "1-2", "-o", "bags")
     assert code == 0
     folders = [p for p in (tmp_path / "bags").iterdir() if p.is_dir()]
     assert len(folders) == 2

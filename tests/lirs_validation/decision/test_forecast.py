@@ -97,9 +97,9 @@ def test_a_model_is_monotonic_and_gets_no_bolder_beyond_what_was_studied() -> No
     assert found[3] == found[4]
 
 
-def test_a_forecast_tells_walls_from_bare_hills_and_is_only_given_for_what_was_studied() -> None:
+def test_a_forecast_tells_walls_from_bare_hills_and_is_only_given_for_what_was_studied(room: str) -> None:
     robot = make_robot("husky")
-    walls = build_scenario(CONFIG).world
+    walls = build_scenario(replace(CONFIG, source=room)).world
     x = np.linspace(-10, 10, 201)
     waves = (0.3 * np.sin(x)[None] * np.cos(x)[:, None]).astype(np.float32)
     bare = World("bare", Terrain(HeightField.centered(waves, (0.1, 0.1))))

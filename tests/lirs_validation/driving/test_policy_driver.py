@@ -90,10 +90,9 @@ def test_a_policy_does_not_drive_backwards() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_pretrained_policy_roams_a_floor_plan(seed: int, tmp_path: Path) -> None:
-    folder = World("plan", floor_plan(np.random.default_rng(seed)), scale="generated").save(tmp_path)
-    config = RunConfig(source=str(folder), driver="pretrained", robot="turtlebot2", seconds=40.0, seed=seed)
+def test_the_pretrained_policy_roams_a_floor_plan(tmp_path: Path) -> None:
+    folder = World("plan", floor_plan(np.random.default_rng(1)), scale="generated").save(tmp_path)
+    config = RunConfig(source=str(folder), driver="pretrained", robot="turtlebot2", seconds=40.0)
     fast, slow = run(config), run(replace(config, speed=0.5))
     assert fast.record.status == slow.record.status == "ok"
     steps, slower = driven(fast), driven(slow)

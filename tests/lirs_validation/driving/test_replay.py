@@ -2,7 +2,9 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from lirs_validation.experiment.run import Run
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.drive_csv import Commands
 from lirs_wct.geometry.pose import Pose2
+from tests.kit import SMALL
 
 
 def test_commands_come_at_their_time_and_rest_follows() -> None:
@@ -27,24 +30,22 @@ def test_commands_come_at_their_time_and_rest_follows() -> None:
     assert driver.command(Pose2(), 0.08) == Twist()
 
 
-@pytest.fixture(scope="module", params=["husky", "quadrotor"])
-def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Run:
+DRIVE: dict[str, Any] = {"seed": 2, "options": SMALL}
+pytestmark = pytest.mark.usefixtures("plain_pictures")
+
+
+@pytest.fixture(scope="module", params=["husky", pytest.param("quadrotor", marks=pytest.mark.slow)])
+def recorded(
+    request: pytest.FixtureRequest, plain_pictures: None, tmp_path_factory: pytest.TempPathFactory
+) -> Run:
     out = tmp_path_factory.mktemp("recorded")
-    return validate("simple", robot=request.param, mapper="hector", seconds=4.0, seed=2, out=out)
+    return validate("simple", robot=request.param, mapper="hector", seconds=1.0, out=out, **DRIVE)
 
 
 def test_another_mapper_on_the_same_commands_has_the_same_truth(recorded: Run, tmp_path: Path) -> None:
-    robot = recorded.record.config.robot
-    for mapper in ("hector", "gmapping"):
-        again = validate(
-            "simple",
-            robot=robot,
-            mapper=mapper,
-            driver=f"replay:{recorded.folder}",
-            seconds=4.0,
-            seed=2,
-            out=tmp_path,
-        )
+    drive = DRIVE | {"robot": recorded.record.config.robot, "driver": f"replay:{recorded.folder}"}
+    for mapper in ("hector", "examples.your_own_mapper:DeadReckoning"):
+        again = validate("simple", mapper=mapper, seconds=1.0, out=tmp_path, **drive)
         assert again.folder is not None
         assert recorded.folder is not None
         assert (again.folder / "truth.tum").read_bytes() == (recorded.folder / "truth.tum").read_bytes()
@@ -55,23 +56,23 @@ def test_another_mapper_on_the_same_commands_has_the_same_truth(recorded: Run, t
 
 def test_a_replay_ends_with_its_commands(recorded: Run) -> None:
     robot = recorded.record.config.robot
-    again = validate("simple", robot=robot, driver=f"replay:{recorded.folder}", seconds=30.0, seed=2)
+    again = validate("simple", robot=robot, driver=f"replay:{recorded.folder}", seconds=30.0, **DRIVE)
     assert again.record.status == "ok"
     assert again.record.reason.startswith("the commands of ")
-    assert again.record.rtf["simulated_seconds"] == pytest.approx(4.0)
+    assert again.record.rtf["simulated_seconds"] == pytest.approx(1.0)
 
 
 def test_what_does_not_fit_the_recorded_run_is_named(recorded: Run, tmp_path: Path) -> None:
     folder, robot = recorded.folder, recorded.record.config.robot
     assert folder is not None
-    fits = RunConfig(source="simple", robot=robot)
+    fits = RunConfig(source="simple", robot=robot, build=SMALL)
     assert replay(folder, fits, "simple").start == recorded.log.start
     with pytest.raises(ConfigError, match="the same is needed"):
         replay(folder, fits, "medium")
     with pytest.raises(ConfigError, match=r"drives '.*', this run 'jackal'"):
-        replay(folder, RunConfig(source="simple", robot="jackal"), "simple")
+        replay(folder, replace(fits, robot="jackal"), "simple")
     with pytest.raises(ConfigError, match="the same lidar is needed"):
-        replay(folder, RunConfig(source="simple", robot=robot, lidar="lds01"), "simple")
+        replay(folder, replace(fits, lidar="lds01"), "simple")
     bare = tmp_path / "bare"
     shutil.copytree(folder, bare)
     (bare / "commands.csv").unlink()

@@ -67,21 +67,22 @@ def test_a_goal_is_reached_from_the_start_or_named(corridor: Path) -> None:
 
 
 def test_the_pretrained_policy_drives_to_a_goal_and_repeats(corridor: Path) -> None:
-    config = RunConfig(source=str(corridor), robot="jackal", driver="pretrained:3,0", seconds=60)
+    config = RunConfig(source=str(corridor), robot="jackal", driver="pretrained:0,0", seconds=60)
     config = replace(config, build=replace(config.build, start=Pose2(-3.0, 0.0, 3.0)))
-    first, second = run(config), run(config)
+    first = run(config)
     end = first.log.truth[-1].to_pose2()
-    assert math.hypot(end.x - 3.0, end.y) < 0.7
+    assert math.hypot(end.x, end.y) < 0.7
     assert first.record.reason.startswith("the last goal is reached at ")
-    assert [p.to_pose2() for p in first.log.truth] == [p.to_pose2() for p in second.log.truth]
+    second = run(replace(config, seconds=2.0)).log.truth
+    assert [p.to_pose2() for p in second] == [p.to_pose2() for p in first.log.truth[: len(second)]]
     with pytest.raises(SourceError, match=r"^pretrained:3,5: waypoint 2 \(3, 5\) is off the map"):
         run(replace(config, driver="pretrained:3,5"))
 
 
 def test_the_pretrained_policy_roams_without_a_goal(corridor: Path) -> None:
-    found = run(RunConfig(source=str(corridor), robot="jackal", driver="pretrained", seconds=20))
+    found = run(RunConfig(source=str(corridor), robot="jackal", driver="pretrained", seconds=8))
     steps = np.diff([(p.to_pose2().x, p.to_pose2().y) for p in found.log.truth], axis=0)
-    assert np.hypot(*steps.T).sum() > 4.0
+    assert np.hypot(*steps.T).sum() > 2.0
 
 
 @pytest.mark.parametrize("kind", ["goal", "pretrained"])
@@ -148,7 +149,7 @@ def test_a_start_where_nobody_can_stand_is_refused(corridor: Path) -> None:
 
 def test_a_large_terrain_is_cut_around_its_start() -> None:
     build = BuildOptions(size=600, start=Pose2(150.0, -120.0))
-    window = build_scenario(RunConfig(source="medium", build=build)).window
+    window = build_scenario(RunConfig(source="simple", build=build)).window
     assert window == (150.0, -120.0, 50.0)
 
 

@@ -13,7 +13,7 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 
 
 class Puppet:
-    """Simulation and driver in one; `fails` names the failure that begins at tick `at`."""
+    """Simulation and driver in one; `fails` names what fails from tick `at` on, or it is `finished`."""
 
     walker_beams = None
     period = 0.04
@@ -22,7 +22,7 @@ class Puppet:
     frame = "world"
 
     def __init__(self, fails: str, at: int, finished: str = "") -> None:
-        self.fails, self.at, self.finished, self.ticks = fails, at, finished, 0
+        self.fails, self.at, self.ends, self.ticks = fails, at, finished, 0
 
     def _failing(self, name: str) -> bool:
         return self.fails == name and self.ticks >= self.at
@@ -31,6 +31,7 @@ class Puppet:
     tipped = property(lambda self: self._failing("tipped"))
     off_world = property(lambda self: self._failing("off world"))
     stuck = property(lambda self: self._failing("stuck"))
+    finished = property(lambda self: self.ends if self.ticks >= self.at else "")
 
     def reset(self, start: Pose2) -> Observation:
         return self.advance(Twist())
@@ -51,14 +52,14 @@ class Puppet:
 
 
 class SlowPuppet:
-    """A mapper that takes its time, and answers with the scan's stamp as x."""
+    """A mapper that takes its time, answers with the scan's stamp as x, and is lost between two stamps."""
 
-    def __init__(self, seconds: float = 0.002, *, lost_from: float = 1e9) -> None:
-        self.seconds, self.lost_from, self.stamps = seconds, lost_from, list[float]()
+    def __init__(self, seconds: float = 0.002, *, lost: tuple[float, float] = (1e9, 1e9)) -> None:
+        self.seconds, self.lost_between, self.stamps = seconds, lost, list[float]()
 
     @property
     def lost(self) -> bool:
-        return bool(self.stamps) and self.stamps[-1] >= self.lost_from
+        return bool(self.stamps) and self.lost_between[0] <= self.stamps[-1] < self.lost_between[1]
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         clock.sleep(self.seconds)

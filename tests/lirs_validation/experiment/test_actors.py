@@ -4,17 +4,12 @@ import numpy as np
 import pytest
 
 from lirs_validation import RunConfig, validate
-from lirs_validation.experiment.run import Run
 from lirs_wct.errors import ConfigError
 
 
-@pytest.fixture(scope="module")
-def run() -> Run:
-    return validate("medium", seconds=15, seed=3, actors=50)
-
-
-def test_the_true_map_holds_no_walker_and_the_mappers_map_does(run: Run) -> None:
-    assert run.record.config.actors == 50
+def test_the_true_map_holds_no_walker_and_the_mappers_map_does(room: str) -> None:
+    run = validate(room, seconds=6, seed=3, actors=6)
+    assert run.record.config.actors == 6
     met = np.array(run.log.walker_beams)
     assert len(met) == len(run.log.observations)
     assert 0.02 < met.mean() < 0.5
@@ -23,8 +18,8 @@ def test_the_true_map_holds_no_walker_and_the_mappers_map_does(run: Run) -> None
     assert run.maps.scores["false_occupied"] > 0.01
 
 
-def test_without_walkers_nothing_is_left_out() -> None:
-    run = validate("medium", seconds=1, seed=3)
+def test_without_walkers_nothing_is_left_out(room: str) -> None:
+    run = validate(room, seconds=1, seed=3)
     assert len(run.log.walker_beams) == 0
     assert run.record.config.actors == 0
 

@@ -2,6 +2,7 @@
 
 import errno
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,16 +23,22 @@ from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.geometry.pose import Pose3
 
-SECONDS = 6.0
-
-
-def recorded(out: Path, **options: Any) -> Run:
-    given: dict[str, Any] = {"mapper": "hector", "seconds": SECONDS, "bag": "mcap"} | options
-    return validate("simple", **given, out=out)
+SECONDS = 2.0
+pytestmark = pytest.mark.usefixtures("plain_pictures")
+Record = Callable[..., Run]
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def recorded(room: str) -> Record:
+    def record(out: Path, **options: Any) -> Run:
+        given: dict[str, Any] = {"mapper": "hector", "seconds": SECONDS, "bag": "mcap"} | options
+        return validate(room, **given, out=out)
+
+    return record
+
+
+@pytest.fixture(scope="module")
+def made(recorded: Record, tmp_path_factory: pytest.TempPathFactory, plain_pictures: None) -> Run:
     return recorded(tmp_path_factory.mktemp("out"))
 
 
@@ -52,7 +59,7 @@ def pose_of(position: Any, rotation: Any) -> Pose3:
     return Pose3(position.x, position.y, position.z, rotation.w, rotation.x, rotation.y, rotation.z)
 
 
-def test_a_bag_changes_nothing_else(made: Run, tmp_path: Path) -> None:
+def test_a_bag_changes_nothing_else(made: Run, recorded: Record, tmp_path: Path) -> None:
     plain = recorded(tmp_path, bag=None)
     assert plain.record.name == made.record.name, "the digest says what is tried, not what is recorded"
     for name in ("estimate.tum", "truth.tum", "odometry.tum", "commands.csv", "map.pgm", "scans.clf.gz"):
@@ -100,18 +107,18 @@ def test_the_bag_holds_what_was_sensed_and_answered(made: Run) -> None:
     ("robot", "mapper"),
     [
         ("husky", "hector"),
-        ("husky", "gmapping"),
-        ("husky", "cartographer"),
-        ("husky", "hector_original"),
-        ("husky", "gmapping_original"),
-        ("husky", "cartographer_original"),
+        *(
+            pytest.param("husky", mapper, marks=pytest.mark.slow)
+            for mapper in ("gmapping", "cartographer", "hector_original")
+        ),
         # Its range_min, .1 m, and its angles, 270.25 deg / 1080, are no float32.
-        ("jackal", "hector"),
-        ("jackal", "cartographer"),
+        pytest.param("jackal", "hector", marks=pytest.mark.slow),
     ],
 )
-def test_mapping_the_bag_gives_the_trajectory_of_the_drive(robot: str, mapper: str, tmp_path: Path) -> None:
-    driven = recorded(tmp_path, robot=robot, mapper=mapper)
+def test_mapping_the_bag_gives_the_trajectory_of_the_drive(
+    robot: str, mapper: str, recorded: Record, tmp_path: Path
+) -> None:
+    driven = recorded(tmp_path, robot=robot, mapper=mapper, seconds=0.8)
     again = run_mapping(MapConfig(log=str(folder_of(driven)), mapper=mapper, imu_topic="/imu")).trajectory
     online = driven.log.final
     assert online is not None
@@ -120,7 +127,7 @@ def test_mapping_the_bag_gives_the_trajectory_of_the_drive(robot: str, mapper: s
     np.testing.assert_allclose(again.yaw, online.yaw, atol=1e-6)
 
 
-def test_scans_come_back_as_the_mapper_had_them(tmp_path: Path) -> None:
+def test_scans_come_back_as_the_mapper_had_them(recorded: Record, tmp_path: Path) -> None:
     driven = recorded(tmp_path, robot="jackal", seconds=1.0, bag="sqlite3")
     log = read_bag(folder_of(driven), Topics(imu="/imu"))
     for k, observation in enumerate(driven.log.observations):
@@ -137,13 +144,15 @@ def test_scans_come_back_as_the_mapper_had_them(tmp_path: Path) -> None:
         assert log.imu[k].linear_acceleration == observation.imu.linear_acceleration
 
 
-def test_sensors_only_leaves_out_what_the_mapper_made(tmp_path: Path) -> None:
+def test_sensors_only_leaves_out_what_the_mapper_made(recorded: Record, tmp_path: Path) -> None:
     found = messages(folder_of(recorded(tmp_path, seconds=1.0, sensors_only=True)))
     assert "/map" not in found
     assert {t.child_frame_id for message in found["/tf"] for t in message.transforms} == {"base_link"}
 
 
-def test_a_run_that_comes_to_nothing_leaves_no_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_comes_to_nothing_leaves_no_bag(
+    recorded: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from rosbags.rosbag2 import Writer
 
     def full(*_: object) -> None:
@@ -164,7 +173,7 @@ def test_a_bag_needs_a_folder_and_a_storage() -> None:
 
 def test_a_finished_run_counts_where_its_bag_is_what_is_asked_for(made: Run) -> None:
     out = folder_of(made).parent
-    config = RunConfig(source="simple", seconds=SECONDS, bag="mcap")
+    config = replace(made.record.config, bag="mcap")
     for same in (config, replace(config, bag=None)):
         assert SlamExperiment(same).find_outcome(out) is not None
     for other in (replace(config, bag="sqlite3"), replace(config, sensors_only=True)):
@@ -178,7 +187,7 @@ def test_a_finished_run_counts_where_its_bag_is_what_is_asked_for(made: Run) -> 
     assert json.loads(record.read_text())["config"]["bag"] == "mcap"
 
 
-def test_a_ring_lidars_clouds_are_in_the_bag(tmp_path: Path) -> None:
+def test_a_ring_lidars_clouds_are_in_the_bag(recorded: Record, tmp_path: Path) -> None:
     made = recorded(tmp_path, lidar="vlp16", seconds=1.0)
     points = messages(folder_of(made))["/points"]
     assert len(points) == len(made.log.observations) == 11

@@ -19,8 +19,8 @@ from lirs_wct.errors import SourceError, WctError
 from tests.lirs_validation.gui.pages import wait_for
 
 pytestmark = pytest.mark.slow
-CLIENTS, FILES = 20, 5
-DRIVING = 4
+CLIENTS, FILES = 8, 5
+DRIVING = 2
 """Clients that disappear during a drive."""
 VIEW: dict[str, Any] = {
     "wxyz": (1.0, 0.0, 0.0, 0.0),
@@ -122,7 +122,7 @@ async def until(condition: Any, seconds: float = 200.0) -> None:
 async def a_round(
     server: Any, picture: Path, errors: list[Exception], rng: np.random.Generator
 ) -> tuple[list[weakref.ref[Any]], list[Path]]:
-    """Let 20 clients send 100 broken files; all disappear, some during a drive.
+    """Let each client send five broken files; all disappear, some during a drive.
 
     Return their pages, which nothing should hold any more, and their folders of uploads.
     """

@@ -17,9 +17,11 @@ from lirs_validation.record.run_record import read_record
 from lirs_validation.record.schema import schema_error
 from lirs_wct import ConfigError
 from tests.command_line import run_command
+from tests.kit import SMALL
 from tests.lirs_validation.live import fake_network as net
 
 LOCKSTEP = LiveOptions(lockstep=True)
+pytestmark = pytest.mark.usefixtures("plain_pictures")
 
 
 @pytest.fixture(autouse=True)
@@ -32,7 +34,7 @@ def one_world(monkeypatch):
 def _scenario():
     from lirs_validation.experiment.scenario import build_scenario
 
-    return build_scenario(RunConfig(source="simple"))
+    return build_scenario(RunConfig(source="simple", build=SMALL))
 
 
 def drive(network, monkeypatch, options=LOCKSTEP, out=None, **run):
@@ -49,7 +51,7 @@ def forward(topic, message):
 
 def test_all_messages_are_rosbags_cdr(monkeypatch):
     network = net.FakeNetwork(forward)
-    drive(network, monkeypatch, mapper="hector", lidar="vlp16", seconds=0.2)
+    drive(network, monkeypatch, mapper="hector", lidar="vlp16", seconds=0.1)
     kinds = {topic.name: topic.kind for topic in PUBLISHED}
     assert {topic for topic, _ in network.sent} == set(kinds)
     for topic, message in network.sent:

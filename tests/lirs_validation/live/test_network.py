@@ -24,6 +24,7 @@ from lirs_validation.live.options import LiveOptions
 from lirs_validation.live.run import live
 from lirs_validation.live.zenoh_node import ZenohNode
 from lirs_wct import ConfigError
+from tests.kit import SMALL
 from tests.lirs_validation.live import client_process
 from tests.lirs_validation.live import fake_network as net
 
@@ -53,27 +54,28 @@ def lockstep(domain, **given):
 
 def drive(options, out=None, **run):
     given = {"mapper": options.client, "driver": "client", **run}
-    (result,) = live(RunConfig(source="simple", **given), options, out=out)
+    (result,) = live(RunConfig(source="simple", build=SMALL, **given), options, out=out)
     return result
 
 
+@pytest.mark.slow
 def test_the_example_drives_a_robot(domain, tmp_path):
     with process(sys.executable, ROOT / "examples/live_driver.py", domain) as driver:
-        result = drive(lockstep(domain), tmp_path, seconds=4.0)
+        result = drive(lockstep(domain), tmp_path, seconds=2.0)
         assert driver.wait(30.0) == 0  # it ends with the drive
-    assert (result.bridge.answered, result.bridge.published) == (101, 101)
-    assert result.run.record.trajectory["length"] > 0.5
+    assert (result.bridge.answered, result.bridge.published) == (51, 51)
+    assert result.run.record.trajectory["length"] > 0.2
     assert (result.run.folder / "record.json").exists()
 
 
 @pytest.mark.slow
 def test_hector_as_client_gives_the_offline_run(domain):
-    seconds = 2.0
-    offline = run_offline(RunConfig(source="simple", mapper="hector", seconds=seconds))
+    seconds = 1.0
+    offline = run_offline(RunConfig(source="simple", build=SMALL, mapper="hector", seconds=seconds))
     with client("dds", domain, "hector"):
         result = drive(lockstep(domain, answer="tf"), seconds=seconds, driver="tour")
     expected, found = offline.log.trajectories()[1], result.run.log.trajectories()[1]
-    assert len(found) == len(expected) == 51
+    assert len(found) == len(expected) == 26
     assert np.abs(found.positions - expected.positions).max() < 1e-6
     assert np.abs(found.quaternions - expected.quaternions).max() < 1e-6
     assert result.run.record.trajectory["length"] == offline.record.trajectory["length"]
@@ -123,13 +125,14 @@ def free_port():
         return probe.getsockname()[1]
 
 
+@pytest.mark.slow
 def test_a_zenoh_peer_drives_and_sees_the_tokens():
     port = free_port()
     options = lockstep(0, middleware="zenoh", port=port)
     with client("zenoh", port, "forward", "0", stdout=subprocess.PIPE) as peer:
-        result = drive(options, seconds=1.0)
+        result = drive(options, seconds=0.4)
         attachment, *tokens = peer.stdout.readline().split()
-    assert result.bridge.answered == result.bridge.published == 26
+    assert result.bridge.answered == result.bridge.published == 11
     sequence, _, length, gid = struct.unpack("<qqB16s", bytes.fromhex(attachment))
     assert (sequence, length) == (1, 16)
     assert gid != bytes(16)

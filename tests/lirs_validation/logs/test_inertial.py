@@ -17,8 +17,32 @@ from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.drive_csv import write_imu
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
-from tests.lirs_validation.experiment.test_attitude import NOTING
 
+NOTING = """
+import json
+from lirs_wct.geometry.pose import Trajectory
+from slam_baselines.mapper import MapperStats
+from slam_baselines.mapping.known_pose import KnownPoseMapper
+
+class Noting(KnownPoseMapper):
+    lost, stats = False, MapperStats()
+
+    def __init__(self):
+        super().__init__(0.05)
+        self.stamps, self.poses = [], []
+
+    def update(self, scan, odometry, imu):
+        super().update(scan, odometry, imu)
+        mount = scan.T_base_laser
+        with open("given.txt", "a") as file:
+            file.write(json.dumps([list(map(float, mount.position)), mount.pitch, imu and imu.pitch]) + "\\n")
+        self.stamps.append(scan.stamp)
+        self.poses.append(odometry)
+        return odometry
+
+    def trajectory(self):
+        return Trajectory.from_poses(self.stamps, self.poses)
+"""
 MOUNT = Pose3.from_rpy(0.22, -0.05, 0.4, 0.0, 0.1, 0.3)
 SCANS = 20
 
@@ -33,10 +57,7 @@ def recorded(tmp_path: Path) -> Path:
     ]
     write_log(tmp_path / "scans.clf.gz", [(scan, Pose2(0.01 * k)) for k, scan in enumerate(scans)])
     write_imu(tmp_path / "imu.csv.gz", [Imu(pitch=0.01 * k, stamp=0.1 * k) for k in range(SCANS - 2)])
-    noted = "[list(map(float, scan.T_base_laser.position)), scan.T_base_laser.pitch, imu and imu.pitch]"
-    (tmp_path / "noting_log_slam.py").write_text(
-        "import json\n" + NOTING.replace('f"{imu is None}\\n"', f'json.dumps({noted}) + "\\n"')
-    )
+    (tmp_path / "noting_log_slam.py").write_text(NOTING)
     return tmp_path
 
 
@@ -46,7 +67,7 @@ def test_each_scan_gets_the_reading_at_its_stamp(
 ) -> None:
     monkeypatch.chdir(recorded)
     imu = recorded / "imu.csv.gz"
-    map_log("scans.clf.gz", mapper="noting_log_slam:Noting", imu=imu, attitude=attitude)
+    map_log("scans.clf.gz", mapper="noting_log_slam:Noting", imu=imu, attitude=attitude, second="none")
     given = [json.loads(line) for line in (recorded / "given.txt").read_text().splitlines()]
     assert len(given) == SCANS
     for position, pitch, _ in given:

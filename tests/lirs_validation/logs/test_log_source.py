@@ -20,13 +20,14 @@ from lirs_wct.geometry.pose import Pose2
 from tests.command_line import run_command
 from tests.lirs_wct.formats.carmen.carmen_room import START, flaser, room_lines, write_log
 
+pytestmark = pytest.mark.usefixtures("plain_pictures")
+
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with the log of a room; mappers are not warmed up, which changes times only."""
-    monkeypatch.setattr("lirs_validation.logs.log_replay.warm_up", lambda name, **config: None)
+    """A working folder with the log of a room."""
     monkeypatch.chdir(tmp_path)
-    write_log(tmp_path / "my room.clf", room_lines(90)[0])
+    write_log(tmp_path / "my room.clf", room_lines(30)[0])
     return tmp_path
 
 
@@ -54,12 +55,12 @@ def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
     assert record.stat().st_mtime_ns == before
     # Other cells, another log, other code: another map.
     assert resolve_source("my room.clf", SourceOptions(log_mapper="hector", resolution=0.1), folder) != first
-    write_log(folder / "my room.clf", room_lines(60)[0])
+    write_log(folder / "my room.clf", room_lines(25)[0])
     assert resolve_source("my room.clf", options, folder) != first
     assert len(maps(folder)) == 3
     entry = json.loads(record.read_text())
     record.write_text(json.dumps(entry | {"versions": {"lirs-wct": "0.0"}}))
-    write_log(folder / "my room.clf", room_lines(90)[0])
+    write_log(folder / "my room.clf", room_lines(30)[0])
     assert resolve_source("my room.clf", options, folder) == first
     assert json.loads(record.read_text())["versions"] == entry["versions"]
 
@@ -98,10 +99,14 @@ def resting(lines: list[str]) -> Pose2:
     return Pose2(x, y, yaw)
 
 
-def test_view_and_info_take_logs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.slow
+def test_view_takes_logs(folder: Path) -> None:
     assert run_command("view", "my room.clf", "-o", "pictures/room.png", "--mapper", "hector") == 0
     assert (folder / "pictures" / "room.png").is_file()
     assert len(maps(folder / "pictures")) == 1
+
+
+def test_info_takes_logs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command("info", "my room.clf", "--log-mapper", "hector") == 0
     assert "my_room: map, 0.05 m a cell" in capsys.readouterr().out
     assert len(maps(folder)) == 1
@@ -109,7 +114,7 @@ def test_view_and_info_take_logs(folder: Path, capsys: pytest.CaptureFixture[str
 
 def test_a_robot_drives_in_the_map_of_a_log(folder: Path) -> None:
     source = resolve_source("my room.clf", SourceOptions(log_mapper="hector"), folder)
-    run = validate(source, robot="turtlebot3_burger", seconds=2.0, out=folder)
+    run = validate(source, robot="turtlebot3_burger", seconds=1.0, out=folder)
     assert run.record.world["name"] == "my_room"
     assert run.record.status == "ok"
     results = read_results(folder)
@@ -174,6 +179,7 @@ def test_bad_input_is_one_line_and_code_2(
     assert sorted(folder.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_the_first_scan_does_not_wait_for_what_it_does_not_need() -> None:
     """Neither simulator nor drawing is loaded before a log is mapped; the command line loads less still."""
     code = (

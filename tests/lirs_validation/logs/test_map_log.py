@@ -34,6 +34,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("room")
     lines, truth = room_lines(SCANS)
     write_log(folder / "room.clf", lines)
+    write_log(folder / "short.clf", lines[:20])
     write_log(folder / "blind.clf", room_lines(SCANS, drifting=False)[0])
     write_tum(folder / "truth.tum", Trajectory.from_poses(STAMPS, [Pose2(3.0, -2.0, 0.7) @ p for p in truth]))
     pairs = [(a, a + 30) for a in range(0, SCANS - 30, 5)]
@@ -44,13 +45,12 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
-def without_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the warm-up, which changes times only."""
-    monkeypatch.setattr("lirs_validation.logs.log_replay.warm_up", lambda name, **config: None)
+EVERY_MAPPER = pytest.mark.parametrize(
+    "mapper", ["hector", *(pytest.param(m, marks=pytest.mark.slow) for m in ("gmapping", "cartographer"))]
+)
 
 
-@pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
+@EVERY_MAPPER
 def test_a_room_is_mapped_as_it_is(room: Path, tmp_path: Path, mapper: str) -> None:
     mapped = map_log(
         room / "room.clf",
@@ -94,10 +94,9 @@ def distance_to_walls(point: np.ndarray[tuple[int], np.dtype[np.float64]]) -> fl
     return float(np.linalg.norm(a + along[:, None] * e - point, axis=1).min())
 
 
-@pytest.mark.usefixtures("without_warm_up")
 def test_the_same_seed_gives_the_same_bytes(room: Path, tmp_path: Path) -> None:
     folders = [
-        map_log(room / "room.clf", mapper="gmapping", particles=5, seed=3, out=tmp_path / str(k)).folder
+        map_log(room / "short.clf", mapper="hector", seed=3, second="none", out=tmp_path / str(k)).folder
         for k in range(2)
     ]
     for name in ("map.pgm", "map.yaml", "estimate.tum"):
@@ -113,7 +112,6 @@ def test_the_digest_tells_maps_apart_and_not_their_judges() -> None:
     assert len(digests) == 5
 
 
-@pytest.mark.usefixtures("without_warm_up")
 def test_without_odometry_hector_maps_and_the_others_say_what_they_need(room: Path) -> None:
     mapped = map_log(room / "blind.clf", mapper="hector", reference=room / "truth.tum")
     assert mapped.record.log["odometry_length"] is None
@@ -125,17 +123,15 @@ def test_without_odometry_hector_maps_and_the_others_say_what_they_need(room: Pa
             map_log(room / "blind.clf", mapper=other)
 
 
-@pytest.mark.usefixtures("without_warm_up")
-@pytest.mark.parametrize("mapper", ["hector", "gmapping", "cartographer"])
+@EVERY_MAPPER
 @pytest.mark.parametrize("scans", [1, 2])
 def test_a_scan_or_two_make_a_map(tmp_path: Path, mapper: str, scans: int) -> None:
     path = write_log(tmp_path / "x.clf", room_lines(30)[0][:scans])
-    mapped = map_log(path, mapper=mapper, out=tmp_path)
+    mapped = map_log(path, mapper=mapper, second="none")
     assert len(mapped.trajectory) == scans
     assert mapped.grid.occupied.sum() > 50
 
 
-@pytest.mark.usefixtures("without_warm_up")
 @pytest.mark.parametrize(("broken", "status"), [(1, "ok"), (3, "incomplete")])
 def test_scans_left_out_of_the_log_have_no_pose(tmp_path: Path, broken: int, status: str) -> None:
     lines = room_lines(30)[0]
@@ -151,19 +147,18 @@ def test_a_log_in_which_nothing_was_seen_is_no_map(tmp_path: Path) -> None:
         map_log(write_log(tmp_path / "x.clf", lines))
 
 
-@pytest.mark.usefixtures("without_warm_up")
-def test_the_cells_are_as_large_as_asked_for(room: Path) -> None:
-    for mapper in ("hector", "gmapping", "cartographer"):
-        assert map_log(room / "room.clf", mapper=mapper, resolution=0.1).grid.resolution == 0.1
+@EVERY_MAPPER
+def test_the_cells_are_as_large_as_asked_for(room: Path, mapper: str) -> None:
+    mapped = map_log(room / "short.clf", mapper=mapper, resolution=0.1, second="none")
+    assert mapped.grid.resolution == 0.1
 
 
-@pytest.mark.usefixtures("without_warm_up")
 def test_nothing_to_compare_with_is_told_and_null(room: Path, tmp_path: Path) -> None:
     (tmp_path / "other.relations").write_text("1 2 0 0 0 0 0 0\n")
     (tmp_path / "other.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
     mapped = map_log(
-        room / "room.clf", mapper="hector", relations=tmp_path / "other.relations",
-        reference=tmp_path / "other.tum", out=tmp_path / "out",
+        room / "short.clf", mapper="hector", relations=tmp_path / "other.relations",
+        reference=tmp_path / "other.tum",
     )  # fmt: skip
     told = mapped.record.accuracy
     assert (told["relations"]["used"], told["relations"]["outside"]) == (0, 1)
@@ -171,7 +166,7 @@ def test_nothing_to_compare_with_is_told_and_null(room: Path, tmp_path: Path) ->
     assert told["relations"]["translation_mean"] is told["reference"]["ate_rmse"] is None
 
 
-@pytest.mark.usefixtures("without_warm_up")
+@pytest.mark.slow
 def test_quality_without_truth_is_recorded_and_stated(room: Path, tmp_path: Path) -> None:
     mapped = map_log(room / "room.clf", mapper="hector", out=tmp_path)
     second = mapped.record.quality["second"]
@@ -192,7 +187,6 @@ def test_quality_without_truth_is_recorded_and_stated(room: Path, tmp_path: Path
     assert with_truth.record.quality["second"] is other.record.quality["second"] is None
 
 
-@pytest.mark.usefixtures("without_warm_up")
 def test_an_interrupted_mapping_leaves_nothing(room: Path, tmp_path: Path) -> None:
     def stop(stage: str, share: float) -> None:
         if stage == "draw" or share > 0.5:
@@ -233,8 +227,8 @@ def test_an_unknown_option_is_named_with_the_legal_ones() -> None:
         map_log("not there.clf", particle=5)
 
 
+@pytest.mark.slow
 @pytest.mark.shared
-@pytest.mark.usefixtures("without_warm_up")
 def test_a_real_log_against_its_reference(shared_data: Path) -> None:
     """ATE on the CSAIL log, from the graph poses as they are published: far better than by odometry."""
     folder = shared_data / "logs" / "csail"
@@ -247,15 +241,14 @@ def test_a_real_log_against_its_reference(shared_data: Path) -> None:
 
 
 THINNED = [
-    ("csail/mit-csail", 3, 0),
-    ("csail/mit-csail", 3, 1),
+    pytest.param("csail/mit-csail", 3, 0, marks=pytest.mark.slow),
+    pytest.param("csail/mit-csail", 3, 1, marks=pytest.mark.slow),
     ("orebro/orebro", 1, 0),
     ("orebro/orebro", 2, 0),
 ]
 
 
 @pytest.mark.shared
-@pytest.mark.usefixtures("without_warm_up")
 @pytest.mark.parametrize(("name", "every", "offset"), THINNED)
 def test_a_thinned_log_that_is_mapped_wrong_is_not_ok(
     shared_data: Path, tmp_path: Path, name: str, every: int, offset: int
@@ -290,11 +283,11 @@ def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     (tmp_path / "wct_own_log_mapper.py").write_text(OWN.replace("ANSWER", "Pose2()"))
     (tmp_path / "wct_bad_log_mapper.py").write_text(OWN.replace("ANSWER", "None"))
-    mapped = map_log(room / "room.clf", mapper="wct_own_log_mapper:Still", out=tmp_path)
-    assert (mapped.record.mapper["received"], len(mapped.trajectory)) == (7, SCANS)
-    assert mapped.record.name.startswith("room-Still-s1-")
+    mapped = map_log(room / "short.clf", mapper="wct_own_log_mapper:Still", second="none")
+    assert (mapped.record.mapper["received"], len(mapped.trajectory)) == (7, 20)
+    assert mapped.record.name.startswith("short-Still-s1-")
     with pytest.raises(MapperError, match=r"must return a Pose2, got NoneType"):
-        map_log(room / "room.clf", mapper="wct_bad_log_mapper:Still")
+        map_log(room / "short.clf", mapper="wct_bad_log_mapper:Still", second="none")
     with pytest.raises(
         ConfigError, match=r"resolution can be given for hector, .*, cartographer_original only"
     ):
@@ -305,7 +298,6 @@ def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.Mo
         map_log(room / "blind.clf", mapper="wct_needy_log_mapper:Still")
 
 
-@pytest.mark.usefixtures("without_warm_up")
 def test_the_accuracy_of_the_odometry_stands_beside_that_of_the_mapper(room: Path) -> None:
     truth = {"reference": room / "truth.tum", "relations": room / "room.relations"}
     record = map_log(room / "room.clf", mapper="hector", **truth).record

@@ -19,8 +19,8 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World
+from tests.kit import SMALL
 
 HUSKY = make_robot("husky")
 
@@ -122,8 +122,7 @@ def test_a_room_is_all_walls_everywhere() -> None:
 
 
 def test_the_same_seed_gives_the_same_forecast_and_another_nearly() -> None:
-    world = build_world("simple")
-    assert "simple" in RECIPES
+    world = build_world("simple", SMALL)
     one, same, other = (scan_support(world, HUSKY, seed=seed) for seed in (0, 0, 1))
     assert one == same
     assert one != other

@@ -16,6 +16,7 @@ from lirs_validation.analysis.result_folders import RunFolder, read_results
 from lirs_validation.analysis.statistics import repeats
 from lirs_validation.record.formatting import significant
 from lirs_validation.record.metric_catalog import metrics_in, metrics_named
+from lirs_validation.report import charts
 from lirs_validation.report.charts import INK
 from lirs_validation.report.page import Report, page, report_of
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
@@ -26,6 +27,9 @@ from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from tests.lirs_validation.records import entry, saved
+
+pytestmark = pytest.mark.usefixtures("empty_charts")
+AS_SVG = charts.as_svg
 
 
 def reported(root: Path) -> tuple[Report, str]:
@@ -74,7 +78,8 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_the_page_is_whole_and_needs_nothing_else(mixed: Path) -> None:
+def test_the_page_is_whole_and_needs_nothing_else(mixed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(charts, "as_svg", AS_SVG)
     _, html = reported(mixed)
     reader = Reader(html)
     assert not any(tag in ("script", "link", "iframe", "object") for tag, _ in reader.seen)
@@ -261,6 +266,7 @@ def with_files(folder: Path, seed: int) -> RunFolder:
     return read_results(folder).runs[0]
 
 
+@pytest.mark.slow
 def test_pictures_keep_their_budget(tmp_path: Path) -> None:
     run = with_files(saved(tmp_path), 3)
     few, many = Painter(2).paint(run), Painter(100).paint(run)
@@ -277,8 +283,10 @@ def test_a_lost_source_costs_the_terrain_only(tmp_path: Path) -> None:
     assert "gone.png" in picture.note
 
 
-def test_a_hundred_runs_stay_under_five_megabytes(tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_a_hundred_runs_stay_under_five_megabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures have a budget of 3 MB of their own: all the rest must stay under 2."""
+    monkeypatch.setattr(charts, "as_svg", AS_SVG)
     for seed in range(1, 6):
         for world in ("simple", "medium", "advanced", "depot", "dune"):
             for mapper in ("hector", "gmapping", "cartographer", "mine:Own"):

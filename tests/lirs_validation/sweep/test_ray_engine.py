@@ -88,7 +88,7 @@ def test_where_no_cluster_answers_it_is_said(tmp_path: Path) -> None:
         list(sweep.run(make_executor(EngineOptions(engine="ray", address="127.0.0.1:1"))))
 
 
-@pytest.mark.parametrize("limits", [Limits(), Limits(seconds=60.0)])
+@pytest.mark.parametrize("limits", [Limits(), pytest.param(Limits(seconds=60.0), marks=pytest.mark.slow)])
 def test_an_experiment_that_makes_its_world_itself_needs_none(tmp_path: Path, limits: Limits) -> None:
     (tmp_path / "notes").mkdir()
     experiment = FakeExperiment("alone", str(tmp_path / "notes"))

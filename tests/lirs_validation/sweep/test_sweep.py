@@ -126,6 +126,7 @@ def test_the_sweeps_file_names_every_experiment_and_the_command(tmp_path: Path, 
     assert {"lirs-wct", "code", "python"} <= set(entry["versions"])
 
 
+@pytest.mark.slow
 def test_processes_lose_no_experiment_whatever_happens_to_them(tmp_path: Path, notes: str) -> None:
     asked = experiments(
         notes, "good", "dies once", "raises", "good", "hangs", "dies", "leaks", "good", "good"
@@ -148,16 +149,18 @@ def test_processes_lose_no_experiment_whatever_happens_to_them(tmp_path: Path, n
     assert hidden(tmp_path / "out") == []
 
 
+@pytest.mark.slow
 def test_one_process_at_a_time_is_no_contention(tmp_path: Path, notes: str) -> None:
     list(Sweep(experiments(notes, "good"), tmp_path / "out").run(Processes(jobs=1)))
     assert (tmp_path / "out" / "0-good" / "result").read_text() == "0-good False"
 
 
+@pytest.mark.slow
 def test_two_sweeps_at_once_in_one_folder_leave_whole_results(tmp_path: Path, notes: str) -> None:
     """Each may do an experiment that the other is doing; no folder is broken by that."""
     asked = experiments(notes, *(["good"] * 6), seconds=0.05)
     sweeps = [Sweep(asked, tmp_path / "out") for _ in range(2)]
-    engine = Processes(jobs=2)
+    engine = Processes(jobs=1, concurrent=True)
     both = [sweep.run(engine) for sweep in sweeps]
     done = [outcome for pair in zip(*both, strict=True) for outcome in pair]
     assert [outcome.status for outcome in done] == ["ok"] * 12

@@ -42,10 +42,10 @@ def planted(monkeypatch: pytest.MonkeyPatch) -> Planted:
     return made
 
 
-def drives(out: Path, seed: int = 1) -> TuneDrives:
+def drives(out: Path, number: int = 240) -> TuneDrives:
     out.mkdir(exist_ok=True)
-    config = RunConfig(source="simple", mapper="gmapping_original", seed=seed)
-    return TuneDrives(config, TuneOptions(drives=240), search_space(config.mapper, "", None), out)
+    config = RunConfig(source="simple", mapper="gmapping_original", seed=1)
+    return TuneDrives(config, TuneOptions(drives=number), search_space(config.mapper, "", None), out)
 
 
 def test_the_planted_value_alone_is_found_and_is_better_on_unseen_seeds(
@@ -68,12 +68,12 @@ def test_defaults_against_themselves_are_not_better(tmp_path: Path, planted: Pla
 
 
 def test_an_interrupted_search_ends_with_the_same_bytes(tmp_path: Path, planted: Planted) -> None:
-    tune(drives(tmp_path / "whole"))
+    tune(drives(tmp_path / "whole", 120))
     planted.calls, planted.stop_after = 0, 50
     with pytest.raises(KeyboardInterrupt):
-        tune(drives(tmp_path / "cut"))
+        tune(drives(tmp_path / "cut", 120))
     planted.stop_after = math.inf
-    tune(drives(tmp_path / "cut"))
+    tune(drives(tmp_path / "cut", 120))
     texts = [(tmp_path / name / "drives.jsonl").read_bytes() for name in ("whole", "cut")]
     assert texts[0] == texts[1]
 

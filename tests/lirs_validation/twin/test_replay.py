@@ -36,7 +36,7 @@ def test_simulated_odometry_has_the_errors_of_its_noise() -> None:
         odometry=OdometryConfig(scale_sigma=0.04, scale_bias=0.03),
         imu=ImuConfig(rate_sigma=0.02, rate_bias=0.0),
     )
-    path = turning_path(1500.0)
+    path = turning_path(600.0)
     odometry = Trajectory.from_poses(path.stamps, simulate_odometry(path, noise, seed=3))
     truth, measured = path.planar_at(path.stamps), odometry.planar_at(path.stamps)
     fitted = fit_odometry(measured, truth, path.stamps, truth, 5.0, seed=5)
@@ -67,7 +67,7 @@ def test_without_noise_the_simulated_log_is_exact() -> None:
 
 def test_odometry_errors_of_log_and_simulation_are_compared() -> None:
     noise = SensorNoise(odometry=OdometryConfig(scale_sigma=0.04), imu=ImuConfig(rate_sigma=0.05))
-    path = turning_path(600.0)
+    path = turning_path(400.0)
     poses = path.planar_at(path.stamps)
     found = [
         odometry_deviations(np.array([p.as_array() for p in simulate_odometry(path, noise, seed)]), poses)

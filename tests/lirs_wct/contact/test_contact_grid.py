@@ -108,7 +108,9 @@ def test_any_field_keeps_its_budget(seed: int, rows: int, cols: int, roughness: 
     assert north >= n - 1e-9
 
 
-@pytest.mark.parametrize("name", ["simple", "medium", "advanced"])
+@pytest.mark.parametrize(
+    "name", ["simple", *(pytest.param(name, marks=pytest.mark.slow) for name in ("medium", "advanced"))]
+)
 def test_bundled_worlds_take_twice_the_spacing(name: str) -> None:
     grid = contact_grid(build_world(name).surface)
     assert grid.stride == 2

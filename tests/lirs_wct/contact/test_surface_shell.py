@@ -14,8 +14,8 @@ def ours(mesh: trimesh.Trimesh) -> TriangleMesh:
 
 @pytest.fixture(scope="module")
 def ring() -> trimesh.Trimesh:
-    """A bumpy torus of 2,964 faces."""
-    mesh = trimesh.creation.torus(3.0, 0.8, major_sections=39, minor_sections=38)
+    """A bumpy torus of 1,008 faces."""
+    mesh = trimesh.creation.torus(3.0, 0.8, major_sections=28, minor_sections=18)
     x, y, z = mesh.vertices.T
     bumps = 1 + 0.06 * np.sin(3 * x) * np.cos(4 * y) + 0.05 * np.sin(5 * z + x)
     return trimesh.Trimesh(mesh.vertices * bumps[:, None], mesh.faces, process=False)
@@ -34,7 +34,7 @@ def test_each_part_has_its_triangle_outside_and_is_thin(ring: trimesh.Trimesh) -
 def test_no_point_just_below_the_surface_is_outside_all_parts(ring: trimesh.Trimesh) -> None:
     body = ours(ring)
     parts = list(shell_parts(body))
-    points, face = trimesh.sample.sample_surface(ring, 300, seed=1)
+    points, face = trimesh.sample.sample_surface(ring, 150, seed=1)
     below = points - 0.01 * body.face_normals[face]
     held = np.zeros(len(below), np.bool_)
     middle = np.array([part.mean(axis=0) for part in parts])
@@ -59,7 +59,7 @@ def test_a_thin_board_is_halved_not_pierced() -> None:
 def test_the_way_to_the_next_face_is_that_of_trimeshs_rays(ring: trimesh.Trimesh) -> None:
     normals = np.ascontiguousarray(ring.vertex_normals)
     mine = _thickness(np.asarray(ring.vertices), np.asarray(ring.faces, np.int32), normals, 1e-6)
-    some = np.arange(0, len(normals), 37)
+    some = np.arange(0, len(normals), 13)
     origins = ring.vertices[some] - 1e-4 * normals[some]
     hits, ray, _ = trimesh.ray.ray_triangle.RayMeshIntersector(ring).intersects_location(
         origins, -normals[some], multiple_hits=False

@@ -17,9 +17,9 @@ from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
 
-N = 513
+N = 129
 X, Y = np.meshgrid(np.linspace(-1, 1, N), np.linspace(-1, 1, N))
-HILL = HeightField.centered(np.exp(-4 * (X**2 + Y**2)).astype(np.float32), (0.1, 0.1))
+HILL = HeightField.centered(np.exp(-4 * (X**2 + Y**2)).astype(np.float32), (0.4, 0.4))
 RING = np.where(np.hypot(X, Y) < 0.5, 0.1, np.where(np.hypot(X, Y) < 0.55, 0.9, 0.5))
 VALUES = {
     "World": World("hill", Terrain(HILL), spawn_poses=(Pose2(),)),
@@ -70,6 +70,7 @@ def test_a_robot_shows_its_figures(name: str) -> None:
     assert len(repr(robot)) < 300
 
 
+@pytest.mark.slow
 def test_a_run_shows_itself() -> None:
     run = validate("simple", seconds=1)
     assert shown(run._repr_png_()).shape[1] > 600

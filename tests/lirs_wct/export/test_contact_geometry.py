@@ -27,7 +27,7 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import ClosedMesh, LaserMap, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 
-RADIUS, SPHERES = 0.3, 100
+RADIUS, SPHERES = 0.3, 40
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,9 @@ def gaps(mesh: TriangleMesh, centers: np.ndarray) -> np.ndarray:
     return np.where(towards >= 0, distance, -distance) - RADIUS
 
 
-@pytest.mark.parametrize("terrain", ["hfield", "mesh", "prisms"])
+@pytest.mark.parametrize(
+    "terrain", ["hfield", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("mesh", "prisms"))]
+)
 def test_spheres_rest_on_the_true_surface(terrain: ContactGeometry, hills: World) -> None:
     exact = World("hills", Terrain(hills.surface)).mesh
     rng = np.random.default_rng(1)
@@ -131,7 +133,7 @@ def test_spheres_rest_on_the_true_surface(terrain: ContactGeometry, hills: World
                                           y + np.linspace(-0.3, 0.3, 13)).max() for x, y in xy])  # fmt: skip
     centers, touching = dropped(hills, terrain, np.column_stack((xy, z)))
     inside = hills.surface.contains(centers[:, 0], centers[:, 1])
-    assert inside.sum() >= 95
+    assert inside.sum() >= 0.95 * SPHERES
     gap = gaps(exact, centers[inside])
     assert (centers[inside, 2] > hills.surface.height_at(*centers[inside, :2].T)).all()
     assert touching[inside].mean() > 0.8
@@ -149,6 +151,7 @@ def gaps_by_sampling(surface: HeightField, centers: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terrain", ["hfield", "prisms"])
 def test_spheres_on_the_ground_that_users_get(terrain: ContactGeometry) -> None:
     """On the contact grid, and on prisms within 1 cm: what is guaranteed against the true surface.
@@ -166,12 +169,12 @@ def test_spheres_on_the_ground_that_users_get(terrain: ContactGeometry) -> None:
     z = surface.height_at(x[:, None, None] + side[:, None], y[:, None, None] + side).max(axis=(1, 2))
     centers, touching = dropped(world, terrain, np.column_stack((x, y, z)), grid)
     kept = touching & surface.contains(centers[:, 0], centers[:, 1])
-    assert kept.sum() >= 95
+    assert kept.sum() >= 0.95 * SPHERES
     centers = centers[kept]
     assert (centers[:, 2] > surface.height_at(*centers[:, :2].T)).all()
     gap = np.abs(gaps_by_sampling(surface, centers))
     beside = near_steep(surface, centers)
-    assert 10 < beside.sum() < 80
+    assert 0.1 < beside.mean() < 0.8
     assert gap[~beside].max() < 0.01
     assert gap.max() < grid.horizontal_budget
 
@@ -184,16 +187,17 @@ def near_steep(surface: HeightField, centers: np.ndarray) -> np.ndarray:
     return distance < RADIUS + 2 * max(surface.cell)
 
 
+@pytest.mark.slow
 def test_spheres_rest_on_and_under_an_overhang(arch: World) -> None:
     pytest.importorskip("coacd", reason="coacd, the extra [mesh], is not installed")
     rng = np.random.default_rng(1)
-    on_roof = np.column_stack((rng.uniform(-2.5, 2.5, 50), rng.uniform(-0.6, 0.6, 50), np.full(50, 3.0)))
-    below = np.column_stack((rng.uniform(-1.5, 1.5, 50), rng.uniform(-3.0, 3.0, 50), np.zeros(50)))
+    on_roof = np.column_stack((rng.uniform(-2.5, 2.5, 20), rng.uniform(-0.6, 0.6, 20), np.full(20, 3.0)))
+    below = np.column_stack((rng.uniform(-1.5, 1.5, 20), rng.uniform(-3.0, 3.0, 20), np.zeros(20)))
     centers, touching = dropped(arch, "convex", np.concatenate((on_roof, below)))
     assert touching.all()
     assert np.abs(gaps(arch.mesh, centers)).max() < 0.01
-    assert (centers[:50, 2] > 3.2).all()
-    assert (centers[50:, 2] < 0.4).all()
+    assert (centers[:20, 2] > 3.2).all()
+    assert (centers[20:, 2] < 0.4).all()
 
 
 def test_the_laser_sees_through_the_gate(arch: World) -> None:
@@ -276,10 +280,10 @@ def test_a_robot_falls_into_no_hole_and_drives_on_the_floor_beside() -> None:
     assert free.free[row, col]
 
 
-@pytest.mark.parametrize("terrain", ["mesh", "prisms"])
+@pytest.mark.parametrize("terrain", ["mesh", pytest.param("prisms", marks=pytest.mark.slow)])
 def test_a_run_says_what_was_touched(terrain: ContactGeometry) -> None:
     options = BuildOptions(max_triangles=3000, window=(0, 0, 20))
-    run = validate("simple", seconds=2, terrain=terrain, options=options)
+    run = validate("simple", seconds=1, terrain=terrain, options=options)
     assert run.record.status == "ok"
     assert run.record.config.terrain == terrain
     contact = run.record.world["contact"]

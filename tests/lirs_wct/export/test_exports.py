@@ -88,7 +88,7 @@ def test_the_map_of_a_bundled_world_lies_where_the_world_does(tmp_path: Path) ->
         assert grid.free_at(pose.x, pose.y)
 
 
-@pytest.mark.parametrize("source", ["medium", str(OFFICE)])
+@pytest.mark.parametrize("source", [pytest.param("medium", marks=pytest.mark.slow), str(OFFICE)])
 def test_a_glb_is_the_world_with_its_textures(source: str, tmp_path: Path) -> None:
     world = build_world(source)
     folder = write_package(world, tmp_path, formats=("glb",))
@@ -105,7 +105,7 @@ def test_a_glb_is_the_world_with_its_textures(source: str, tmp_path: Path) -> No
         assert len(part.visual.uv) == len(part.vertices)
 
 
-@pytest.mark.parametrize("source", ["medium", str(OFFICE)])
+@pytest.mark.parametrize("source", [pytest.param("medium", marks=pytest.mark.slow), str(OFFICE)])
 def test_usd_opens_again_with_collision_and_texture(source: str, tmp_path: Path) -> None:
     usd = pytest.importorskip("pxr.Usd")
     from pxr import UsdGeom, UsdPhysics, UsdShade  # type: ignore[import-not-found]
@@ -152,8 +152,8 @@ def test_usd_without_its_library_is_one_sentence(tmp_path: Path, monkeypatch: py
 
 def test_the_world_of_gz_sim_stands_alone(tmp_path: Path) -> None:
     start = Pose2(3.0, -2.0, 0.5)
-    world = build_world("medium", BuildOptions(start=start))
-    folder = write_package(world, tmp_path)
+    world = build_world("medium", BuildOptions(start=start, window=(0, 0, 20)))
+    folder = write_package(world, tmp_path, formats=("dae", "sdf"))
     root = ElementTree.parse(folder / "medium.sdf").getroot()
     assert root.get("version") == "1.9"
     assert root.find("world/include") is None
@@ -169,5 +169,5 @@ def test_the_world_of_gz_sim_stands_alone(tmp_path: Path) -> None:
     assert z == pytest.approx(float(world.surface.height_at(3.0, -2.0)), abs=1e-4)
     assert len(frames) == len(world.spawn_poses)
     # Walls and floor have two textures, which the mesh file names.
-    both = write_package(build_world(OFFICE), tmp_path)
+    both = write_package(build_world(OFFICE), tmp_path, formats=("dae", "sdf"))
     assert ElementTree.parse(both / "office.sdf").getroot().find(".//pbr") is None

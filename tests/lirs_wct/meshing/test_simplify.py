@@ -109,7 +109,13 @@ def test_a_mesh_of_all_pixels_is_the_height_field() -> None:
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("name", ["pydelatin__fuji.png", "hmstl__mask.png", "gz-common__dem_landscape.tif"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "gz-common__dem_landscape.tif",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("pydelatin__fuji.png", "hmstl__mask.png")),
+    ],
+)
 def test_the_default_budget_holds_between_pixels_of_real_pictures(shared_data: Path, name: str) -> None:
     surface = read_height_field(shared_data / "height" / name, BuildOptions(grayscale=True))
     budget = ExportOptions().with_default(surface).max_error
@@ -118,6 +124,7 @@ def test_the_default_budget_holds_between_pixels_of_real_pictures(shared_data: P
     assert error_between(surface, mesh, (0.125, 0.5, 0.875)) <= budget
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize(
     "name", ["PX4-SITL_gazebo-classic__terrain.png", "pydelatin__fuji.png", "*geotiff_example.tif"]

@@ -3,16 +3,9 @@
 import numpy as np
 import trimesh
 
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.tiles import split_tiles
 from lirs_wct.meshing.uv import cube_uv
-
-
-def hills() -> TriangleMesh:
-    z = np.random.default_rng(5).random((40, 60)).astype(np.float32)
-    return solid_mesh(HeightField.centered(z, (1.0, 0.8)))
+from tests.kit import hills
 
 
 def test_tiles_are_the_mesh() -> None:

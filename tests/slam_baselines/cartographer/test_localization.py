@@ -128,6 +128,7 @@ def test_a_robot_carried_away_is_lost_and_found_again() -> None:
     assert off(mapper, [second @ Pose2(0.59)] * 60)[-1] < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize("name", ["navigation2/depot.yaml", "turtlebot_apps/willow-2010-02-18-0.10.yaml"])
 def test_a_real_map(shared_data: Path, name: str) -> None:
@@ -147,8 +148,9 @@ def test_a_real_map(shared_data: Path, name: str) -> None:
     assert found >= len(starts) - 2
 
 
+@pytest.mark.slow
 def test_a_bundled_world_with_hills() -> None:
-    run = validate("simple", seconds=30, seed=3)
+    run = validate("simple", seconds=15, seed=3)
     mapper = make_mapper("cartographer", map=run.maps.true_pose)
     for observation in run.log.observations:
         mapper.update(observation.scan, observation.odometry, observation.imu)

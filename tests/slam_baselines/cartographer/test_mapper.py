@@ -135,6 +135,7 @@ def test_illegal_settings_are_refused(make, message):
         make()
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_a_slice_of_a_real_log(shared_data: Path):
     """1,500 scans; the floor of these relations is about .015 m."""

@@ -259,8 +259,9 @@ def test_illegal_trimming_is_named() -> None:
         TrimmingConfig(fresh_submaps_count=0)
 
 
+@pytest.mark.slow
 def test_a_large_site_fits_into_600_megabytes():
-    drive, mapper, most = drive_site(), make_mapper("cartographer"), 0
+    drive, mapper, most = drive_site(scans=1000, step=1.75), make_mapper("cartographer"), 0
     for k, (scan, odometry) in enumerate(zip(drive.scans, drive.odometry, strict=True)):
         pose = mapper.update(scan, odometry, None)
         if k % 20 == 0 or k == len(drive.scans) - 1:

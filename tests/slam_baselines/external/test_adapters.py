@@ -78,6 +78,7 @@ def test_kiss_icp_uses_the_times_of_a_rolling_sweep() -> None:
     assert spatial_errors(truth, mapper.trajectory()).ate_rmse_3d_unaligned < BOUNDS["kiss-icp"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("kiss_icp") is None, reason="needs kiss-icp")
 def test_kiss_icp_is_the_same_each_time() -> None:
     paths = []

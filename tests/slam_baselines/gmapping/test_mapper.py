@@ -198,6 +198,7 @@ def test_a_match_far_from_dead_reckoning_is_not_believed(monkeypatch: pytest.Mon
         assert found.distance(pose) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_first_part_of_the_intel_log(shared_data: Path) -> None:
     """Fifty times as exact as the odometry: the log's first 900 scans, 10 particles."""
@@ -240,6 +241,7 @@ def test_the_bias_is_learnt_from_where_the_walls_put_the_scans(bias: float) -> N
     assert registration.bias.value == pytest.approx(bias, abs=math.radians(0.008))
 
 
+@pytest.mark.slow
 def test_the_map_of_a_hilly_world_is_not_turned() -> None:
     record = validate("simple", mapper="gmapping", seconds=60, seed=6).record
     assert record.trajectory["ate_rmse"] < 0.03

@@ -32,6 +32,7 @@ from tests.slam_baselines.synthetic import drive_room, loop, room_scan
 PARAMETERS = GmappingOriginalConfig().matching
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 @pytest.mark.parametrize(("run", "seed"), [("advanced-1", 1), ("advanced-2", 3), ("willow-1", 2)])
 def test_the_trajectory_is_the_original_s(shared_data: Path, tmp_path: Path, run: str, seed: int) -> None:
@@ -73,19 +74,19 @@ def test_a_drive_through_a_room() -> None:
 
 
 def test_attitude_changes_nothing() -> None:
-    rng, path = np.random.default_rng(0), loop(60)
+    rng, path = np.random.default_rng(0), loop(25)
     scans = [room_scan(pose, 0.1 * k, rng) for k, pose in enumerate(path)]
-    level, leaning = GmappingOriginalMapper(), GmappingOriginalMapper()
+    level, leaning = (GmappingOriginalMapper(GmappingOriginalConfig(particles=5)) for _ in range(2))
     for scan, pose in zip(scans, path, strict=True):
         assert level.update(scan, pose, None) == leaning.update(scan, pose, Imu(roll=0.2, pitch=-0.1))
 
 
 def test_a_run_and_its_recorded_log_give_the_same(tmp_path: Path) -> None:
-    rng, path = np.random.default_rng(0), loop(60)
+    rng, path = np.random.default_rng(0), loop(25)
     scans = [room_scan(pose, 0.1 * k, rng) for k, pose in enumerate(path)]
     write_log(tmp_path / "scans.clf.gz", zip(scans, path, strict=True))
     log = read_carmen(tmp_path / "scans.clf.gz")
-    online, offline = (GmappingOriginalMapper(GmappingOriginalConfig(seed=2)) for _ in range(2))
+    online, offline = (GmappingOriginalMapper(GmappingOriginalConfig(seed=2, particles=5)) for _ in range(2))
     for scan, pose, logged, logged_pose in zip(scans, path, log.scans, log.odometry, strict=True):
         online.update(scan, pose, None)
         offline.update(logged, logged_pose, None)

@@ -193,7 +193,7 @@ def test_a_wall_is_drawn_without_gaps_where_no_other_scan_fills_them() -> None:
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize("skipped", [0.0, 0.5])
+@pytest.mark.parametrize("skipped", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_csail_thinned_to_a_scan_a_meter(shared_data: Path, skipped: float) -> None:
     """Or half a radian; where hits are left alone, the map breaks, and the error is 17 to 20 m."""
     folder = shared_data / "logs" / "csail"

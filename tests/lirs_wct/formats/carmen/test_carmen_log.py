@@ -22,15 +22,15 @@ def write(folder: Path, *lines: str) -> Path:
 def test_unusable_lines_are_counted_by_reason(tmp_path: Path) -> None:
     good = flaser(10.0)
     cut, wrong_count = good[: len(good) // 2], good.replace("FLASER 180", "FLASER 361", 1)
-    log = read_carmen(
-        write(tmp_path, good, cut, wrong_count, "TRUEPOS 1 2 3", "SYNC a b", "\x07 4", flaser(10.0))
-    )
+    other = ("TRUEPOS 1 2 3", "SYNC x", "SYNC y", "NMEAGGA 1 49.0 N", "Laser: 1 2", "12 13", "\x07 4")
+    log = read_carmen(write(tmp_path, good, cut, wrong_count, *other, flaser(10.0)))
     assert len(log.scans) == 1
     assert log.skipped == {
         "FLASER cut off or malformed": 2,
         "message TRUEPOS": 1,
-        "message SYNC": 1,
-        "not a message": 1,
+        "message SYNC": 2,
+        "message NMEAGGA": 1,
+        "not a message": 3,
         "scan that is in the log already": 1,
     }
 

@@ -1,7 +1,12 @@
-"""Stamps that go back, repeat or leap: the order of the file stays, and the stamps rise plausibly."""
+"""Stamps that go back, repeat or leap: the order of the file stays, and the stamps rise plausibly.
 
+A plain twin holds the definition line by line, with pools of adjacent violators by hand.
+"""
+
+import math
 import warnings
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +14,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.carmen.repairs import in_file_order
@@ -18,119 +22,303 @@ from lirs_wct.geometry.pose import Pose2
 from tests.lirs_wct.formats.carmen.carmen_room import PERIOD, START, room_lines, write_log
 
 RANGES = np.full(3, 2.0, np.float32)
-SPEED = 0.3
 
 
-def drive(stamps: FloatArray, poses: FloatArray | None = None) -> tuple[list[Message], list[Message]]:
-    """Scans and ODOM lines in turn, every second one a scan, a robot that drives straight on."""
-    x = SPEED * PERIOD * np.arange(len(stamps)) if poses is None else poses
-    lines = [
-        Message(k, t, Pose2(p)) for k, (t, p) in enumerate(zip(stamps.tolist(), x.tolist(), strict=True))
-    ]
-    return [replace(m, ranges=RANGES) for m in lines[::2]], lines[1::2]
+def pooled(values: list[float]) -> list[float]:
+    """Return the rising values nearest to some, in the least squares' sense: neighbors that fall are one."""
+    pools: list[list[float]] = []
+    for value in values:
+        pools.append([value])
+        while len(pools) > 1 and np.mean(pools[-2]) >= np.mean(pools[-1]):
+            last = pools.pop()
+            pools[-1] += last
+    return [float(np.mean(pool)) for pool in pools for _ in pool]
 
 
-def repaired(stamps: FloatArray, poses: FloatArray | None = None) -> LineStamps:
-    scans, odoms, lines = in_file_order(*drive(stamps, poses))
-    by_line = sorted([*scans, *odoms], key=lambda m: m.line)
-    assert [m.stamp for m in by_line] == lines.repaired.tolist()
-    assert [m.line for m in by_line] == list(range(len(stamps)))
-    return lines
+def least_steps(stamps: list[float], poses: list[Pose2]) -> list[float]:
+    """Return the least seconds between lines: what their motion takes at the log's own speed limit."""
+    n = min(20, len(stamps) - 1)
+    windows = [(k, k + n) for k in range(len(stamps) - n)]
+    pace = float(np.median([stamps[b] - stamps[a] for a, b in windows])) / n
+    if pace <= 0:
+        pace = (max(stamps) - min(stamps)) / (len(stamps) - 1) or 0.1
+    meters = [math.dist((p.x, p.y), (q.x, q.y)) for p, q in pairwise(poses)]
+    radians = [abs(math.remainder(q.yaw - p.yaw, math.tau)) for p, q in pairwise(poses)]
+    takes = [0.0] * len(meters)
+    for steps in (meters, radians):
+        speeds = [sum(steps[a:b]) / max(stamps[b] - stamps[a], n * pace / 2) for a, b in windows]
+        limit = 1.25 * float(np.percentile(speeds, 99))
+        if limit > 0:
+            takes = [max(t, step / limit) for t, step in zip(takes, steps, strict=True)]
+    return [min(max(t, 1e-3), max(pace, 1e-3)) for t in takes]
 
 
-def steady(n: int) -> FloatArray:
-    return np.asarray(START + PERIOD * np.arange(n), np.float64)
+def twin(logged: list[float], poses: list[Pose2]) -> list[float]:
+    start = float(np.median(logged))
+    stamps = [t - start for t in logged]
+    least = np.concatenate(((0.0,), np.cumsum(least_steps(stamps, poses))))
+    rising = np.array(pooled((np.array(stamps) - least).tolist())) + least + start
+    return [old if abs(new - old) < 1e-6 else new for new, old in zip(rising.tolist(), logged, strict=True)]
 
 
-def late_in_bursts(true: FloatArray, seed: int = 4, most: int = 11) -> FloatArray:
-    """Every line as late as the end of its burst, and every other ODOM line later still."""
-    rng, logged, k = np.random.default_rng(seed), true.copy(), 0
-    while k < len(true):
-        n = int(rng.integers(1, most + 1)) if rng.random() < 0.1 else 1
-        logged[k : k + n] = true[min(k + n, len(true)) - 1]
-        k += n
-    logged[3::4] += rng.exponential(0.3, len(logged[3::4]))
-    return logged
+def lines(logged: list[float], poses: list[Pose2 | None], scans: list[bool]) -> list[Message]:
+    """Return messages in the order of the file."""
+    plain = [Message(k, t, p) for k, (t, p) in enumerate(zip(logged, poses, strict=True))]
+    return [replace(m, ranges=RANGES) if scan else m for m, scan in zip(plain, scans, strict=True)]
 
 
-def test_bursts_are_spread_and_no_speed_is_beyond_the_drive() -> None:
-    true = steady(400)
-    logged = late_in_bursts(true)
-    assert (np.diff(logged) < 0).sum() > 20
-    assert (np.diff(logged) == 0).sum() > 50
-    lines = repaired(logged)
-    assert (lines.back, lines.repeated) == ((np.diff(logged) < 0).sum(), (np.diff(logged) == 0).sum())
-    speeds = SPEED * PERIOD / np.diff(lines.repaired)
-    assert speeds.max() < 2.5 * SPEED
-    delay = np.mean(logged - true)
-    assert np.abs(lines.repaired - true - delay).mean() < 0.85 * np.abs(logged - true - delay).mean()
+def repaired(messages: list[Message]) -> list[float]:
+    """Return the stamps as repaired; the messages come back in their order with them."""
+    scans = [m for m in messages if len(m.ranges)]
+    odoms = [m for m in messages if not len(m.ranges)]
+    got_scans, got_odoms, found = in_file_order(scans, odoms)
+    assert [m.line for m in got_scans] == [m.line for m in scans]
+    assert [m.line for m in got_odoms] == [m.line for m in odoms]
+    by_line = sorted([*got_scans, *got_odoms], key=lambda m: m.line)
+    assert [m.stamp for m in by_line] == found.repaired.tolist()
+    assert found.logged.tolist() == [m.stamp for m in messages]
+    assert found.scans.tolist() == [len(m.ranges) > 0 for m in messages]
+    return found.repaired.tolist()
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from((2, 3, 8, 21, 22, 60)))
+def test_bursts_and_delays(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    logged = (
+        1e6 + np.cumsum(rng.exponential(0.2, n)) + rng.exponential(0.3, n) * (rng.random(n) < 0.3)
+    ).round(3)
+    logged[-1] = logged[max(0, n - 9) : n - 1].min()  # at least one stamp goes back or repeats
+    steps = rng.normal(0, (0.1, 0.02, 0.3), (n, 3)) * (rng.random((n, 1)) < 0.8) + (1e-4, 0, 0)
+    steps[0, 2] += 3.0  # the yaw crosses pi
+    if seed % 4 == 0:
+        steps[n // 2, 0] += 1e4  # a jump of the odometry takes no time
+    poses = [Pose2() @ Pose2(*row) for row in np.cumsum(steps, axis=0).tolist()]
+    scans = [True, True, *(rng.random(n - 2) < 0.5).tolist()]  # two poses of scans: they have their own
+    found = repaired(lines(logged.tolist(), list(poses), scans))
+    np.testing.assert_allclose(found, twin(logged.tolist(), poses), atol=2e-6, rtol=0)
 
 
 def test_stamps_that_rise_stay_to_the_bit() -> None:
-    rng = np.random.default_rng(2)
-    logged = START + np.cumsum(rng.exponential(PERIOD, 200) + 1e-6)
-    lines = repaired(logged)
-    assert lines.repaired.tobytes() == logged.tobytes()
-    assert (lines.moved, lines.furthest) == (0, 0.0)
-
-
-def test_a_jump_of_the_odometry_does_not_stretch_the_stamps() -> None:
-    logged, poses = late_in_bursts(steady(200)), np.asarray(SPEED * PERIOD * np.arange(200), np.float64)
-    poses[100:] += 1e9
-    lines = repaired(logged, poses)
-    assert lines.furthest < 3.0
+    logged = START + np.cumsum(np.random.default_rng(2).exponential(PERIOD, 200) + 1e-6)
+    assert repaired(lines(logged.tolist(), list(east(200)), [True, False] * 100)) == logged.tolist()
 
 
 @given(
     st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=60), st.lists(st.booleans(), min_size=60, max_size=60)
 )
 def test_any_stamps_rise_in_the_order_of_the_file(jitter: list[float], standing: list[bool]) -> None:
-    logged = np.round(steady(len(jitter)) + np.array(jitter), 6)
-    poses = np.cumsum(np.where(standing[: len(jitter)], 0.0, SPEED * PERIOD))
-    lines = repaired(logged, poses)
-    scans = lines.repaired[lines.scans]
-    assert (np.diff(scans) > 0).all()
-    assert (np.diff(lines.repaired) >= 0).all()
-    assert (lines.repaired.min(), lines.repaired.max()) >= (logged.min() - 5, logged.min())
-    again = repaired(lines.repaired, poses)
-    assert np.abs(again.repaired - lines.repaired).max() < 0.5
+    n = len(jitter)
+    logged = np.round(START + PERIOD * np.arange(n) + np.array(jitter), 6)
+    poses = [Pose2(x) for x in np.cumsum(np.where(standing[:n], 0.0, 0.06)).tolist()]
+    kinds = ([True, False] * n)[:n]
+    found = np.array(repaired(lines(logged.tolist(), list(poses), kinds)))
+    assert (np.diff(found[::2]) > 0).all()
+    assert (np.diff(found) >= 0).all()
+    assert (found.min(), found.max()) >= (logged.min() - 5, logged.min())
+    again = repaired(lines(found.tolist(), list(poses), kinds))
+    assert np.abs(np.array(again) - found).max() < 0.5
 
 
-def test_logged_stamps_are_found_where_their_lines_went() -> None:
-    logged = np.array([0.0, 1.0, 3.0, 2.0, 3.0, 4.0])
-    lines = LineStamps(
-        logged, np.array([0.0, 1.0, 2.2, 2.6, 3.0, 4.0]), np.array([1, 0, 0, 1, 1, 0], np.bool_)
+def east(n: int) -> list[Pose2]:
+    return [Pose2(0.1 * k) for k in range(n)]
+
+
+def test_stamps_by_hand() -> None:
+    """A robot that drives 0.1 m a line and second; the least step is 0.8 s, a second over 1.25.
+
+    Less the least steps the stamps are 0, .2, .4, .6, -.2, 1, ...: the middle three become their mean.
+    """
+    logged = [0.0, 1.0, 2.0, 3.0, 3.0, 5.0, 6.0, 7.0]
+    found = repaired(lines(logged, list(east(8)), [True, False] * 4))
+    mean = 0.8 / 3
+    np.testing.assert_allclose(found, [0, 1, 1.6 + mean, 2.4 + mean, 3.2 + mean, 5, 6, 7], atol=1e-9)
+    assert found[:2] == logged[:2]
+
+
+@pytest.mark.parametrize(
+    ("scan", "step", "sound"),
+    [
+        ([True, True, True], [0.1, 0.1], False),
+        ([True, False, True], [0.1, 0.1], False),
+        ([True, False, True], [0.1, 0.0], True),  # the scan's own odometry, at the same stamp
+        ([True, True, True], [0.1, 0.0], False),  # two scans cannot share a stamp
+    ],
+)
+def test_when_a_stamp_may_repeat(scan: list[bool], step: list[float], sound: bool) -> None:
+    x = np.cumsum([0.0, *step]).tolist()
+    logged = [1.0, 2.0, 2.0]
+    assert (repaired(lines(logged, [Pose2(v) for v in x], scan)) == logged) == sound
+
+
+def test_a_turn_is_a_motion() -> None:
+    logged = [1.0, 2.0, 2.0, 3.0]
+    turned = [Pose2(yaw=v) for v in (0.0, 0.1, 0.2, 0.3)]
+    found = repaired(lines(logged, list(turned), [True, False, True, False]))
+    np.testing.assert_allclose(found, twin(logged, turned), atol=2e-6)
+    assert found != logged
+
+
+def test_a_line_without_a_pose_has_that_of_the_nearer_one() -> None:
+    logged = [0.0, 1.0, 1.9, 3.0, 4.1, 3.9, 6.0]
+    posed = [Pose2(k * 0.1, 0.2 * k, 0.01 * k) for k in range(7)]
+    bases: list[Pose2 | None] = [posed[0], None, posed[2], None, None, posed[5], None]
+    # Stamp 1.0 is nearer to 1.9 than to 0, 3.0 to 3.9 (alike, later), 4.1 to 3.9, 6.0 has the line before.
+    meant = [posed[0], posed[2], posed[2], posed[5], posed[5], posed[5], posed[5]]
+    found = repaired(lines(logged, bases, [False, True, False, True, True, False, True]))
+    np.testing.assert_allclose(found, twin(logged, meant), atol=2e-6)
+    assert found != logged
+
+
+def test_poses_of_scans_that_never_change_are_none() -> None:
+    logged = [0.0, 1.0, 2.0, 2.0, 4.0]
+    wheels = east(5)
+    bases: list[Pose2 | None] = [wheels[0], Pose2(9.0), wheels[2], Pose2(9.0), wheels[4]]
+    # The second line at 2 s has no pose, so it needs no time after the first.
+    assert repaired(lines(logged, bases, [False, True, False, True, False])) == logged
+
+
+# ---- leaps of the clock
+
+
+def second(*offsets: float) -> list[float]:
+    """One line a second, with offsets."""
+    return [k + offset for k, offset in enumerate(offsets)]
+
+
+@pytest.mark.parametrize(
+    ("offsets", "expected"),
+    [
+        ([0] * 5 + [-100] + [0] * 5, range(11)),
+        ([0] * 5 + [-100] * 5 + [0] * 5, range(15)),  # five damaged lines
+        ([0] * 5 + [-100] * 6 + [0] * 5, None),  # six are a clock set back and forth
+        ([0] * 8 + [-100] * 3, range(11)),  # set back: the longest part keeps its stamps
+        ([0] * 3 + [-100] * 8, range(-100, -89)),
+        ([0] * 10 + [-100], range(11)),  # a damaged last line is a clock set back, too
+        ([0] * 5 + [50] * 2 + [0] * 3 + [-20] * 2 + [0] * 2, range(14)),
+    ],
+)
+def test_leaps_backward(offsets: list[float], expected: range | None) -> None:
+    n = len(offsets)
+    found = repaired(lines(second(*offsets), list(east(n)), [True, False] * (n // 2) + [True] * (n % 2)))
+    assert (np.diff(found) > 0).all()
+    if expected is not None:
+        np.testing.assert_allclose(found, list(expected), atol=1e-6)
+
+
+@pytest.mark.parametrize(("back", "leap"), [(10.5, False), (11.0, False), (12.0, True)])
+def test_more_than_ten_seconds_back_is_a_leap(back: float, leap: bool) -> None:
+    """A step from line to line of 1 s less the offset: up to 10 s back is a delay, 11 s a damaged stamp."""
+    offsets = [0.0] * 30
+    offsets[15] = -back
+    found = repaired(lines(second(*offsets), list(east(30)), [True, False] * 15))
+    assert np.allclose(found, range(30), atol=1e-6) == leap
+
+
+def test_scans_and_odometry_one_after_the_other_are_merged_by_stamp() -> None:
+    scans = [replace(m, ranges=RANGES) for m in lines([0.5, 20.5], list(east(2)), [False] * 2)]
+    for back, merged in ((9.0, False), (30.0, True)):
+        odoms = [Message(2 + k, 20.5 - back + k, Pose2(0.1 * k)) for k in range(3)]
+        *_, found = in_file_order(scans, odoms)
+        stamps = [0.5, 20.5, *(20.5 - back + k for k in range(3))]
+        assert found.logged.tolist() == (sorted(stamps) if merged else stamps)
+
+
+def test_a_clock_set_anew_runs_on_at_the_usual_step() -> None:
+    """Steps of 2 s; the clock is set back twice, and the longest part keeps its stamps."""
+    parts = [np.arange(4) * 2.0, np.arange(9) * 2.0 - 500.0, np.arange(5) * 2.0 - 900.0]
+    n = 18
+    found = repaired(lines(np.concatenate(parts).tolist(), list(east(n)), [True, False] * 9))
+    np.testing.assert_allclose(found, -500.0 + 2.0 * (np.arange(n) - 4), atol=1e-6)
+
+
+def test_pauses_and_single_forward_leaps_stay() -> None:
+    """Stamps that leap forward and do not come back are a pause."""
+    offsets = [0.0] * 40 + [300.0] * 40
+    offsets[2] = -1.0  # a repeat: there is something to repair
+    found = repaired(lines(second(*offsets), list(east(80)), [True, False] * 40))
+    np.testing.assert_allclose(found[5:], second(*offsets)[5:], atol=1e-9)
+    forward = [0.0] * 12
+    forward[5], forward[9] = 300.0, -60.0  # two damaged stamps, one each way
+    found = repaired(lines(second(*forward), list(east(12)), [True, False] * 6))
+    np.testing.assert_allclose(found, range(12), atol=1e-6)
+
+
+@pytest.mark.parametrize("meters", [0.0, 0.1])
+def test_a_log_without_a_clock_gets_steps_of_its_own(meters: float) -> None:
+    """A tenth of a second a line, half of it in a burst: 2 m/s, and a quarter more is the limit."""
+    n = 30
+    poses = [Pose2(meters * k) for k in range(n)]
+    found = repaired(lines([5.0] * n, list(poses), [True] * n))
+    np.testing.assert_allclose(np.diff(found), 0.04 if meters else 1e-3, atol=1e-9)
+    assert np.mean(found) == pytest.approx(5.0)
+
+
+def test_kinds_that_go_back_themselves_are_not_merged() -> None:
+    scans = [replace(m, ranges=RANGES) for m in lines([0.5, 40.5, 40.0], list(east(3)), [False] * 3)]
+    odoms = [Message(3 + k, 1.0 + k, Pose2(0.1 * k)) for k in range(3)]
+    for first, second in ((scans, odoms), (odoms, scans)):
+        *_, found = in_file_order(first, second)
+        assert found.logged.tolist() == [0.5, 40.5, 40.0, 1.0, 2.0, 3.0]
+
+
+# ---- what is said about them
+
+
+def test_counts_by_hand() -> None:
+    found = LineStamps(
+        np.array([0.0, 2.0, 1.0, 1.0, 1.0, 5.0]),
+        np.array([0.0, 1.0, 1.25, 1.5, 1.75, 5.0]),
+        np.array([True, False, True, False, True, False]),
     )
-    # Of the two lines at 3 s the scan's; 1.1 s is a tenth after the line that stayed.
-    np.testing.assert_allclose(
-        lines.repaired_at(np.array([0.0, 1.1, 2.0, 3.0, 9.0])), [0, 1.1, 2.6, 3.0, 9.0]
+    assert (found.back, found.repeated, found.moved, found.furthest) == (1, 2, 4, 1.0)
+    assert found.summary() == (
+        "stamps go back at 1 of 5 steps and repeat at 2: "
+        "the order of the file is kept, 4 stamps moved by up to 1.00 s"
     )
+    nothing = LineStamps(np.array([1.0]), np.array([1.0]), np.array([True]))
+    assert (nothing.back, nothing.repeated, nothing.moved, nothing.furthest) == (0, 0, 0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"),
+    [(-3.0, -3.0), (0.49, 0.49), (0.5, 0.75), (1.0, 1.25), (1.4, 1.65), (2.0, 2.5), (9.0, 9.5)],
+)
+def test_a_stamp_moves_as_the_nearest_line_did(asked: float, expected: float) -> None:
+    """Lines at 0, 1 and 2 s moved by 0, 1/4 and 1/2 s; halfway the later one counts."""
+    found = LineStamps(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.25, 2.5]), np.array([True] * 3))
+    assert found.repaired_at(np.array([asked])).tolist() == [expected]
+    # Of the two lines at 3 s the scan's.
+    logged, moved = np.array([0.0, 1.0, 3.0, 2.0, 3.0, 4.0]), np.array([0.0, 1.0, 2.2, 2.6, 3.0, 4.0])
+    assert (
+        LineStamps(logged, moved, np.array([1, 0, 0, 1, 1, 0], np.bool_)).repaired_at(np.array([3.0])) == 3.0
+    )
+
+
+# ---- whole logs
 
 
 def read_with_stamps(tmp_path: Path, stamps: list[float]) -> LaserLog:
-    lines, _ = room_lines(len(stamps))
+    text, _ = room_lines(len(stamps))
     late = [
         line.replace(f" {START + PERIOD * k:.6f} ", f" {t:.6f} ")
-        for k, (line, t) in enumerate(zip(lines, stamps, strict=True))
+        for k, (line, t) in enumerate(zip(text, stamps, strict=True))
     ]
     return read_carmen(write_log(tmp_path / "late.clf", late))
 
 
 def test_the_same_scans_and_odometry_in_the_same_order_whatever_the_stamps(tmp_path: Path) -> None:
-    true = steady(60)
-    sound = read_with_stamps(tmp_path, true.tolist())
-    with pytest.warns(UserWarning, match=r"late\.clf: stamps go back at \d+ of 59 steps .*file is kept"):
-        late = read_with_stamps(tmp_path, late_in_bursts(true).tolist())
-    assert sound.odometry == late.odometry
-    assert all(np.array_equal(a.ranges, b.ranges) for a, b in zip(sound.scans, late.scans, strict=True))
-    assert (np.diff(late.stamps) > 0).all()
-    assert late.lines.moved > 0
-
-
-def test_a_sound_log_is_read_without_a_warning(tmp_path: Path) -> None:
+    true = START + PERIOD * np.arange(60)
+    late = np.repeat(true[4::5], 5)  # bursts of five lines
+    late[3::4] += np.random.default_rng(4).exponential(0.9, 15)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert read_with_stamps(tmp_path, steady(20).tolist()).lines.moved == 0
+        sound = read_with_stamps(tmp_path, true.tolist())
+    with pytest.warns(UserWarning, match=r"late\.clf: stamps go back at \d+ of 59 steps .*file is kept"):
+        found = read_with_stamps(tmp_path, late.tolist())
+    assert sound.odometry == found.odometry
+    assert all(np.array_equal(a.ranges, b.ranges) for a, b in zip(sound.scans, found.scans, strict=True))
+    assert (np.diff(found.stamps) > 0).all()
+    assert found.lines.moved > sound.lines.moved == 0
 
 
 def test_scans_without_a_pose_are_kept_in_order(tmp_path: Path) -> None:
@@ -142,6 +330,7 @@ def test_scans_without_a_pose_are_kept_in_order(tmp_path: Path) -> None:
     assert [float(s.ranges[2]) for s in log.scans] == [1, 2, 3, 4, 5]
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_the_intel_log_is_the_same_with_the_stamps_as_logged(shared_data: Path) -> None:
     folder = shared_data / "logs" / "intel"

@@ -15,14 +15,10 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.uv import cube_uv
+from tests.kit import hills
 
 CLOSE = 6e-3
 """What an attribute may be off: a brief file has two decimals of a normal."""
-
-
-def hills(rows: int = 40, cols: int = 60) -> TriangleMesh:
-    z = np.random.default_rng(5).random((rows, cols)).astype(np.float32)
-    return solid_mesh(HeightField.centered(z - z.min(), (1.0, 0.8)))
 
 
 def triangles_of(shape: collada.geometry.Geometry) -> list[collada.triangleset.TriangleSet]:

@@ -8,14 +8,7 @@ from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats.meshes import stl
 from lirs_wct.formats.meshes.mesh_reader import read_mesh
 from lirs_wct.formats.meshes.stl import write_stl
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.solid import solid_mesh
-
-
-def hills() -> TriangleMesh:
-    z = np.random.default_rng(5).random((40, 30)).astype(np.float32)
-    return solid_mesh(HeightField.centered(z - z.min(), (0.5, 0.25)))
+from tests.kit import hills
 
 
 def test_read_by_trimesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

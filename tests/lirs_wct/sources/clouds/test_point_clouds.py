@@ -20,10 +20,10 @@ from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.source import find_source
 from lirs_wct.world import World
 
-SIDE = 120.0
-POND = (70.0, 30.0, 9.0)
+SIDE = 60.0
+POND = (42.0, 16.0, 11.0)
 """x, y, radius without points."""
-UTM = (583_960.0, 4_507_523.0)
+UTM = (583_990.0, 4_507_553.0)
 
 
 def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -36,25 +36,29 @@ class Scene:
     bare: np.ndarray
 
 
-@pytest.fixture(scope="module", params=[1, 2, 3])
-def scene(request: pytest.FixtureRequest) -> Scene:
-    rng = np.random.default_rng(request.param)
-    xy = rng.uniform(0, SIDE, (40_000, 2))
+def hills(seed: int) -> Scene:
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, SIDE, (10_000, 2))
     xy = xy[np.hypot(xy[:, 0] - POND[0], xy[:, 1] - POND[1]) > POND[2]]
     z = ground(*xy.T) + rng.normal(0, 0.03, len(xy))
     bare = np.ones(len(xy), np.bool_)
-    for _ in range(6):  # houses with flat roofs
-        corner, size = rng.uniform(5, 95, 2), rng.uniform(6, 14, 2)
+    for _ in range(3):  # houses with flat roofs
+        corner, size = rng.uniform(5, 42, 2), rng.uniform(6, 12, 2)
         inside = ((xy >= corner) & (xy <= corner + size)).all(axis=1)
         z[inside] = ground(*(corner + size / 2)) + rng.uniform(4, 9)
         bare[inside] = False
     tree = rng.random(len(xy)) < 0.15
     z[tree & bare] += rng.uniform(1.0, 12, int((tree & bare).sum()))
     bare[tree] = False
-    wrong = rng.choice(len(xy), 12, replace=False)
-    z[wrong] -= rng.uniform(15, 60, 12)
+    wrong = rng.choice(len(xy), 5, replace=False)
+    z[wrong] -= rng.uniform(15, 60, 5)
     bare[wrong] = False
     return Scene(np.column_stack((xy, z)), bare)
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return hills(1)
 
 
 def truth(world: World) -> np.ndarray:
@@ -64,8 +68,10 @@ def truth(world: World) -> np.ndarray:
     return ground(*np.meshgrid(x, y))
 
 
-def test_smrf_tells_ground_from_objects(scene: Scene) -> None:
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_smrf_tells_ground_from_objects(seed: int) -> None:
     """The paper's mean over its 15 samples: 97 % right (table 4); here steep ground is missing."""
+    scene = hills(seed)
     found, mountains = ground_points(scene.xyz, Smrf())
     assert mountains == 0
     assert (found == scene.bare).mean() > 0.97
@@ -73,28 +79,28 @@ def test_smrf_tells_ground_from_objects(scene: Scene) -> None:
     assert found[~scene.bare].mean() < 0.06
 
 
-def volcano(seed: int) -> Scene:
+def volcano() -> Scene:
     """A cone of slope .7 with a crater, in a plain, with trees of a canopy and houses in the plain."""
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(-150, 150, (60_000, 2))
+    rng = np.random.default_rng(2)
+    xy = rng.uniform(-54, 54, (9000, 2))
     r = np.hypot(*xy.T)
-    z = 0.7 * np.clip(100 - np.where(r < 15, 30 - r, r), 0, None) + rng.normal(0, 0.03, len(xy))
+    z = 0.7 * np.clip(40 - np.where(r < 10, 20 - r, r), 0, None) + rng.normal(0, 0.03, len(xy))
     bare = np.ones(len(xy), np.bool_)
-    for _ in range(150):
-        crown = np.hypot(*(xy - rng.uniform(-150, 150, 2)).T) < rng.uniform(1.5, 4)
+    for _ in range(20):
+        crown = np.hypot(*(xy - rng.uniform(-54, 54, 2)).T) < rng.uniform(1.5, 4)
         crown &= (rng.random(len(xy)) < 0.7) & bare
         z[crown] += rng.uniform(4, 15)
         bare[crown] = False
-    for corner in np.array(((-140, -140), (100, 110), (110, -130), (-130, 115))):
-        house = ((xy >= corner) & (xy <= corner + np.array((18, 11)))).all(axis=1)
+    for corner in np.array(((-52, -52), (36, 40))):
+        house = ((xy >= corner) & (xy <= corner + np.array((16, 11)))).all(axis=1)
         z[house], bare[house] = 7.0, False
     return Scene(np.column_stack((xy, z)), bare)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_volcano_keeps_its_summit(seed: int, tmp_path: Path) -> None:
-    cone = volcano(seed)
-    summit = cone.bare & (np.abs(np.hypot(*cone.xyz[:, :2].T) - 15) < 6)
+@pytest.mark.slow
+def test_a_volcano_keeps_its_summit(tmp_path: Path) -> None:
+    cone = volcano()
+    summit = cone.bare & (np.abs(np.hypot(*cone.xyz[:, :2].T) - 10) < 6)
     fixed, _ = ground_points(cone.xyz, Smrf(mountain=np.inf))
     found, mountains = ground_points(cone.xyz, Smrf())
     assert fixed[summit].mean() < 0.6
@@ -104,15 +110,16 @@ def test_a_volcano_keeps_its_summit(seed: int, tmp_path: Path) -> None:
     trimesh.PointCloud(cone.xyz).export(tmp_path / "a.ply")
     with pytest.warns(UserWarning, match=r"a\.ply: \d\d% of the area is steeper .* --ground-slope"):
         world = build_world(tmp_path / "a.ply")
-    assert world.surface.height_at(15, 0) == pytest.approx(0.7 * 85, abs=1.5)
+    assert world.surface.height_at(10, 0) == pytest.approx(0.7 * 30, abs=1.5)
 
 
 def test_the_world_is_the_ground_and_gaps_are_named(scene: Scene, tmp_path: Path) -> None:
     trimesh.PointCloud(scene.xyz).export(tmp_path / "a.ply")
     with pytest.warns(
-        UserWarning, match=r"a\.ply: \d+ of 15129 nodes at 0\.98\d* m have no point .* gap is 1\d"
+        UserWarning,
+        match=r"a\.ply: \d+ of 3844 nodes at 0\.98\d* m have no point .* gap is \d\d\.\d m; \d+ of them",
     ):
-        world = build_world(tmp_path / "a.ply", BuildOptions(resolution=SIDE / 122 * 1.0005))
+        world = build_world(tmp_path / "a.ply", BuildOptions(resolution=SIDE / 61 * 1.0005))
     assert world.kind == "terrain"
     assert "SMRF" in world.scale
     error = world.surface.z - truth(world)
@@ -132,7 +139,7 @@ def test_the_top_is_a_surface_too(scene: Scene, tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*have no point")
-@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize("suffix", [".las", pytest.param(".laz", marks=pytest.mark.slow)])
 def test_las_brings_its_place_and_its_classes(suffix: str, scene: Scene, tmp_path: Path) -> None:
     laspy = pytest.importorskip("laspy")
     path = tmp_path / f"a{suffix}"
@@ -152,18 +159,27 @@ def test_las_brings_its_place_and_its_classes(suffix: str, scene: Scene, tmp_pat
     assert place is not None
     assert place.system.name == "EPSG:32618"
     assert by_class.surface.z.min() == 0
-    at = np.array(place.coordinates(10.0, -20.0)) - UTM
-    height = by_class.surface.height_at(10.0, -20.0) + (place.height or 0.0)
+    at = np.array(place.coordinates(-10.0, -14.0)) - UTM
+    height = by_class.surface.height_at(-10.0, -14.0) + (place.height or 0.0)
     assert float(height) == pytest.approx(float(ground(*at)), abs=0.15)
     latitude, longitude = by_class.to_geographic(0.0, 0.0)
     assert (float(latitude), float(longitude)) == pytest.approx((40.714889, -74.005254), abs=1e-5)
     # UTM's scale at this place, 1 m of it is 1.000313 m on the ground, is taken out (see rasters.json).
     along = place.coordinates(100.0, 0.0)[0] - place.coordinates(0.0, 0.0)[0]
     assert along == pytest.approx(100 / 1.000313, abs=1e-3)
+
+
+@pytest.mark.filterwarnings("ignore:.*have no point")
+def test_windows_of_a_cloud_fit_with_one_zero(scene: Scene, tmp_path: Path) -> None:
+    trimesh.PointCloud(scene.xyz[scene.bare]).export(tmp_path / "a.ply")
     west, east = (
-        build_world(path, BuildOptions(resolution=1.0, zero=30.0, window=(x, 0, 60))) for x in (-20, 20)
+        build_world(
+            tmp_path / "a.ply",
+            BuildOptions(cloud_surface="top", resolution=1.0, zero=30.0, window=(x, 30, 40)),
+        )
+        for x in (20, 40)
     )
-    assert abs(float(west.surface.height_at(0, 0) - east.surface.height_at(0, 0))) < 0.3
+    assert abs(float(west.surface.height_at(30, 30) - east.surface.height_at(30, 30))) < 0.3
 
 
 @pytest.mark.filterwarnings("ignore:.*have no point")
@@ -286,12 +302,12 @@ def test_a_las_in_feet(system: str, keys: bool, unit: float, tmp_path: Path) -> 
     else:
         text = CRS(system).to_wkt("WKT1_GDAL")
         las.header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(text))
-    x, y = np.random.default_rng(0).uniform(0, 300, (2, 20_000))
+    x, y = np.random.default_rng(0).uniform(0, 300, (2, 2000))
     las.x, las.y, las.z = 980_000 + x, 200_000 + y, 50 + 0.1 * x
     las.write(tmp_path / "a.las")
     with pytest.warns(UserWarning, match="have no point"):
         world = build_world(tmp_path / "a.las")
-    assert world.surface.size == pytest.approx((91.44, 91.44), abs=1.3)
+    assert world.surface.size == pytest.approx((91.44, 91.44), abs=4)
     assert world.surface.relief == pytest.approx(30 * unit, rel=0.03)
 
 
@@ -326,7 +342,7 @@ def test_a_pcd_without_positions_says_what_it_has(tmp_path: Path) -> None:
 def test_a_window_beside_the_cloud(scene: Scene, tmp_path: Path) -> None:
     trimesh.PointCloud(scene.xyz).export(tmp_path / "a.ply")
     with pytest.raises(
-        ConfigError, match=r"a\.ply: window 500,0,20 holds 0 points; the cloud has x 0\.\d+ to 12"
+        ConfigError, match=r"a\.ply: window 500,0,20 holds 0 points; the cloud has x 0\.\d+ to 59"
     ):
         build_world(tmp_path / "a.ply", BuildOptions(window=(500, 0, 20)))
 

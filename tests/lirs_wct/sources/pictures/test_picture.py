@@ -210,27 +210,35 @@ def test_two_levels_of_255_are_rounding(tmp_path: Path, span: int, gray: bool) -
         read(path)
 
 
-def test_every_unit_and_option_by_hand(tmp_path: Path) -> None:
+FOOT, SURVEY = 0.3048, 1200 / 3937
+
+
+@pytest.mark.parametrize(
+    ("options", "cell", "top"),
+    [
+        ({}, (2 * FOOT, 4 * FOOT), 5.5 * SURVEY),
+        ({"scale": (2.0, 3.0, 5.0), "z_scale": 0.5, "height": 2.0}, (4 * FOOT, 12 * FOOT), 5.0),
+        ({"size": 16.0}, (4.0, 8.0), 5.5 * SURVEY),  # the longer side, 2 x 4 feet, becomes 16 m
+        pytest.param({"height": 3.0}, (2 * FOOT, 4 * FOOT), 3.0, marks=pytest.mark.slow),
+        pytest.param({"z_scale": 4.0}, (2 * FOOT, 4 * FOOT), 22 * SURVEY, marks=pytest.mark.slow),
+        pytest.param(
+            {"scale": (2.0, 3.0, 5.0)}, (4 * FOOT, 12 * FOOT), 27.5 * SURVEY, marks=pytest.mark.slow
+        ),
+        pytest.param({"pixel_size": 0.25}, (0.25, 0.25), 5.5 * SURVEY, marks=pytest.mark.slow),
+        pytest.param({"size": (9.0, 8.0)}, (3.0, 4.0), 5.5 * SURVEY, marks=pytest.mark.slow),
+    ],
+)
+def test_every_unit_and_option_by_hand(
+    tmp_path: Path, options: dict[str, Any], cell: tuple[float, float], top: float
+) -> None:
     """A GeoTIFF of 3 x 4 nodes, 2 by 4 feet apart, heights in US survey feet."""
     keys = (1, 1, 0, 2, 3076, 0, 1, 9002, 4099, 0, 1, 9003)
     heights = (7 + 0.5 * RAMP).astype(np.float32)
-    path = tiff(tmp_path / "a.tif", heights, scale=(2.0, 4.0, 0.0), keys=keys)
-    foot, survey = 0.3048, 1200 / 3937
-    for options, cell, top in (
-        ({}, (2 * foot, 4 * foot), 5.5 * survey),
-        ({"height": 3.0}, (2 * foot, 4 * foot), 3.0),
-        ({"z_scale": 4.0}, (2 * foot, 4 * foot), 22 * survey),
-        ({"scale": (2.0, 3.0, 5.0)}, (4 * foot, 12 * foot), 27.5 * survey),
-        ({"scale": (2.0, 3.0, 5.0), "z_scale": 0.5, "height": 2.0}, (4 * foot, 12 * foot), 5.0),
-        ({"pixel_size": 0.25}, (0.25, 0.25), 5.5 * survey),
-        ({"size": (9.0, 8.0)}, (3.0, 4.0), 5.5 * survey),
-        ({"size": 16.0}, (4.0, 8.0), 5.5 * survey),  # the longer side, 2 x 4 feet, becomes 16 m
-    ):
-        surface = read(path, **options)
-        assert surface.cell == pytest.approx(cell, rel=1e-6), options
-        np.testing.assert_allclose(surface.z, RAMP / 11 * top, rtol=1e-5, atol=1e-6)
-        assert surface.origin == pytest.approx((-1.5 * cell[0], -cell[1]), rel=1e-6)
-        assert surface.z.dtype == np.float32
+    surface = read(tiff(tmp_path / "a.tif", heights, scale=(2.0, 4.0, 0.0), keys=keys), **options)
+    assert surface.cell == pytest.approx(cell, rel=1e-6)
+    np.testing.assert_allclose(surface.z, RAMP / 11 * top, rtol=1e-5, atol=1e-6)
+    assert surface.origin == pytest.approx((-1.5 * cell[0], -cell[1]), rel=1e-6)
+    assert surface.z.dtype == np.float32
 
 
 def test_inverted_and_flat_heights_start_at_zero(tmp_path: Path) -> None:
