@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lirs_envs.robots.robot import Robot, make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import STAND, RunConfig, driver_parts
 from lirs_validation.driving.choice import make_driver
@@ -249,9 +249,9 @@ def prepare(
             progress("compile", 0.0)
             if isinstance(mapper, MapperProcess):
                 mapper.wait_until_ready()
-            warm_up(scenario, robot, mapper)
-        inertial = config.bag is not None or mapper.reads_inertial
-        simulation = scenario.simulation(robot, inertial=inertial)
+            inertial = config.bag is not None or mapper.reads_inertial
+            simulation = scenario.simulation(robot, inertial=inertial)
+            warm_up(scenario, simulation, mapper)
         started.pop_all()
     return ReadyRun(scenario, simulation, driver, mapper, config.seconds + stand, compile_seconds())
 
@@ -263,15 +263,15 @@ def _standing(config: RunConfig, mapper: MapperUnderTest) -> float:
     return STAND if mapper.reads_inertial else 0.0
 
 
-def warm_up(scenario: Scenario, robot: Robot, mapper: MapperUnderTest) -> None:
+def warm_up(scenario: Scenario, simulation: Simulation, mapper: MapperUnderTest) -> None:
     """Compile every kernel by a short throw-away drive; restart the mapper.
 
     A kind of drive is warmed up once per process, and again if the mapper has a new process.
 
     Args:
-        scenario: of the drive.
-        robot: that is driven.
-        mapper: of the drive.
+        scenario: Scenario of the drive.
+        simulation: Its simulation, to be reset afterwards.
+        mapper: Its mapper.
     """
     c = scenario.config
     driven = driver_parts(c.driver)[0]
@@ -283,8 +283,8 @@ def warm_up(scenario: Scenario, robot: Robot, mapper: MapperUnderTest) -> None:
         warm_up_mapper(c.mapper)
     slow = c.rays == "mujoco" and c.terrain == "hfield"
     config = replace(c, seconds=BRIEF if slow else WARM_UP)
-    driver = make_driver(scenario.world, robot, config, mapper.map)
-    drive(scenario.simulation(robot, inertial=mapper.reads_inertial), driver, mapper, config.seconds)
+    driver = make_driver(scenario.world, simulation.robot, config, mapper.map)
+    drive(simulation, driver, mapper, config.seconds)
     mapper.restart()
     if mapper.place == "drive":
         _WARM.add(kind)
