@@ -310,10 +310,10 @@ def test_the_command(tmp_path: Path) -> None:
         code = getattr(result.exception, "exit_code", None)
         return result.return_value or code or 0, str(result.exception)
 
-    quick = ("simple", "--robot", "turtlebot2", "--seconds", "1", "--size", "20", "--resize", "129,129")
-    assert run(*quick, "--seeds", "1,3-4")[0] == 0
+    quick = ("simple", "--robot", "turtlebot2", "--seconds", "0.5", "--size", "20", "--resize", "129,129")
+    assert run(*quick, "--seeds", "1,3")[0] == 0
     entries = json.loads((tmp_path / "collisions.json").read_text())["collisions"]
-    assert [entry["seed"] for entry in entries] == [1, 3, 4]
+    assert [entry["seed"] for entry in entries] == [1, 3]
     # A terrain that does not fit is left out and told; the rest stands.
     assert run(*quick, "--terrain", "hfield,convex")[0] == 3
     assert run("nope.png", *quick)[0] == 3
