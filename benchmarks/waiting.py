@@ -43,7 +43,7 @@ class Checkout:
         """Run `lirs-wct WORDS`; return clock and processor seconds, and what it printed."""
         env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         env |= {} if cache is None else {"NUMBA_CACHE_DIR": str(cache)}
-        command = [self.folder / ".venv/bin/lirs-wct", *words.split()]
+        command = [str(self.folder / ".venv/bin/lirs-wct"), *words.split()]
         chosen = sorted(os.sched_getaffinity(0))[:cores]
         before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
         done = subprocess.run(
@@ -140,8 +140,8 @@ def main() -> None:
                     values.append(ROWS[name](checkout, out))
         print(name, *(f"{median(values):.2f}" for values in found[name]), flush=True)
     table = Table("row", *("here", "peer", "here / peer")[: 3 if given.peer else 1])
-    for name, values in found.items():
-        medians = [median(each) for each in values]
+    for name, columns in found.items():
+        medians = [median(column) for column in columns]
         ratio = [f"{medians[0] / medians[1]:.2f}"] if given.peer else []
         table.add_row(name, *(f"{m:.2f}" for m in medians), *ratio)
     Console(width=100).print(table)

@@ -80,6 +80,9 @@ def test_filters_reach_the_picture(folder: Path) -> None:
     assert roughness(smooth) < roughness(plain)
     sharp = built("hill.png", "--smoothing", "2", "--sharpness", "1.5").surface
     assert roughness(sharp) > roughness(smooth)
+
+
+def test_stairs_of_a_picture_are_smoothed(folder: Path) -> None:
     stairs = built("stairs.png").surface
     assert roughness(built("stairs.png", "--deterrace").surface) < 0.5 * roughness(stairs)
     median = built("stairs.png", "--denoise").surface

@@ -14,6 +14,8 @@ CASES = {
     "DriftsAtStandstill": {"reversing": 0.5},
 }
 """Changed parameters of a case for each defect."""
+SECONDS = {"NeverForgets": 60.0}
+"""Where walkers have to pass by."""
 
 
 @pytest.mark.slow
@@ -25,7 +27,9 @@ def test_a_planted_defect_raises_the_ratio(defect: str, monkeypatch: pytest.Monk
         case = case.with_value(name, value)
     ratios = {}
     for mapper in (f"planted_mappers:{defect}", "planted_mappers:Sound"):
-        score = measure(FalsifyOptions(mapper=mapper, seconds=60.0), mapper, case, 1, 0.3)
+        score = measure(
+            FalsifyOptions(mapper=mapper, seconds=SECONDS.get(defect, 30.0)), mapper, case, 1, 0.3
+        )
         assert score.counted
         ratios[mapper] = score.ratio
     planted, sound = ratios.values()
