@@ -80,7 +80,9 @@ def test_the_files_open_where_they_should(run: Run) -> None:
 
 
 @pytest.mark.parametrize("world", ["room", pytest.param("medium", marks=pytest.mark.slow)])
-def test_the_same_seed_gives_the_same_bytes(world: str, room: str, tmp_path: Path) -> None:
+def test_the_same_seed_gives_the_same_bytes(
+    world: str, room: str, tmp_path: Path, plain_pictures: None
+) -> None:
     def made(name: str, seed: int) -> Path:
         source = room if world == "room" else world
         return validate(source, seconds=1 if world == "room" else 3, seed=seed, out=tmp_path / name).folder  # type: ignore[return-value]

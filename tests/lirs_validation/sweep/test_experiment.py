@@ -189,8 +189,8 @@ def assert_same_run(a: Path, b: Path) -> None:
 
 
 @pytest.mark.slow
-def test_engines_give_the_same_bytes(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="medium", mapper="gmapping", seconds=2.0))
+def test_engines_give_the_same_bytes(room: str, tmp_path: Path) -> None:
+    experiment = SlamExperiment(RunConfig(source=room, mapper="gmapping", seconds=2.0))
     for name, engine in (("a", Serial()), ("b", Processes(jobs=1))):
         assert [o.status for o in Sweep([experiment], tmp_path / name).run(engine)] == ["ok"]
     assert_same_run(tmp_path / "a" / experiment.name, tmp_path / "b" / experiment.name)

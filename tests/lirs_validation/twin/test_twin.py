@@ -225,7 +225,9 @@ def test_a_log_that_is_too_short_is_named(
 
 
 @pytest.mark.slow
-def test_the_command_writes_page_figures_and_preset(tmp_path: Path) -> None:
+def test_the_command_writes_page_figures_and_preset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in {"ROUNDS": 2, "LEAST_SCANS": 1}.items():
+        monkeypatch.setattr(f"lirs_validation.twin.fit.{name}", value)
     log = str(ROOT / "examples" / "data" / "office.clf.gz")
     result = CliRunner().invoke(
         make_app(), ["twin", log, "-o", str(tmp_path), "--replay", "hector,cartographer", "--draws", "2"]
