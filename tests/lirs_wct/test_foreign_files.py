@@ -96,7 +96,7 @@ def test_no_file_saved_during_rebuilds_is_lost(
     names = [f"{parent}{number}.txt" for number in range(150)]
     if (save, parent) != (save_directly, ""):
         save = retried(save)
-    assert save_while_rebuilding(path, save, names) > 1
+    assert save_while_rebuilding(path, save, names) >= 1
     assert [name for name in names if (path / name).read_text() != name] == []
     assert [entry.name for entry in tmp_path.iterdir()] == ["w"]
 

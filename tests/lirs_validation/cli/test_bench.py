@@ -114,7 +114,7 @@ def test_a_policy_that_fails_costs_its_own_episode(bench: Any, tmp_path: Path) -
     (trace,) = (tmp_path / "out").glob("*/error.txt")
     assert "my_policies.py" in trace.read_text()
     # Mended, it is run again without being asked for.
-    (tmp_path / "my_policies.py").write_text(POLICIES.replace("> 2", "> 4"))
+    (tmp_path / "my_policies.py").write_text(POLICIES.replace("> 2", "> 4.0"))
     __import__("sys").modules.pop("my_policies")
     code, _, told = bench("my_policies:NotBehind")
     assert code == 0
