@@ -1,10 +1,12 @@
 """Compile the kernels into numba's cache, each once: workers of pytest would each compile them."""
 
+import gc
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+gc.set_threshold(100_000, 50, 50)  # the compiler makes many objects, and little garbage
 OFFICE = str(Path(__file__).resolve().parents[1] / "examples" / "data" / "office.yaml")
 HILL = """<mujoco><asset><hfield name="h" nrow="9" ncol="9" size="8 8 1 .1"/></asset>
   <worldbody><geom type="hfield" hfield="h"/>
