@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from dataclasses import dataclass, field
 from functools import cache
@@ -157,4 +158,7 @@ def is_sound(warned: Int32Array, kinds: IntArray, qpos: FloatArray, qvel: FloatA
 @njit(cache=True, nogil=True)
 def is_finite(values: FloatArray) -> bool:
     """Return whether all of (n,) values are finite."""
-    return bool(np.isfinite(values).all())
+    finite = True
+    for value in values:  # compiles in a third of the time of np.isfinite(values).all()
+        finite &= math.isfinite(value)
+    return finite

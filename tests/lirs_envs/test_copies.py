@@ -72,6 +72,7 @@ def test_props_and_mujoco_s_rays_follow_the_copy(walled: World, copied: Callable
     checked(sim, copied)
 
 
+@pytest.mark.slow
 def test_rays_on_a_true_mesh_follow_the_copy(make_world: Callable[..., World]) -> None:
     pytest.importorskip("embreex")
     caster = MeshCaster(make_world(lambda x, y: 3.0 * (np.hypot(x, y) > 1.5), nodes=41).mesh)

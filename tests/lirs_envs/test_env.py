@@ -65,7 +65,7 @@ def digest(name: str) -> str:
 @pytest.mark.parametrize(
     ("name", "robot"),
     [
-        ("LIRS/Mapping-v2", "husky"),
+        pytest.param("LIRS/Mapping-v2", "husky", marks=pytest.mark.slow),
         ("LIRS/Navigation-v1", "quadrotor"),
         *(
             pytest.param("LIRS/Traverse-v1", name, marks=[pytest.mark.slow] if name != "jackal" else ())

@@ -96,6 +96,7 @@ def drive(free: OccupancyGrid, way: tuple[RoutePoint, ...], seconds: float) -> t
 
 
 @pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.slow
 def test_waypoints_are_passed_in_their_order_round_obstacles(seed: int) -> None:
     free, touching = field(seed)
     config, cells = DriverConfig(), np.argwhere(free.free)

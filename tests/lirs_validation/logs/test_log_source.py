@@ -35,6 +35,7 @@ def maps(folder: Path) -> list[Path]:
     return sorted(folder.glob("*/map.yaml"))
 
 
+@pytest.mark.slow
 def test_build_makes_the_map_and_the_world_of_it(folder: Path) -> None:
     assert run_command("build", "my room.clf", "-o", "worlds", "--to", "hfield", "--wall-height", "1.5") == 0
     world = World.load("worlds/my_room")
