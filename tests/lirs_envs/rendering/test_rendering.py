@@ -47,6 +47,7 @@ def of_color(picture: Array, color: tuple[int, int, int], slack: int = 25) -> Ar
 
 
 @pytest.mark.render
+@pytest.mark.slow
 def test_a_picture_shows_robot_goal_and_walkers(plane: World, husky: Robot, in_ci: bool) -> None:
     sim, camera = simulation(plane, husky, actors=5), Camera((240, 320))
     snapshot = Snapshot.of(sim)

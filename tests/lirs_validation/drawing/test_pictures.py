@@ -96,7 +96,7 @@ def test_walls_of_a_map_stand_out_in_the_oblique_view() -> None:
     assert (floor | walls).all()
 
 
-@pytest.mark.parametrize("kind", ["terrain", "map"])
+@pytest.mark.parametrize("kind", [pytest.param("terrain", marks=pytest.mark.slow), "map"])
 def test_a_world_becomes_a_picture(kind: str, tmp_path: Path) -> None:
     world = room() if kind == "map" else World("hill", Terrain(hill()), spawn_poses=(Pose2(5, 5, 1),))
     view_figure(world).savefig(tmp_path / "view.png")

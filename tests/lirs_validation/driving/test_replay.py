@@ -42,6 +42,7 @@ def recorded(
     return validate("simple", robot=request.param, mapper="hector", seconds=1.0, out=out, **DRIVE)
 
 
+@pytest.mark.slow
 def test_another_mapper_on_the_same_commands_has_the_same_truth(recorded: Run, tmp_path: Path) -> None:
     drive = DRIVE | {"robot": recorded.record.config.robot, "driver": f"replay:{recorded.folder}"}
     for mapper in ("hector", "examples.your_own_mapper:DeadReckoning"):
