@@ -45,22 +45,6 @@ def compile_simulation() -> None:
     TerrainLidar(model, "lidar", "vlp16").trace(data)
 
 
-def compile_tests() -> None:
-    """Run tests whose kernels get arrays of other types or layouts than a drive's."""
-    import pytest
-
-    tests = Path(__file__).parent
-    names = (
-        "lirs_envs/lidar/test_ring_lidar.py::test_an_environment_observes_the_planar_scan_of_a_ring_lidar",
-        "lirs_validation/drawing/test_pictures.py::test_walls_of_a_map_stand_out_in_the_oblique_view",
-        "lirs_validation/twin/test_twin.py::test_a_log_that_is_too_short_is_named",
-        "lirs_validation/twin/test_twin.py::test_without_noise_the_residuals_are_the_maps",
-        "slam_baselines/cartographer/test_pose_graph.py::test_a_square_is_recovered",
-        "slam_baselines/gmapping/test_copy_on_write_map.py",
-    )
-    pytest.main(["-q", "-p", "no:cacheprovider", "-p", "no:xdist", *(str(tests / name) for name in names)])
-
-
 def compile_evaluation() -> None:
     from lirs_validation import validate
 
@@ -70,6 +54,6 @@ def compile_evaluation() -> None:
 
 if __name__ == "__main__":
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as processes:
-        for job in [processes.submit(part) for part in (compile_mappers, compile_simulation, compile_tests)]:
+        for job in [processes.submit(compile_mappers), processes.submit(compile_simulation)]:
             job.result()
     compile_evaluation()

@@ -209,7 +209,6 @@ def test_an_environment_observes_the_planar_scan_of_a_ring_lidar() -> None:
     env.close()
 
 
-@pytest.mark.slow
 def test_a_ring_preset_of_ones_own_is_cast(husky: Robot) -> None:
     dome = LidarPreset(
         name="dome", beams=90, fov=math.tau, rate=10, range_min=0.1, range_max=30, elevations=(-0.5, 0.0, 0.5)

@@ -173,7 +173,6 @@ def test_a_ring_on_the_ground_makes_no_plane() -> None:
     assert voxels.planes.table.planes[:, 6].any()
 
 
-@pytest.mark.slow
 def test_deskewing_at_constant_twist_gives_the_cloud_of_one_instant() -> None:
     rng = np.random.default_rng(7)
     instant = rng.uniform(-20, 20, (3000, 3))
