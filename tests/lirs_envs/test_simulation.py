@@ -90,6 +90,7 @@ def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
     assert replay.T_world_base == before
     assert sim.T_world_base == before
     assert replay.simulated == pytest.approx(2.4)
+    assert sim.replay(seconds=1.0).simulated == pytest.approx(1.0)
     assert replay.rtf > 1
     assert sim.controls.shape == (60 * len(sim.body.substeps), 2)
 
