@@ -192,7 +192,7 @@ def run_trials(
         if not configs:
             break
         sweep = Sweep(
-            [SlamExperiment(config, draws_success=False) for config in configs],
+            [SlamExperiment(config, brief=True) for config in configs],
             out,
             listed=False,
             retry_failed=retry_failed,

@@ -64,6 +64,8 @@ def evaluate(
     log: DriveLog,
     maps: Maps,
     cost: dict[str, Any],
+    *,
+    replayed: bool = True,
 ) -> RunRecord:
     """Return the record of a finished drive.
 
@@ -74,6 +76,7 @@ def evaluate(
         log: of the drive.
         maps: compared already.
         cost: processor time, peak memory, seconds of compilation.
+        replayed: Whether to replay the physics.
     """
     stats = mapper.stats
     trajectory = evaluate_trajectory(log, simulation)
@@ -83,7 +86,7 @@ def evaluate(
         world=evaluate_world(scenario, simulation),
         status=status,
         reason=reason,
-        rtf=evaluate_rtf(log, simulation) | {"compile_seconds": cost["compile_seconds"]},
+        rtf=evaluate_rtf(log, simulation, replayed=replayed) | {"compile_seconds": cost["compile_seconds"]},
         trajectory=trajectory,
         map=maps.scores,
         collisions=evaluate_collisions(simulation),
@@ -188,7 +191,7 @@ def evaluate_trajectory(log: DriveLog, simulation: Simulation) -> dict[str, Any]
     }
 
 
-def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
+def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True) -> dict[str, Any]:
     """Return the real-time factor of a drive, its spread over simulated seconds and its parts."""
     period = simulation.period
     factor = real_time_factor(log.walls, period)
@@ -197,7 +200,7 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation) -> dict[str, Any]:
         **factor,
         "parts": _parts(log, simulation),
         "mapper_in": log.mapper_in,
-        **physics_rtf(simulation, measured=not log.concurrent),
+        **physics_rtf(simulation, measured=replayed and not log.concurrent),
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
         "timestep": simulation.body.timestep,

@@ -124,7 +124,7 @@ def run(
     scenarios: ScenarioCache | None = None,
     concurrent: bool = False,
     name: str | None = None,
-    draws_success: bool = True,
+    brief: bool = False,
 ) -> Run:
     """Run a config (see `validate`).
 
@@ -135,7 +135,7 @@ def run(
         scenarios: worlds that were built before.
         concurrent: whether other runs share the processor; found out beside that.
         name: of the run's folder; None = the record's.
-        draws_success: Whether a run that works gets its overview picture, too.
+        brief: Whether to omit the replay of the physics, and the picture of a run that works.
 
     Raises:
         WctError: see `validate`; a bag is to be recorded, and nothing written.
@@ -144,12 +144,7 @@ def run(
         raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
     check_writable(out)
     return drive_and_conclude(
-        prepare(config, progress, scenarios),
-        out,
-        progress,
-        name,
-        concurrent=concurrent,
-        draws_success=draws_success,
+        prepare(config, progress, scenarios), out, progress, name, concurrent=concurrent, brief=brief
     )
 
 
@@ -210,7 +205,7 @@ def drive_and_conclude(
     name: str | None = None,
     *,
     concurrent: bool = False,
-    draws_success: bool = True,
+    brief: bool = False,
 ) -> Run:
     """Drive, record, evaluate and write a prepared run (see `run`); close its mapper.
 
@@ -221,8 +216,8 @@ def drive_and_conclude(
         with closing(ready.mapper):
             log, cost = _timed_drive(ready, progress, recorded.add)
             log.concurrent = log.concurrent or concurrent
-            evaluated = _evaluate(ready, log, cost, progress)
-        drawn = draws_success or evaluated.verdict.kind != "works"
+            evaluated = _evaluate(ready, log, cost, progress, replayed=not brief)
+        drawn = not brief or evaluated.verdict.kind != "works"
         return _write_run(evaluated, out, name, recorded, drawn=drawn)
 
 
@@ -312,7 +307,9 @@ def conclude(
     return _write_run(_evaluate(ready, log, cost, progress), out)
 
 
-def _evaluate(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Progress) -> Run:
+def _evaluate(
+    ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Progress, *, replayed: bool = True
+) -> Run:
     """Return a run whose folder is not written yet."""
     scenario, mapper = ready.scenario, ready.mapper
     if not log.walls:
@@ -321,7 +318,7 @@ def _evaluate(ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Pr
     progress("evaluate", 1.0)
     maps = evaluate_maps(scenario.world, log, mapper)
     cost = cost | {"compile_seconds": ready.compile_seconds}
-    record = evaluate(scenario, ready.simulation, mapper, log, maps, cost)
+    record = evaluate(scenario, ready.simulation, mapper, log, maps, cost, replayed=replayed)
     return Run(record, log, maps, scenario.world, None)
 
 

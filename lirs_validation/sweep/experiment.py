@@ -190,13 +190,13 @@ class SlamExperiment:
         config: configuration of the run.
         tables: tables of the suite that its metrics belong to; empty outside suites.
         folder: name of its folder; None = the run's unique name.
-        draws_success: Whether a run that works gets its overview picture, too.
+        brief: Whether to omit the replay of the physics, and the picture of a run that works.
     """
 
     config: RunConfig
     tables: tuple[str, ...] = ()
     folder: str | None = None
-    draws_success: bool = True
+    brief: bool = False
 
     @cached_property
     def world(self) -> str:
@@ -236,7 +236,7 @@ class SlamExperiment:
             scenarios=scenarios,
             concurrent=concurrent,
             name=self.folder,
-            draws_success=self.draws_success,
+            brief=self.brief,
         ).record
         return Outcome(experiment=self.name, status=record.status, reason=record.reason, written=True)
 

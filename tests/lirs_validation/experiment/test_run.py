@@ -87,7 +87,7 @@ def test_a_success_is_drawn_only_on_request(
     room: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, plain_pictures: None, kind: str, drawn: bool
 ) -> None:
     monkeypatch.setattr(Run, "verdict", SimpleNamespace(kind=kind))
-    experiment = SlamExperiment(RunConfig(source=room, seconds=0.5), draws_success=False)
+    experiment = SlamExperiment(RunConfig(source=room, seconds=0.5), brief=True)
     experiment.perform(tmp_path, ScenarioCache(), no_progress, concurrent=False)
     assert (tmp_path / experiment.name / "overview.png").exists() is drawn
     assert experiment.find_outcome(tmp_path) is not None  # complete, drawn or not
