@@ -21,14 +21,10 @@ from lirs_wct.drawing.canvas import (
     VERMILLION,
     Canvas,
     Drawing,
-    bare_figure,
     bounds_shown,
-    head_height,
-    headline,
     legend,
     map_axes,
-    page_size,
-    panel_grid,
+    page_of_panels,
     path_ends,
     plain_axes,
     title,
@@ -40,8 +36,10 @@ WIDTH, SIDE = 6.4, 4.0
 """Widths of the map, and of metrics and plots beside it, inches."""
 LINE = 110
 """Characters in a line of the verdict."""
-LEAST_PLOTS = 2
-"""Smallest number of plot slots under the metrics."""
+EMPTY_SLOTS = 2
+"""Plot slots under the metrics of a log without errors to plot."""
+ROW, LEAST_PLOT, GAP = 0.21, 1.2, 0.8
+"""Heights of a row of the metrics, of the smallest plot, and above a plot, inches."""
 
 
 def map_overview(
@@ -62,19 +60,20 @@ def map_overview(
     """
     canvas = Canvas.over(bounds_shown(estimate, grid), round(WIDTH * PAGE_DPI))
     rows, cols = canvas.shape
-    plots = _plots(record, accuracy)
-    tall = max(WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6)
-    c, widths = record.config, (WIDTH, SIDE)
+    plots, lines = _plots(record, accuracy), map_lines(record)
+    listed = ROW * len(lines)
+    tall = max(WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6, listed + len(plots) * (LEAST_PLOT + GAP))
+    c = record.config
     verdict = textwrap.fill(str(record.verdict), LINE)
     text = f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}\n{verdict}"
-    head = head_height(text)
-    figure = bare_figure(*page_size((tall,), widths, head=head), PAGE_DPI)
-    headline(figure, text)
-    halves = panel_grid(figure, (tall,), widths, head=head)
+    figure, halves = page_of_panels(text, (tall,), (WIDTH, SIDE))
     _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _reference_in_map(reference, accuracy))
-    rows = max(len(plots), LEAST_PLOTS)
-    cells = halves[1].subgridspec(1 + rows, 1, height_ratios=(1.5, *[1.0] * rows), hspace=0.6)
-    value_list(figure.add_subplot(cells[0]), map_lines(record))
+    slots = len(plots) or EMPTY_SLOTS
+    heights = (listed, *[(tall - listed) / slots - GAP] * slots)
+    cells = halves[1].subgridspec(
+        len(heights), 1, height_ratios=heights, hspace=GAP * len(heights) / sum(heights)
+    )
+    value_list(figure.add_subplot(cells[0]), lines)
     for k, (name, unit, stamps, errors) in enumerate(plots, start=1):
         _errors(figure.add_subplot(cells[k]), name, unit, stamps - estimate.stamps[0], errors)
     return figure

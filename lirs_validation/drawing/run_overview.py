@@ -33,15 +33,11 @@ from lirs_wct.drawing.canvas import (
     WALL,
     Canvas,
     Drawing,
-    bare_figure,
     bounds_shown,
-    head_height,
-    headline,
     height_colors,
     legend,
     map_axes,
-    page_size,
-    panel_grid,
+    page_of_panels,
     path_ends,
     plain_axes,
     rgb,
@@ -52,7 +48,7 @@ from lirs_wct.drawing.canvas import (
 
 FULL = 0.20
 """Height error at full color, meters."""
-PANEL = 4.1
+PANEL = 4.4
 """Width of a panel, inches."""
 LINE = 150
 """Characters of a line of the headline."""
@@ -128,11 +124,7 @@ def overview_figure(
     rows, cols = canvas.shape
     tall = PANEL * min(max(rows / cols, 0.35), 1.5)
     heights, widths = (max(tall, 4.2), tall), (PANEL,) * 3
-    text = f"{_headline(record)}\n{_wrapped_verdict(record)}"
-    head = head_height(text)
-    figure = bare_figure(*page_size(heights, widths, head=head), PAGE_DPI)
-    grid = panel_grid(figure, heights, widths, head=head)
-    headline(figure, text)
+    figure, grid = page_of_panels(f"{_headline(record)}\n{_wrapped_verdict(record)}", heights, widths)
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
     value_list(figure.add_subplot(grid[0, 2]), picture_lines(record))

@@ -118,11 +118,6 @@ def headline(figure: Figure, text: str, **place: float) -> None:
     figure.suptitle(text, fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK, **place)
 
 
-def head_height(text: str) -> float:
-    """Return the height of a page's headline and the titles below it, inches."""
-    return 0.5 + 0.21 * (1 + text.count("\n"))
-
-
 def value_list(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
     """Write a table with names on the left and values on the right."""
     axes.set_axis_off()
@@ -208,13 +203,14 @@ def bare_figure(width: float, height: float, dpi: float = DPI) -> Drawing:
     return Drawing(figsize=(width, height), dpi=dpi, facecolor="white")
 
 
-def panel_grid(figure: Figure, heights: Sequence[float], widths: Sequence[float], *, head: float) -> GridSpec:
-    """Return a grid of panels by their sizes in inches, below a headline.
-
-    The figure must be as large as `page_size` says.
-    """
-    width, height = figure.get_size_inches()
-    return figure.add_gridspec(
+def page_of_panels(text: str, heights: Sequence[float], widths: Sequence[float]) -> tuple[Drawing, GridSpec]:
+    """Return a page with a headline, and the grid of its panels (sizes in inches)."""
+    head = 0.5 + 0.21 * (1 + text.count("\n"))
+    width = len(widths) * LEFT + sum(widths) + RIM
+    height = head + sum(heights) + len(heights) * (BELOW + GAP) - GAP
+    page = bare_figure(width, height, PAGE_DPI)
+    headline(page, text)
+    grid = page.add_gridspec(
         *(len(heights), len(widths)),
         height_ratios=heights,
         width_ratios=widths,
@@ -222,15 +218,10 @@ def panel_grid(figure: Figure, heights: Sequence[float], widths: Sequence[float]
         right=1 - RIM / width,
         top=1 - head / height,
         bottom=BELOW / height,
-        wspace=LEFT / (sum(widths) / len(widths)),
-        hspace=(BELOW + GAP) / (sum(heights) / len(heights)),
+        wspace=LEFT * len(widths) / sum(widths),
+        hspace=(BELOW + GAP) * len(heights) / sum(heights),
     )
-
-
-def page_size(heights: Sequence[float], widths: Sequence[float], *, head: float) -> Size:
-    """Return the size of a figure with a `panel_grid`."""
-    above = head + (len(heights) - 1) * (BELOW + GAP) + BELOW
-    return Size(len(widths) * LEFT + sum(widths) + RIM, above + sum(heights))
+    return page, grid
 
 
 def new_figure(width: float, height: float) -> Drawing:
