@@ -96,13 +96,13 @@ def places(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 @pytest.mark.slow
 def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> None:
-    """Every value of a record is replaced by nonsense of three kinds, one at a time."""
+    """Every value of a record is replaced by nonsense, one at a time."""
     folder = saved_whole(tmp_path, record())
     whole = json.loads((folder / "record.json").read_text())
     experiment = SlamExperiment(recorded_config(whole))
     assert experiment.find_outcome(tmp_path) is not None
-    for number, place in enumerate(places(whole)):
-        for value in NONSENSE[number % 3 :: 3]:
+    for place in places(whole):
+        for value in NONSENSE:
             odd = copy.deepcopy(whole)
             at = odd
             for part in place[:-1]:

@@ -328,6 +328,9 @@ def test_the_command(tmp_path: Path) -> None:
     assert [entry["seed"] for entry in entries] == [1, 3]
     code, _, entries = collide(tmp_path, "nope.png", *QUICK)
     assert (code, len(entries)) == (3, 1)
+
+
+def test_a_wrong_option_is_named(tmp_path: Path) -> None:
     for words, says in (
         (("simple", "--robot", "huksy"), "unknown robot 'huksy'"),
         (("simple", "--robot", ","), "--robot must be a list such as a,b,c"),

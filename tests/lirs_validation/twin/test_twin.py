@@ -70,7 +70,7 @@ def test_planted_noise_is_recovered(
     quick: bool, planted: tuple[LogScans, LogComparison], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if quick:
-        for name, value in {"ROUNDS": 2, "SAMPLES": 20, "LEAST_SCANS": 1}.items():
+        for name, value in {"ROUNDS": 2, "SAMPLES": 12, "LEAST_SCANS": 1}.items():
             monkeypatch.setattr(f"lirs_validation.twin.fit.{name}", value)
     scans, real = planted
     fitted = fit_noise(real, scans.poses, seed=2)

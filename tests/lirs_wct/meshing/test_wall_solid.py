@@ -75,6 +75,7 @@ def test_no_edge_joins_more_than_two_triangles(kind: np.ndarray) -> None:
     assert len(np.unique(mesh.faces)) == len(mesh.vertices)
 
 
+@pytest.mark.slow
 @given(kinds, st.floats(-3, 3), st.sampled_from((0.5, 0.05, 0.005)))
 def test_a_reader_that_merges_equal_positions_has_a_manifold(
     kind: np.ndarray, yaw: float, resolution: float
