@@ -159,6 +159,6 @@ def is_sound(warned: Int32Array, kinds: IntArray, qpos: FloatArray, qvel: FloatA
 def is_finite(values: FloatArray) -> bool:
     """Return whether all of (n,) values are finite."""
     finite = True
-    for value in values:  # compiles in a third of the time of np.isfinite(values).all()
+    for value in values:  # compiles sooner than np.isfinite(values).all()
         finite &= math.isfinite(value)
     return finite

@@ -63,11 +63,11 @@ COMPLETION = "_LIRS_WCT_COMPLETE"
 
 
 def make_app(names: Collection[str] = tuple(COMMANDS), *, listed_only: bool = False) -> typer.Typer:
-    """Return the program with some of its commands, whose modules alone are loaded.
+    """Return the program with some of its commands; modules of others are not loaded.
 
     Args:
-        names: names of the commands.
-        listed_only: whether the commands are for the program's help, without their options.
+        names: Commands.
+        listed_only: Whether to leave out the commands' options, which the program's help does not show.
     """
     app = typer.Typer(
         name="lirs-wct",
@@ -85,7 +85,7 @@ def make_app(names: Collection[str] = tuple(COMMANDS), *, listed_only: bool = Fa
 
 
 def _app_for(arguments: list[str]) -> typer.Typer:
-    """Return the program for a command line, with the command that is called alone."""
+    """Return the program with the command of a command line, or with all of them."""
     if COMPLETION in os.environ:
         return make_app()
     called = [argument for argument in arguments[:1] if argument in COMMANDS]

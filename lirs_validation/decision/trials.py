@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from scipy.special import betaincinv  # a tenth of the import of scipy.stats
+from scipy.special import betaincinv  # imports in a third of the time of scipy.stats
 
 from lirs_validation.config import RunConfig
 from lirs_validation.metrics.verdict import VerdictClass

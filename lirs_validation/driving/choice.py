@@ -243,9 +243,8 @@ def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigErr
         f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
     )
     others = [name for name, other in ROBOTS.items() if _fits(world, other, margin)]
-    return ConfigError(
-        f"{needed}; {', '.join(others)} would fit" if others else f"{needed}; no other robot fits"
-    )
+    hint = f"{', '.join(others)} would fit" if others else "no other robot fits"
+    return ConfigError(f"{needed}; {hint}")
 
 
 def _fits(world: World, robot: Robot, margin: float) -> bool:

@@ -229,12 +229,12 @@ def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
 def physics_rtf(simulation: Simulation, *, measured: bool) -> dict[str, float | None]:
     """Return the RTF of physics alone, over the first seconds of the drive.
 
-    The recorded controls are replayed with MuJoCo's step, and with the reference physics.
+    The recorded controls are replayed with MuJoCo's step, and with the reference physics. The second is
+    None where the reference physics diverges: some robots need a shorter step.
 
     Args:
         simulation: Driven simulation.
-        measured: Whether wall-clock times count; otherwise both are None. The latter is also None where the
-            reference physics diverges: some robots need a shorter step.
+        measured: Whether to measure; otherwise both are None.
     """
     if not measured:
         return {"physics_only": None, "physics_reference": None}

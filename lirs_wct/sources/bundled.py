@@ -29,24 +29,25 @@ class Recipe:
     Attributes:
         seed: seed of its random generator.
         relief: relief of the hills without obstacles, meters.
-        wavelength: standard deviation of the filter that smooths the hills, meters.
+        smoothing: standard deviation of the filter that smooths the hills, meters.
         obstacles: number of obstacles on the 2,500 m2.
         gap: free space between obstacles, meters.
     """
 
     seed: int
     relief: float
-    wavelength: float
+    smoothing: float
     obstacles: int
     gap: float
 
 
 RECIPES = {
-    "simple": Recipe(seed=1, relief=0.5, wavelength=1.7151395415239903, obstacles=25, gap=3.0),
-    "medium": Recipe(seed=2, relief=2.0, wavelength=3.627624852142082, obstacles=50, gap=2.4),
-    "advanced": Recipe(seed=3, relief=5.0, wavelength=4.874656118452941, obstacles=100, gap=2.0),
+    "simple": Recipe(seed=1, relief=0.5, smoothing=1.7151395415239903, obstacles=25, gap=3.0),
+    "medium": Recipe(seed=2, relief=2.0, smoothing=3.627624852142082, obstacles=50, gap=2.4),
+    "advanced": Recipe(seed=3, relief=5.0, smoothing=4.874656118452941, obstacles=100, gap=2.0),
 }
-"""Bundled worlds; 95 % of their ground slopes by less than 4, 10 and 18 deg over 1 m."""
+"""Bundled worlds. 95 % of their ground slopes by at most 4, 10 and 18 deg over 1 m, from which the smoothing
+was solved."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def _hills(recipe: Recipe, rng: np.random.Generator) -> FloatArray:
     coarse = 8
     spacing = coarse * SIZE / (PIXELS - 1)
     noise = rng.standard_normal((2, PIXELS // coarse + 1, PIXELS // coarse + 1))
-    widths = (recipe.wavelength / spacing, recipe.wavelength / 3 / spacing)
+    widths = (recipe.smoothing / spacing, recipe.smoothing / 3 / spacing)
     long, short = (_unit(ndimage.gaussian_filter(n, width)) for n, width in zip(noise, widths, strict=True))
     at = np.linspace(0, PIXELS // coarse, PIXELS)
     z: FloatArray = ndimage.map_coordinates(

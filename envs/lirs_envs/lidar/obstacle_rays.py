@@ -198,7 +198,7 @@ def _cast_fan(
         for j in range(blocks):
             towards = -(x * cones[j, 0] + y * cones[j, 1]) / distance if distance > RADIUS else 1.0
             spread = cones[j, 2]
-            # Around the whole circle no walker is aside.
+            # A spread of -1 is the whole circle: every walker may be hit.
             if spread > -1.0 and towards < cosine * spread - sine * math.sqrt(1.0 - spread * spread):
                 continue
             for k in range(j * BLOCK, min((j + 1) * BLOCK, n)):

@@ -205,7 +205,7 @@ class RayCaster:
         rays = origins.reshape(-1, 3), directions, max_range, ranges
         if self.walls.distance.size:
             cast_rays(self.terrain, self.walls, *rays)
-        else:  # compiled and called in less time than with the kernels of walls
+        else:  # the kernels of walls need not be compiled
             terrain_ranges(self.terrain, *rays)
         return ranges
 

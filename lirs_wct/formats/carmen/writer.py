@@ -84,8 +84,6 @@ def _millimeters(ranges: Float32Array, most: int) -> IntArray:
 
 @cache
 def _formatted_ranges(millimeters: int) -> ByteArray:
-    """Return the letters of ranges by millimeter, padded by 0; last those of "invalid"."""
-    texts = np.array(
-        [*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"], dtype=np.bytes_
-    )
+    """Return (n, letters) texts of ranges by millimeter, padded with 0; the last is "invalid"."""
+    texts = [*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"]
     return np.array(texts, dtype=np.bytes_).view(np.uint8).reshape(len(texts), -1)
