@@ -238,7 +238,7 @@ def add_walkers(spec: mujoco.MjSpec, count: int) -> None:
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _walk(
     paths: tuple[FloatArray, FloatArray, FloatArray],
     state: tuple[FloatArray, IntArray, FloatArray],
@@ -288,7 +288,7 @@ def _walk(
         squared[nearest] = np.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _point_on_path(points: FloatArray, ends: FloatArray, along: float) -> tuple[float, float]:
     """Return x, y at a distance along a path."""
     leg = 0
@@ -301,7 +301,7 @@ def _point_on_path(points: FloatArray, ends: FloatArray, along: float) -> tuple[
     return x, y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _height(z: Float32Array, frame: tuple[float, float, float, float], x: float, y: float) -> float:
     """Return the height of a surface at a point on it (see `HeightField.height_at`)."""
     rows, cols = z.shape

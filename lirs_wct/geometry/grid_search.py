@@ -56,19 +56,20 @@ def search(
         limit: stop at this cost.
     """
     wanted = np.zeros(weight.shape, np.bool_) if goals is None else goals
-    cost, parent = _dijkstra(
-        np.ascontiguousarray(weight, dtype=np.float64), sources, resolution, wanted, slack, limit
-    )
+    cost, parent = np.full(weight.shape, np.inf), np.full(weight.shape, -1)
+    weight = np.ascontiguousarray(weight, dtype=np.float64)
+    settled = _dijkstra(weight, sources, resolution, wanted, slack, limit, cost, parent)
+    cost[cost > settled] = np.inf  # that of a cell that is not settled is not yet minimal
     return Reach(cost, parent)
 
 
 @njit(cache=True)
 def _dijkstra(
-    weight: FloatArray, sources: IntArray, resolution: float, goals: BoolArray, slack: float, limit: float
-) -> tuple[FloatArray, IntArray]:
+    weight: FloatArray, sources: IntArray, resolution: float, goals: BoolArray, slack: float, limit: float,
+    cost: FloatArray, parent: IntArray,
+) -> float:  # fmt: skip
+    """Fill `cost` and `parent` (rows, cols); return the cost up to which cells are settled."""
     rows, cols = weight.shape
-    cost = np.full((rows, cols), np.inf)
-    parent = np.full((rows, cols), -1, np.int64)
     heap = [(0.0, np.int64(-1))]
     heap.pop()
     for k in range(len(sources)):
@@ -98,9 +99,4 @@ def _dijkstra(
                     cost[i, j] = there
                     parent[i, j] = flat
                     heapq.heappush(heap, (there, i * cols + j))
-    # The cost of a cell that is not settled is not yet minimal.
-    for r in range(rows):
-        for c in range(cols):
-            if cost[r, c] > limit:
-                cost[r, c] = np.inf
-    return cost, parent
+    return limit

@@ -30,7 +30,7 @@ POINTS, TRIANGLES, BORDER, TOP = range(4)
 """Indices into `Tin.used`."""
 
 # The kernels own no memory; numba's counting of the arrays in and out of every call took a third of the time.
-kernel = njit(cache=True, error_model="numpy", _nrt=False)
+kernel = njit(cache=True, _nrt=False)
 DONE, FULL = 0, 1
 """Results of `refine`: the budget is met, or the arrays must grow."""
 _SHIFT = 52 - 7
@@ -333,7 +333,7 @@ def worst_pixel(
     return most, _place(z, first, count, height, per_col)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy", _nrt=False)
+@njit(cache=True, fastmath=True, _nrt=False)
 def _largest(z: Float32Array, first: int, count: int, start: float, step: float) -> int:
     """Return the largest difference of a row's pixels from a line of slope `step` per pixel."""
     largest = 0

@@ -97,8 +97,10 @@ def _search(cells: _Cells, points: Any, weights: Any, start: Any, window: _Windo
     res, reach, turns = cells.resolution, window.reach, window.turns
     n = len(points)
     at_row, at_col = np.empty(n, np.int64), np.empty(n, np.int64)
-    total = max(weights.sum(), 1e-9) * FULL
-    best_score = -np.inf
+    total, best_score = 0.0, -np.inf
+    for w in weights:
+        total += w
+    total = max(total, 1e-9) * FULL
     for k in range(-turns, turns + 1):
         yaw = start[2] + k * window.step
         c, s = np.cos(yaw), np.sin(yaw)

@@ -168,18 +168,23 @@ def _match(
     information = invert3(prior.covariance)
     if levels == 0:
         levels = levels_for(pyramid.frames, prior.covariance, settings.lever)
-    pose, H = start.copy(), np.empty((3, 3))
+    pose, H, total = start.copy(), np.empty((3, 3)), 0.0
     score, known = _iterate(
         pyramid, points, weights, prior.pose, information, levels, settings, variance, pose, H
     )
-    H /= variance
-    covariance = invert3(information + H)
-    # Number by number: to assign to a slice, Numba first compiles the message of an error for two seconds.
+    # Number by number: operations of whole arrays take Numba several times as long to compile.
+    for i in range(3):
+        for j in range(3):
+            H[i, j] /= variance
+            information[i, j] += H[i, j]
+    covariance = invert3(information)
     for i in range(3):
         out[i] = pose[i]
         for j in range(3):
             out[3 + 3 * i + j], out[12 + 3 * i + j] = covariance[i, j], H[i, j]
-    out[21], out[22] = score / max(known, 1e-9), known / max(weights.sum(), 1e-9)
+    for w in weights:
+        total += w
+    out[21], out[22] = score / max(known, 1e-9), known / max(total, 1e-9)
 
 
 @njit(cache=True, nogil=True)
@@ -199,7 +204,7 @@ def _iterate(
     for level in range(min(levels, len(settings.iterations)) - 1, -1, -1):
         value, frame = pyramid.values[level], pyramid.frames[level]
         cell = frame[2]
-        stride = 2**level  # a coarse level needs fewer beams
+        stride = np.int64(1 << level)  # a coarse level needs fewer beams
         for _ in range(settings.iterations[level]):
             score, known = linearize(value, frame, points, weights, stride, pose, H, g)
             for i in range(3):
@@ -209,7 +214,9 @@ def _iterate(
                     b[i] -= information[i, j] * (pose[j] - prior[j])
             step = solve3(A, b)
             length = np.hypot(step[0], step[1])
-            pose += step * (4 * cell / max(4 * cell, length, abs(step[2]) * 20 * cell))
+            share = 4 * cell / max(4 * cell, length, abs(step[2]) * 20 * cell)
+            for i in range(3):
+                pose[i] += step[i] * share
             converged_step = length < converged * cell and abs(step[2]) < converged * 0.1
             if converged_step:
                 break
@@ -272,9 +279,11 @@ def linearize(
         g1 += dy * e
         g2 += dyaw * e
     unit = scale / FULL
-    H[0, 0], H[0, 1], H[0, 2], H[1, 1], H[1, 2], H[2, 2] = h00, h01, h02, h11, h12, h22
-    H[1, 0], H[2, 0], H[2, 1] = h01, h02, h12
-    H *= unit * unit
+    square = unit * unit
+    H[0, 0], H[1, 1], H[2, 2] = h00 * square, h11 * square, h22 * square
+    H[0, 1] = H[1, 0] = h01 * square
+    H[0, 2] = H[2, 0] = h02 * square
+    H[1, 2] = H[2, 1] = h12 * square
     g[0], g[1], g[2] = g0 * unit / FULL, g1 * unit / FULL, g2 * unit / FULL
     return score / FULL, seen
 

@@ -60,7 +60,8 @@ class LeveledScan:
     def transformed(self, T_map_base: Pose2, height: float) -> ScanPoints:
         """Return the points in the map frame, the base being at `height`."""
         T, out = T_map_base, ScanPoints(np.empty(3), np.empty_like(self.hits), np.empty_like(self.free))
-        _transform(ScanPoints(self.origin, self.hits, self.free), (T.x, T.y, T.yaw, height), out)
+        leveled = (self.origin[None], self.hits, self.free)
+        _transform(leveled, (T.x, T.y, T.yaw, height), (out.origin[None], out.hits, out.free))
         return out
 
 
@@ -121,12 +122,12 @@ class Mount(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _transform(scan: Any, pose: Any, out: Any) -> None:
-    """Fill `out` with a scan turned and shifted by a pose (x, y, yaw, z)."""
+def _transform(points: Any, pose: Any, out: Any) -> None:
+    """Fill arrays `out` with arrays of points (n, 3) turned and shifted by a pose (x, y, yaw, z)."""
     x, y, yaw, z = pose
     c, s = np.cos(yaw), np.sin(yaw)
-    origin, new_origin = scan.origin.reshape(1, 3), out.origin.reshape(1, 3)
-    for old, new in ((origin, new_origin), (scan.hits, out.hits), (scan.free, out.free)):
+    for k in range(len(points)):
+        old, new = points[k], out[k]
         for i in range(len(old)):
             u, v = old[i, 0], old[i, 1]
             new[i, 0], new[i, 1], new[i, 2] = x + c * u - s * v, y + s * u + c * v, z + old[i, 2]

@@ -219,7 +219,7 @@ class RayCaster:
         return ranges, reflectances
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, nogil=True)
 def cast_rays(
     terrain: TerrainMipmap,
     walls: WallCells,

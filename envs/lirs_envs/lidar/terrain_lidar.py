@@ -171,7 +171,7 @@ def _mark_misses(geoms: Int32Array, ranges: FloatArray) -> None:
             ranges[k] = np.inf
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@njit(cache=True, nogil=True)
 def _field_ranges(
     terrain: TerrainMipmap,
     elevation: float,

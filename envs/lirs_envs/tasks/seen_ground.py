@@ -92,7 +92,7 @@ class SeenGround:
         _crop(self._ceilings[i], self._ground[i], corner, (x, y, yaw), out)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True)
 def _mark_rows(
     rows: IntArray,
     fans: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
@@ -120,7 +120,7 @@ def _mark_rows(
         wanted_cells[i] += new_wanted
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FUSED)
+@njit(cache=True, nogil=True, fastmath=FUSED)
 def mark_seen(
     ceiling: Float32Array,
     highest: Float32Array,
@@ -170,7 +170,7 @@ def mark_seen(
     return new, new_wanted
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FUSED, forceinline=True)
+@njit(cache=True, nogil=True, fastmath=FUSED, forceinline=True)
 def _mark_beam(
     grids: Grids,
     layout: Layout,
