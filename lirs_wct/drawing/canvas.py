@@ -124,11 +124,11 @@ def value_list(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
     step = 1.0 / max(len(lines), 10)
-    for k, (name, value) in enumerate(lines):
-        y = 0.94 - k * step
+    heights = 0.94 - step * np.arange(len(lines))
+    for y, (name, value) in zip(heights, lines, strict=True):
         axes.text(0.0, y, name, fontsize=TEXT, color=BLACK, va="center")
         axes.text(1.0, y, value, fontsize=TEXT, color=BLACK, va="center", ha="right")
-        axes.plot((0.0, 1.0), (y - step / 2,) * 2, color=GRAY, linewidth=0.4, alpha=0.5)
+    axes.hlines(heights - step / 2, 0.0, 1.0, color=GRAY, linewidth=0.4, alpha=0.5)
 
 
 def path_ends(axes: Axes, path: Trajectory) -> list[Line2D]:
