@@ -6,9 +6,9 @@
 A group (`metrics`, `poses`, `readers`) is a set of modules of which N mutants are drawn; `--module` takes all
 mutants of one file (or N). Samples of different seeds share no mutant. A mutant is killed where a test of its
 module fails, crashes or takes too long; the tests are those of the module's name or that import it, else of
-its folder, without real files. Everything runs in a copy of the checkout, each mutant in a fork of a process
-with the libraries loaded. Kernels of a mutated module run as plain Python: numba's cache would hold those of
-another mutant.
+its folder, without real files. The slow tests run where the fast ones pass. Everything runs in a copy of the
+checkout, each mutant in a fork of a process with the libraries loaded. Kernels of a mutated module run as
+plain Python: numba's cache would hold those of another mutant.
 Every survivor is printed; `--survivors` runs those of an earlier `--json` again.
 """
 
@@ -66,6 +66,10 @@ PRELOADED = (
     "yaml",
 )
 """Libraries that every mutant's process finds loaded."""
+MARKS = ("not slow and not shared", "slow and not shared")
+"""Tests that run one after the other, by their marks."""
+PASSED = (0, 5)
+"""Exit codes of pytest: passed, and no test of these marks."""
 MEMORY = 8 << 30
 """Address space of a mutant's process: one that asks for more is killed."""
 SLOWEST, SPARE = 5, 20.0
@@ -136,18 +140,21 @@ class Laboratory:
     def killed(self, mutant: Mutant) -> bool:
         """Whether the tests of a mutant's module notice it."""
         tests, jit = tests_of(mutant.module, self.folder), "@njit" not in mutant.source
-        limit = self._limit(tests, jit)
-        with self._mutated(mutant):
-            return self._run(tests, jit, limit) != 0
+        for mark in MARKS:
+            limit = self._limit(tests, jit, mark)
+            with self._mutated(mutant):
+                if self._run(tests, jit, limit, mark) not in PASSED:
+                    return True
+        return False
 
-    def _limit(self, tests: list[str], jit: bool) -> float:
+    def _limit(self, tests: list[str], jit: bool, mark: str) -> float:
         """Return the seconds that a mutant gets; the tests must pass without one."""
-        key = (*tests, jit)
+        key = (*tests, jit, mark)
         if key not in self._limits:
-            if self._run(tests, True, 600.0, keep=True) != 0:  # compiles modules and kernels
-                sys.exit(f"{' '.join(tests)}: fail without a mutant, or hold no test")
+            if self._run(tests, True, 600.0, mark, keep=True) not in PASSED:  # compiles modules and kernels
+                sys.exit(f"{' '.join(tests)}: fail without a mutant")
             start = time.perf_counter()
-            if self._run(tests, jit, 600.0, keep=True) != 0:
+            if self._run(tests, jit, 600.0, mark, keep=True) not in PASSED:
                 sys.exit(f"{' '.join(tests)}: fail where kernels run as plain Python")
             self._limits[key] = SLOWEST * (time.perf_counter() - start) + SPARE
         return self._limits[key]
@@ -163,10 +170,10 @@ class Laboratory:
         finally:
             path.write_text(mutant.source, encoding="utf-8")
 
-    def _run(self, tests: list[str], jit: bool, limit: float, keep: bool = False) -> int:
+    def _run(self, tests: list[str], jit: bool, limit: float, mark: str, keep: bool = False) -> int:
         """Run tests in a forked process; return pytest's exit code, -1 where it takes too long."""
         process = multiprocessing.get_context("fork").Process(
-            target=_pytest, args=(self.folder, tests, jit, keep)
+            target=_pytest, args=(self.folder, tests, jit, mark, keep)
         )
         process.start()
         try:
@@ -178,7 +185,7 @@ class Laboratory:
         return -1 if process.exitcode is None else process.exitcode
 
 
-def _pytest(folder: Path, tests: list[str], jit: bool, keep: bool) -> None:
+def _pytest(folder: Path, tests: list[str], jit: bool, mark: str, keep: bool) -> None:
     """Run tests in the copy; `keep` what Python and numba compile."""
     os.setsid()
     os.chdir(folder)
@@ -199,7 +206,7 @@ def _pytest(folder: Path, tests: list[str], jit: bool, keep: bool) -> None:
         "mutants", deadline=None, derandomize=True, database=None, phases=phases
     )
     options = ["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "--hypothesis-profile=mutants", "-m"]
-    code = importlib.import_module("pytest").main([*options, "not shared", *tests])
+    code = importlib.import_module("pytest").main([*options, mark, *tests])
     os._exit(int(code))
 
 
