@@ -12,7 +12,7 @@ from lirs_wct.geometry.pose import Pose2
 from slam_baselines import warm_up
 from slam_baselines.mapper import MAPPERS, make_mapper
 
-SLOW = ("cartographer_original", "gmapping", "gmapping_original")
+SLOW = ("cartographer_original", "gmapping", "gmapping_original", "hector_original")
 DRIVE = """
 import sys
 import numpy as np

@@ -81,7 +81,7 @@ def test_what_a_mapper_changes_by_force_is_its_own_copy(observations: list[Obser
 
 def test_a_serial_sweep_goes_on_past_a_mapper_that_exits(here: Path, room: str, plain_pictures: None) -> None:
     """`sys.exit` ended the sweep with exit code 0 and nothing written."""
-    configs = [RunConfig(source=room, mapper=name, seconds=1.0) for name in ("own_mappers:Exits", "hector")]
+    configs = [RunConfig(source=room, mapper=name, seconds=0.4) for name in ("own_mappers:Exits", "hector")]
     sweep = Sweep([SlamExperiment(config) for config in configs], here / "out")
     wrong, right = sweep.run(Serial())
     assert (wrong.status, right.status) == ("error", "ok")

@@ -291,6 +291,12 @@ def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.Mo
         ConfigError, match=r"resolution can be given for hector, .*, cartographer_original only"
     ):
         map_log(room / "room.clf", mapper="wct_own_log_mapper:Still", resolution=0.1)
+
+
+def test_a_mapper_of_your_own_that_needs_odometry(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     needy = OWN.replace("lost = False", "lost, requires_odometry = False, True").replace("ANSWER", "Pose2()")
     (tmp_path / "wct_needy_log_mapper.py").write_text(needy)
     with pytest.raises(SourceError, match=r"holds no odometry.*wct_needy_log_mapper:Still needs it"):

@@ -16,7 +16,7 @@ from lirs_wct.drawing.canvas import Drawing, new_figure, title
 
 @pytest.fixture
 def figure() -> Drawing:
-    figure = new_figure(4.0, 3.0)
+    figure = new_figure(3.0, 2.0)
     for k in (1, 2):
         axes = figure.add_subplot(1, 2, k)
         axes.imshow(np.arange(12.0).reshape(3, 4))
