@@ -75,6 +75,19 @@ def test_no_edge_joins_more_than_two_triangles(kind: np.ndarray) -> None:
     assert len(np.unique(mesh.faces)) == len(mesh.vertices)
 
 
+@pytest.mark.parametrize(("southern", "northern"), [(0, 1), (1, 0)])
+@pytest.mark.parametrize("least", [1, 2])
+def test_of_two_that_touch_at_a_corner_the_northern_one_ends_inside_its_cell(
+    southern: int, northern: int, least: int
+) -> None:
+    kind = np.full((2, 2), least - 1)
+    kind[0, southern] = kind[1, northern] = least
+    mesh = wall_mesh(WallGrid(kind == 2, 0.5, Pose2(), 2.0, kind == 0))
+    top = mesh.vertices[mesh.vertices[:, 2] == (2.0 if least == 2 else 0.0), :2] - 0.5
+    near = sorted(top[np.linalg.norm(top, axis=1) < 0.1].round(6).tolist())
+    assert near == sorted([[0.0, 0.0], [0.001 if northern == 1 else -0.001, 0.001]])
+
+
 @pytest.mark.slow
 @given(kinds, st.floats(-3, 3), st.sampled_from((0.5, 0.05, 0.005)))
 def test_a_reader_that_merges_equal_positions_has_a_manifold(
