@@ -135,7 +135,7 @@ def run(
         scenarios: worlds that were built before.
         concurrent: whether other runs share the processor; found out beside that.
         name: of the run's folder; None = the record's.
-        brief: Whether to omit the replay of the physics, and the picture of a run that works.
+        brief: Whether to omit the replay of the physics and the overview picture.
 
     Raises:
         WctError: see `validate`; a bag is to be recorded, and nothing written.
@@ -217,8 +217,7 @@ def drive_and_conclude(
             log, cost = _timed_drive(ready, progress, recorded.add)
             log.concurrent = log.concurrent or concurrent
             evaluated = _evaluate(ready, log, cost, progress, replayed=not brief)
-        drawn = not brief or evaluated.verdict.kind != "works"
-        return _write_run(evaluated, out, name, recorded, drawn=drawn)
+        return _write_run(evaluated, out, name, recorded, drawn=not brief)
 
 
 def prepare(

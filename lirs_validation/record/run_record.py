@@ -181,7 +181,7 @@ def damaged_files(folder: Path, entry: Mapping[str, Any]) -> list[str]:
         expected = tuple(name for name in expected if name not in OF_PLANAR_MAPPERS)
         expected += tuple(name for name in entry.get("file_sizes", {}) if name == "elevation.npz")
     written: Mapping[str, int] = entry.get("file_sizes", {})
-    if "overview.png" not in written:  # a brief run that works
+    if "overview.png" not in written:  # a brief run
         expected = tuple(name for name in expected if name != "overview.png")
     return [
         name

@@ -190,7 +190,7 @@ class SlamExperiment:
         config: configuration of the run.
         tables: tables of the suite that its metrics belong to; empty outside suites.
         folder: name of its folder; None = the run's unique name.
-        brief: Whether to omit the replay of the physics, and the picture of a run that works.
+        brief: Whether to omit the replay of the physics and the overview picture.
     """
 
     config: RunConfig
