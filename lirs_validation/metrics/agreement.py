@@ -5,6 +5,7 @@ Cells count where they are known in both maps; occupied is p > 0.65.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import cv2
@@ -12,13 +13,15 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from lirs_wct.geometry import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid, wrap_angle
 
 TOLERANCE = 0.10
 """Two occupied cells agree where their centers are at most this far apart, meters."""
 ROUNDING = 1e-9
 """Cell centers that are 0.10 m apart but for rounding agree, meters."""
 
+COINCIDING = 1e-3
+"""Largest distance of cells of two maps on one lattice, cells; more than rounding."""
 BAND = 64
 """Rows of a map per block: intermediate arrays are ten times the size of the block."""
 
@@ -127,14 +130,28 @@ def sample_like(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
 
     NaN where unknown or outside.
     """
-    if (grid.shape, grid.resolution, grid.origin) == (like.shape, like.resolution, like.origin):
-        return grid.log_odds
+    T = grid.origin.inverse() @ like.origin
+    row, col = round(T.y / grid.resolution), round(T.x / grid.resolution)
     rows, cols = like.shape
+    off = math.hypot(T.x - col * grid.resolution, T.y - row * grid.resolution)
+    off += abs(wrap_angle(T.yaw)) * math.hypot(rows, cols) * like.resolution
+    if grid.resolution == like.resolution and off < COINCIDING * grid.resolution:
+        return _shifted(grid.log_odds, row, col, like.shape)
     found = np.empty(like.shape, np.float32)
     for first in range(0, rows, BAND):
         band = np.arange(first, min(first + BAND, rows)), np.arange(cols)
         cells = np.stack(np.meshgrid(*band, indexing="ij"), axis=-1)
         found[first : first + BAND] = log_odds_at(grid, like.centers(cells))
+    return found
+
+
+def _shifted(values: Float32Array, row: int, col: int, shape: tuple[int, int]) -> Float32Array:
+    """Return an array of a shape that begins at a row and column of values; NaN beyond them."""
+    found = np.full(shape, np.nan, np.float32)
+    north, east = max(row + shape[0], 0), max(col + shape[1], 0)
+    held = values[max(row, 0) : north, max(col, 0) : east]
+    south, west = max(-row, 0), max(-col, 0)
+    found[south : south + held.shape[0], west : west + held.shape[1]] = held
     return found
 
 

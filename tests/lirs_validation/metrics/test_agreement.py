@@ -1,6 +1,7 @@
 """Agreement of occupied cells, against a search of all pairs: maps turned, shifted, of two resolutions."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,6 +124,17 @@ def test_cells_of_another_grid_against_the_cell_under_each_point(seed: int) -> N
     nothing = 0.0 if built.occupied.any() or reference.occupied.any() else None
     expected = (one & two).sum() / (one | two).sum() if (one | two).any() else nothing
     assert iou(built, reference) == (None if expected is None else pytest.approx(expected))
+
+
+@given(seeds, st.integers(-9, 9), st.integers(-9, 9), st.floats(-4, 4))
+def test_cells_of_a_grid_on_the_same_lattice(seed: int, row: int, col: int, yaw: float) -> None:
+    """They are copied; a shift by a hundredth of a cell reads the same ones cell by cell."""
+    built, other = two_maps(seed)
+    shift, frame = built.origin @ Pose2(0.05 * col, 0.05 * row, 0.0), Pose2(3.0, -70.0, yaw)
+    like = replace(other, resolution=0.05, origin=shift).moved(frame)
+    built = replace(built, resolution=0.05)
+    off = built.moved(frame @ Pose2(0.0005, 0.0, 0.0))
+    np.testing.assert_array_equal(sample_like(built.moved(frame), like), sample_like(off, like))
 
 
 def test_a_point_outside_is_unknown_on_every_side() -> None:
