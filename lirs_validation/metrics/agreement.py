@@ -146,7 +146,7 @@ def sample_like(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
 
 
 def _shifted(values: Float32Array, row: int, col: int, shape: tuple[int, int]) -> Float32Array:
-    """Return an array of a shape that begins at a row and column of values; NaN beyond them."""
+    """Return the values of a shape from a row and column on; NaN beyond."""
     found = np.full(shape, np.nan, np.float32)
     north, east = max(row + shape[0], 0), max(col + shape[1], 0)
     held = values[max(row, 0) : north, max(col, 0) : east]
