@@ -1,1 +1,1 @@
-"""Decision whether a SLAM method works on a terrain: drives until a sequential test decides, page."""
+"""Decision whether a SLAM method works on a terrain, by drives and a sequential test."""
