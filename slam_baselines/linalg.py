@@ -12,7 +12,7 @@ from lirs_wct.geometry import Pose2
 from lirs_wct.kernels import njit
 
 
-@njit(cache=True, nogil=True)
+@njit
 def solve3(A: Any, b: Any) -> Any:
     """Solve a symmetric positive definite 3x3 system by Cramer's rule; zero where it is singular."""
     inverse = invert3(A)
@@ -23,7 +23,7 @@ def solve3(A: Any, b: Any) -> Any:
     return x
 
 
-@njit(cache=True, nogil=True)
+@njit
 def invert3(A: Any) -> Any:
     """Return the inverse of a symmetric positive definite matrix; zeros where it is singular."""
     c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
@@ -41,7 +41,7 @@ def invert3(A: Any) -> Any:
     return B
 
 
-@njit(cache=True, nogil=True)
+@njit
 def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) -> Any:
     """Return the covariance of x, y, yaw after a step (dx, dy) in the map frame.
 
@@ -59,14 +59,14 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
     return R
 
 
-@njit(cache=True, nogil=True)
+@njit
 def compose(pose: Any, by: Any) -> Any:
     """Return pose @ by, all (3,)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def between(a: Any, b: Any) -> Any:
     """Return a^-1 @ b, all (3,)."""
     c, s = np.cos(a[2]), np.sin(a[2])
@@ -74,7 +74,7 @@ def between(a: Any, b: Any) -> Any:
     return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def pose_difference(pose: Any, other: Any) -> Any:
     """Return a pose (3,) less another, the heading in [-pi, pi)."""
     d = np.empty(3)

@@ -89,7 +89,7 @@ class ContactMonitor:
         )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def contact_state(
     distance: FloatArray, pairs: Int32Array, points: FloatArray, centers: FloatArray, drops: FloatArray
 ) -> tuple[float, bool]:
@@ -146,7 +146,7 @@ def check_divergence(data: mujoco.MjData) -> None:
         raise SimulationError(found)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def is_sound(warned: Int32Array, kinds: IntArray, qpos: FloatArray, qvel: FloatArray) -> bool:
     """Return whether a state is finite and MuJoCo gave none of some warnings (n,)."""
     for kind in kinds:
@@ -155,7 +155,7 @@ def is_sound(warned: Int32Array, kinds: IntArray, qpos: FloatArray, qvel: FloatA
     return bool(is_finite(qpos) and is_finite(qvel))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def is_finite(values: FloatArray) -> bool:
     """Return whether all of (n,) values are finite."""
     finite = True

@@ -150,7 +150,7 @@ class HeadingSteering(GoToGoal):
         return self._backing > 0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _polar(points: FloatArray, zero: float, sectors: int) -> FloatArray:
     """Return the least and the largest distance of points (n, 2) in each sector, scaled.
 

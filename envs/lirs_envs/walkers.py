@@ -81,7 +81,7 @@ def draw_paths(
     return moved
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _extend_paths(
     free: BoolArray, resolution: float, first: IntArray, uniform: FloatArray, paths: FloatArray
 ) -> None:
@@ -101,7 +101,7 @@ def _extend_paths(
                     break
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _leg_is_free(free: BoolArray, resolution: float, x: float, y: float, to_x: float, to_y: float) -> bool:
     """Whether points at most a quarter of a cell apart all lie in free cells."""
     steps = math.ceil(4 * math.hypot(to_x - x, to_y - y) / resolution)
@@ -238,7 +238,7 @@ def add_walkers(spec: mujoco.MjSpec, count: int) -> None:
         )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _walk(
     paths: tuple[FloatArray, FloatArray, FloatArray],
     state: tuple[FloatArray, IntArray, FloatArray],
@@ -288,7 +288,7 @@ def _walk(
         squared[nearest] = np.inf
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _point_on_path(points: FloatArray, ends: FloatArray, along: float) -> tuple[float, float]:
     """Return x, y at a distance along a path."""
     leg = 0
@@ -301,7 +301,7 @@ def _point_on_path(points: FloatArray, ends: FloatArray, along: float) -> tuple[
     return x, y
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _height(z: Float32Array, frame: tuple[float, float, float, float], x: float, y: float) -> float:
     """Return the height of a surface at a point on it (see `HeightField.height_at`)."""
     rows, cols = z.shape

@@ -182,7 +182,7 @@ def _without_small(frontier: BoolArray, cells: float) -> BoolArray:
     return kept
 
 
-@njit(cache=True)
+@njit
 def _in_sight(known: BoolArray, eye: IntArray, cells: IntArray) -> BoolArray:
     """Whether the straight line to each cell passes known cells alone."""
     seen = np.ones(len(cells), np.bool_)

@@ -173,7 +173,7 @@ def curvature(points: FloatArray, baseline: int = 3) -> FloatArray:
     return bend
 
 
-@njit(cache=True)
+@njit
 def _pull(points: FloatArray, room: FloatArray, keep: float, first: int) -> FloatArray:
     """Smooth points given in cells (column, row) from the first one on; the last stays."""
     rows, cols = room.shape

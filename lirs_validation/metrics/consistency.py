@@ -224,7 +224,7 @@ def _sweep(scan: LaserScan) -> tuple[FloatArray, float, float]:
     return ranges[::-1], start + step * (len(ranges) - 1), -step
 
 
-@njit(cache=True)
+@njit
 def _compare(
     ranges: FloatArray, angles: FloatArray, sensors: FloatArray, driven: FloatArray
 ) -> tuple[IntArray, IntArray]:
@@ -264,7 +264,7 @@ def _compare(
     return seen, against
 
 
-@njit(cache=True)
+@njit
 def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
     """Return a scan's verdict on a point: 1 free, 0 wall, -1 unknown.
 
@@ -289,7 +289,7 @@ def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
     return 1
 
 
-@njit(cache=True)
+@njit
 def _residuals(
     ranges: FloatArray, angles: FloatArray, sensors: FloatArray, driven: FloatArray, least: float, most: float
 ) -> tuple[IntArray, FloatArray]:
@@ -326,7 +326,7 @@ def _residuals(
     return compared, total
 
 
-@njit(cache=True)
+@njit
 def _nearest_hit(ranges: FloatArray, turn: float, step: float, distance: float) -> float:
     """Return a point's distance from a scan's nearest hit.
 

@@ -136,7 +136,7 @@ def _rms(error: FloatArray) -> float | None:
     return rms(known) if len(known) else None
 
 
-@njit(cache=True)
+@njit
 def _add(
     points: FloatArray, corner: tuple[float, float], cell: float, total: FloatArray, count: IntArray
 ) -> None:

@@ -39,7 +39,7 @@ def near_obstacle(
     return near
 
 
-@njit(cache=True)
+@njit
 def _near_steep(
     points: FloatArray, z: Any, cell: Any, origin: Any, distance: float, rise: float
 ) -> BoolArray:
@@ -71,7 +71,7 @@ def _near_steep(
     return near
 
 
-@njit(cache=True)
+@njit
 def _near_wall(points: FloatArray, solid: BoolArray, resolution: float, distance: float) -> BoolArray:
     """Search the wall cells round points given in the wall grid's frame."""
     rows, cols = solid.shape
@@ -89,7 +89,7 @@ def _near_wall(points: FloatArray, solid: BoolArray, resolution: float, distance
     return near
 
 
-@njit(cache=True)
+@njit
 def _to_triangle(
     x: float, y: float, ax: float, ay: float, bx: float, by: float, cx: float, cy: float
 ) -> float:
@@ -109,7 +109,7 @@ def _to_triangle(
     return nearest
 
 
-@njit(cache=True)
+@njit
 def _to_segment(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
     """Return the distance of a point to a segment."""
     dx, dy = bx - ax, by - ay

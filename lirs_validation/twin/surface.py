@@ -126,7 +126,7 @@ def fit_surfaces(scans: LogScans) -> Surfaces:
     return Surfaces(slot, lines, low)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fit_lines(points: Any, view: Any, block: Any, first: Any, slot: Any, lines: Any) -> None:
     """Fill the lines of all slots.
 
@@ -150,7 +150,7 @@ def _fit_lines(points: Any, view: Any, block: Any, first: Any, slot: Any, lines:
                     _fit_line(points, view, block, near[:count], sector, x, y, lines[slot[r, c], sector])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fit_line(
     points: Any, view: Any, block: Any, near: Any, sector: int, x: float, y: float, line: Any
 ) -> None:
@@ -190,7 +190,7 @@ def _fit_line(
     line[0], line[1], line[2], line[3] = nx, ny, offset, count
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _line_at(surfaces: Any, x: float, y: float, dx: float, dy: float) -> Any:
     """Return the line of the cell at a point for a viewing direction.
 
@@ -208,7 +208,7 @@ def _line_at(surfaces: Any, x: float, y: float, dx: float, dy: float) -> Any:
     return nx, ny, np.float64(line[2]) + center, np.float64(line[3])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def align(surfaces: Any, ranges: Any, angles: Any, start: Any, width: float, poses: Any, share: Any) -> None:
     """Fill `poses` (n, 3) with the scans' poses by point-to-line matching.
 
@@ -277,7 +277,7 @@ def expected_beams(grid: OccupancyGrid, surfaces: Surfaces, scans: LogScans) -> 
     return Expected(ranges, cosine, flat)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _meet_lines(surfaces: Any, poses: Any, directions: Any, ranges: Any, cosine: Any, flat: Any) -> None:
     """Move ranges (n, beams) from the cells' faces to their lines; fill `cosine` and `flat`."""
     for k in range(len(ranges)):

@@ -169,7 +169,7 @@ def _coarse(z: Float32Array, stride: int) -> Float32Array:
     return np.ascontiguousarray(z)
 
 
-@njit(cache=True)
+@njit
 def _resample(
     coarse: Float32Array, stride: int, z: Float32Array, steep: BoolArray, limit: float, contact: Float32Array
 ) -> float:

@@ -175,7 +175,7 @@ def _corner_normals(body: TriangleMesh, normals: FloatArray) -> FloatArray:
     return unit
 
 
-@njit(cache=True)
+@njit
 def _thickness(vertices: FloatArray, faces: Int32Array, normals: FloatArray, least: float) -> FloatArray:
     """Return (n,) distances from each vertex along its inward normal to the next face.
 
@@ -206,7 +206,7 @@ def _thickness(vertices: FloatArray, faces: Int32Array, normals: FloatArray, lea
     return found
 
 
-@njit(cache=True)
+@njit
 def _winding(vertices: FloatArray, faces: Int32Array, points: FloatArray) -> Int32Array:
     """Return (n,) numbers of bodies around each point: tops above it minus bottoms above it."""
     count = np.zeros(len(points), np.int32)

@@ -266,7 +266,7 @@ def _by_height(mesh: TriangleMesh) -> Tints:
     return Tints(height_colors()(np.linspace(0, 1, TINTS))[:, :3], rows)
 
 
-@njit(cache=True)
+@njit
 def _draw(
     picture: FloatArray,
     nearest: FloatArray,

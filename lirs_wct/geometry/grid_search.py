@@ -63,7 +63,7 @@ def search(
     return Reach(cost, parent)
 
 
-@njit(cache=True)
+@njit
 def _dijkstra(
     weight: FloatArray, sources: IntArray, resolution: float, goals: BoolArray, slack: float, limit: float,
     cost: FloatArray, parent: IntArray,

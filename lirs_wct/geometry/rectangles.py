@@ -24,7 +24,7 @@ def _cover(solid: BoolArray) -> IntArray:
     return boxes
 
 
-@njit(cache=True)
+@njit
 def _rectangles(left: BoolArray) -> IntArray:
     """Cover a mask by rectangles in row order; the mask is cleared."""
     rows, cols = left.shape
@@ -46,7 +46,7 @@ def _rectangles(left: BoolArray) -> IntArray:
     return boxes[:count].copy()
 
 
-@njit(cache=True)
+@njit
 def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
     """Return the far corner of a rectangle grown from (r, c)."""
     r1, c1 = r + 1, c + 1
@@ -60,7 +60,7 @@ def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
     return r1, c1
 
 
-@njit(cache=True)
+@njit
 def _all(left: BoolArray, r0: int, c0: int, r1: int, c1: int) -> bool:
     """Whether all cells of a rectangle are uncovered; faster than `all` of a slice."""
     for r in range(r0, r1):

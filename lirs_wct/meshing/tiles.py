@@ -55,7 +55,7 @@ def _squares(mesh: TriangleMesh, aim: int) -> tuple[Int32Array, int]:
     return square, side * side
 
 
-@njit(cache=True)
+@njit
 def _renumber(faces: Int32Array, chosen: Int32Array, seen: Int32Array) -> tuple[Int32Array, Int32Array]:
     """Number the vertices of the chosen faces in order; `seen` is all -1 before and after."""
     out = np.empty((len(chosen), 3), np.int32)

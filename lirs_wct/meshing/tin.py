@@ -333,7 +333,7 @@ def worst_pixel(
     return most, _place(z, first, count, height, per_col)
 
 
-@njit(cache=True, fastmath=True, _nrt=False)
+@njit(fastmath=True, _nrt=False)
 def _largest(z: Float32Array, first: int, count: int, start: float, step: float) -> int:
     """Return the largest difference of a row's pixels from a line of slope `step` per pixel."""
     largest = 0

@@ -155,7 +155,7 @@ def _unfold(
     return uv
 
 
-@njit(cache=True)
+@njit
 def _normal(vertices: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float]:
     """Return the normal of a triangle, with twice its area as length."""
     x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
@@ -164,7 +164,7 @@ def _normal(vertices: FloatArray, a: int, b: int, c: int) -> tuple[float, float,
     return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
-@njit(cache=True)
+@njit
 def _label_faces(
     vertices: FloatArray, faces: Int32Array, vertical: float, draped: bool
 ) -> tuple[NDArray[np.int8], NDArray[np.uint16], FloatArray, BoolArray]:
@@ -207,7 +207,7 @@ def _label_faces(
     return label, mask, top, hangs
 
 
-@njit(cache=True)
+@njit
 def _split_faces(
     vertices: FloatArray,
     faces: Int32Array,

@@ -89,7 +89,7 @@ def _apart(row: IntArray, col: IntArray, level: IntArray, kind: CellKinds, resol
     return np.where(twin[:, None], np.stack((east, np.ones_like(east)), axis=-1) * step, 0.0)
 
 
-@njit(cache=True)
+@njit
 def _triangles(
     rectangles: IntArray, is_wall: BoolArray, kind: CellKinds, marked: BoolArray, holed: bool
 ) -> IntArray:
@@ -132,7 +132,7 @@ def _triangles(
     return faces[:n].copy()
 
 
-@njit(cache=True)
+@njit
 def _ring(r0: int, c0: int, r1: int, c1: int, marked: BoolArray) -> IntArray:
     """Return the (m, 2) marked points (row, col) around a rectangle.
 
@@ -159,12 +159,12 @@ def _ring(r0: int, c0: int, r1: int, c1: int, marked: BoolArray) -> IntArray:
     return ring[:m]
 
 
-@njit(cache=True)
+@njit
 def _code(point: IntArray, level: int, cols: int) -> Any:
     return (point[0] * (cols + 1) + point[1]) * LEVELS + level
 
 
-@njit(cache=True)
+@njit
 def _beside(p: IntArray, q: IntArray, kind: CellKinds) -> Any:
     """Return the kind of cell on the outer (right) side of p -> q; `kind` is padded by a cell."""
     if q[1] != p[1]:
@@ -172,7 +172,7 @@ def _beside(p: IntArray, q: IntArray, kind: CellKinds) -> Any:
     return kind[p[0] + 1, p[1] + 1] if q[0] > p[0] else kind[p[0], p[1]]
 
 
-@njit(cache=True)
+@njit
 def _twin(point: IntArray, row: int, kind: CellKinds, least: int) -> Any:
     """Whether a body has the twin at a corner.
 
@@ -185,7 +185,7 @@ def _twin(point: IntArray, row: int, kind: CellKinds, least: int) -> Any:
     return touching and row == point[0]
 
 
-@njit(cache=True)
+@njit
 def _cap(faces: IntArray, n: int, ring: IntArray, middle: int) -> int:
     """Fill a ring with triangles: two, or a fan around its middle."""
     m = len(ring)
@@ -199,7 +199,7 @@ def _cap(faces: IntArray, n: int, ring: IntArray, middle: int) -> int:
     return n
 
 
-@njit(cache=True)
+@njit
 def _quad(faces: IntArray, n: int, a: int, b: int, c: int, d: int) -> int:
     faces[n, 0], faces[n, 1], faces[n, 2] = a, b, c
     faces[n + 1, 0], faces[n + 1, 1], faces[n + 1, 2] = a, c, d

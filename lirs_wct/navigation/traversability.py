@@ -242,7 +242,7 @@ def _triangle_gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Arra
     return found
 
 
-@njit(cache=True)
+@njit
 def _triangle_gradients(
     z: Float32Array, cell: tuple[float, float], shift: tuple[float, float], step: float, rows: int, cols: int
 ) -> Float32Array:
@@ -308,7 +308,7 @@ def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGr
     return found
 
 
-@njit(cache=True)
+@njit
 def _values_at(
     mask: BoolArray, resolution: float, T_mask_grid: FloatArray, step: float, rows: int, cols: int
 ) -> BoolArray:

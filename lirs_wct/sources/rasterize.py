@@ -38,7 +38,7 @@ def layers(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> Int32Array
     return count
 
 
-@njit(cache=True)
+@njit
 def _rasterize(
     vertices: FloatArray, faces: Int32Array, grid: Grid, slack: float, top: FloatArray, count: Int32Array
 ) -> None:

@@ -327,7 +327,7 @@ class BlockPattern:
         return sparse.bsr_matrix((blocks, self.col, begin), shape=(3 * s, 3 * s)).tocsc()
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _pairs(first: IntArray, submap: IntArray, submaps: int) -> IntArray:
     """Return row * submaps + column for each pair of constraints of a node.
 
@@ -347,7 +347,7 @@ def _pairs(first: IntArray, submap: IntArray, submaps: int) -> IntArray:
     return keys
 
 
-@njit(cache=True, nogil=True)
+@njit
 def robust_cost(rows: Rows, submaps: FloatArray, targets: FloatArray, scale: float) -> float:
     """Return the sum of e'We, of robust constraints under Cauchy's loss of a scale."""
     a, b, z, information, robust = rows
@@ -359,7 +359,7 @@ def robust_cost(rows: Rows, submaps: FloatArray, targets: FloatArray, scale: flo
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit
 def linearize(
     rows: Rows,
     submaps: FloatArray,
@@ -402,7 +402,7 @@ def linearize(
                 cross[k, r, q] = -weight * MK[r, q]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def eliminate_nodes(
     pattern: tuple[IntArray, IntArray, IntArray],
     submap: IntArray,
@@ -449,7 +449,7 @@ def eliminate_nodes(
         begin = end
 
 
-@njit(cache=True, nogil=True)
+@njit
 def node_steps(
     rows: Rows, cross: FloatArray, submap_steps: FloatArray, gradient: FloatArray, inverse: FloatArray
 ) -> FloatArray:
@@ -467,7 +467,7 @@ def node_steps(
     return steps
 
 
-@njit(cache=True, nogil=True)
+@njit
 def pose_error(a: FloatArray, b: FloatArray, z: FloatArray) -> tuple[float, float, float]:
     """Return the error: estimated minus measured pose of b in the frame of a (eq. 6)."""
     c, s, dx, dy = math.cos(a[2]), math.sin(a[2]), b[0] - a[0], b[1] - a[1]
@@ -475,7 +475,7 @@ def pose_error(a: FloatArray, b: FloatArray, z: FloatArray) -> tuple[float, floa
     return c * dx + s * dy - z[0], c * dy - s * dx - z[1], yaw
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _chi2(W: FloatArray, x: float, y: float, yaw: float) -> float:
     """Return e'We."""
     total = x * (W[0, 0] * x + W[0, 1] * y + W[0, 2] * yaw)
@@ -484,7 +484,7 @@ def _chi2(W: FloatArray, x: float, y: float, yaw: float) -> float:
     return float(total)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     """Fill `out` with A B, each (3, 3)."""
     for i in range(3):
@@ -492,7 +492,7 @@ def _multiply(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
             out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _multiply_transposed(A: FloatArray, B: FloatArray, out: FloatArray) -> None:
     """Fill `out` with A' B, each (3, 3)."""
     for i in range(3):

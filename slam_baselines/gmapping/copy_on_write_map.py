@@ -79,7 +79,7 @@ class ParticleWindow(NamedTuple):
     base: Any
 
 
-@njit(cache=True, nogil=True)
+@njit
 def enter_scans(
     maps: Any, window: Any, poses: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any,
     scratch: Any, first: int,
@@ -121,7 +121,7 @@ def enter_scans(
 
 
 # Each kernel takes a map's beams all at once: to hand tuples of arrays on costs more than a beam.
-@njit(cache=True, nogil=True)
+@njit
 def _raise_hits(site: Any, scratch: Any, hits: Any, min_slopes: Any, steps: Any) -> None:
     """Raise the cells where beams end, each once a scan, and move their means."""
     table, patches, (top, left), (x, y, c, s) = site
@@ -152,7 +152,7 @@ def _raise_hits(site: Any, scratch: Any, hits: Any, min_slopes: Any, steps: Any)
             patches.log_odds[p, cell] = min(steps[2], (0 if log_odds == UNKNOWN else log_odds) + steps[1])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _mark_walls(site: Any, scratch: Any, wall_slope: int) -> None:
     """Mark the walls of a map that the scan has not hit."""
     table, patches, _, _ = site
@@ -171,7 +171,7 @@ def _mark_walls(site: Any, scratch: Any, wall_slope: int) -> None:
                 mark[cell] = WALL if wall & (mark[cell] == NEW) else mark[cell]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, spared: int) -> None:
     """Mark the cells along the beams as passed, except the last steps.
 
@@ -198,7 +198,7 @@ def _mark_passed(site: Any, scratch: Any, origin: Any, ends: Any, spared: int) -
             _pass_walls(table, patches.record, patches.top, marks, line[:count], rise)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _pass_walls(table: Any, record: Any, top: Any, marks: Any, line: Any, rise: Any) -> None:
     """Mark the walls that a beam meets first: passed, or done if it passes above."""
     z, dz = rise
@@ -209,7 +209,7 @@ def _pass_walls(table: Any, record: Any, top: Any, marks: Any, line: Any, rise: 
             marks[line[k]] = DONE if (z + k * dz) / TOP_STEP > highest + ABOVE else PASSED
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _number_cells(line: Any, count: int, ray: Any, row0: int, col0: int, cols: int) -> None:
     """Fill the first numbers of `line` with the cells of a beam, without branches for SIMD."""
     x, y, du, dv = ray
@@ -222,7 +222,7 @@ def _number_cells(line: Any, count: int, ray: Any, row0: int, col0: int, cols: i
         line[i] = np.int32(np.int32(place << 2 * BITS) | inside)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _lower(site: Any, scratch: Any, steps: Any) -> None:
     """Lower the passed cells, and clear the marks."""
     table, patches, _, _ = site
@@ -340,7 +340,7 @@ class MapStack(NamedTuple):
     resolution: float
 
 
-@njit(cache=True, nogil=True)
+@njit
 def look_up(view: Any, points: Any, out: Any) -> None:
     """Fill `out` with the layer `min_slope` of one map at points; 0 in empty cells."""
     table, corner, patches, res, _ = view

@@ -198,7 +198,7 @@ def reserve_patches(patches: Patches, needed: int, records: int) -> Patches:
     return resize(patches, len(patches.owners) + more[0], len(patches.hits) + more[1])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def space_needed(table: Any, patches: Any, hits: int) -> Any:
     """Return upper bounds of the patches and records that a scan within a table takes."""
     new = shared = 0
@@ -213,7 +213,7 @@ def space_needed(table: Any, patches: Any, hits: int) -> Any:
     return new, shared + hits
 
 
-@njit(cache=True, nogil=True)
+@njit
 def own_patch(table: Any, patches: Any, row: int, col: int) -> Any:
     """Give a table its own patch, new or copied, at a place; return its index."""
     p = table[row, col]
@@ -240,14 +240,14 @@ def own_patch(table: Any, patches: Any, row: int, col: int) -> Any:
     return q
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _copy_row(rows: Any, source: int, target: int) -> None:
     # Cell by cell: of assigned rows Numba would compile the message of shapes that differ.
     for k in range(CELLS):
         rows[target, k] = rows[source, k]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def new_record(patches: Any, p: int) -> Any:
     """Give a patch its first record, without a hit; return its index."""
     r = _free_record(patches)
@@ -257,7 +257,7 @@ def new_record(patches: Any, p: int) -> Any:
     return r
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _free_record(patches: Any) -> Any:
     patches.free_records[0] -= 1
     return patches.free_records[1 + patches.free_records[0]]

@@ -225,7 +225,7 @@ class Samples(NamedTuple):
     normals: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@njit
 def propose(
     maps: Any, wall_slope: int, beams: Any, odometry: Any, first: Any, samples: Any, tuning: Any, out: Any
 ) -> int:
@@ -266,14 +266,14 @@ def propose(
     return searches
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _better_start(view: Any, near: Any, expected: Any, correction: Any, tuning: Any) -> Any:
     """Return the better start (3,): the expected pose, or that pose corrected."""
     other = compose(expected, correction)
     return other if score(view, near, other, tuning)[0] > score(view, near, expected, tuning)[0] else expected
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _draw(means: Any, sigmas: Any, normals: Any, poses: Any) -> None:
     """Fill poses (n, 3) with draws from Gaussians, by standard normal draws (n, 3)."""
     for k in range(len(poses)):
@@ -282,7 +282,7 @@ def _draw(means: Any, sigmas: Any, normals: Any, poses: Any) -> None:
             poses[k, i] = means[k, i] + draw[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _same(maps: Any, odometry: Any, a: int, b: int) -> bool:
     """Return whether two particles are copies with the same pose and map."""
     for i in range(3):
@@ -315,7 +315,7 @@ class FitPoints(NamedTuple):
     cube: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@njit
 def fit(view: Any, near: Any, prior: Any, spread: Any, tuning: Any, mu: Any, Sigma: Any) -> Any:
     """Fill mu and Sigma by eqs. 15-17 from points around the peak; return log eta."""
     peak, value, around, cube = spread
@@ -351,7 +351,7 @@ def fit(view: Any, near: Any, prior: Any, spread: Any, tuning: Any, mu: Any, Sig
     return top + np.log(eta / n * L[0, 0] * L[1, 1] * L[2, 2])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def keep(mean: Any, sigma: Any, to_mean: Any, to_sigma: Any) -> None:
     """Copy a mean (3,) and a covariance (3, 3)."""
     # Not `to_mean[:] = mean`: Numba would compile the message of shapes that differ.

@@ -56,20 +56,20 @@ class Tuning(NamedTuple):
     min_beams: int
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def score(view: Any, near: Any, pose: Any, tuning: Any) -> Any:
     """Return the log-likelihood of a scan at a pose, and the weights as of log_likelihood."""
     return log_likelihood(view, near.fine, pose, tuning.lsigma, tuning.sigma / view.resolution)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def log_prior(pose: Any, prior: Any) -> Any:
     """Return the logarithm of the odometry's density at a pose, up to a constant."""
     d = pose_difference(pose, prior.pose)
     return -0.5 * (d @ (prior.information @ d))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def match(view: Any, near: Any, prior: Any, start: Any, tuning: Any, H: Any) -> Any:
     """Return the best (3,) pose near the start; fill H with its information.
 
@@ -100,7 +100,7 @@ def match(view: Any, near: Any, prior: Any, start: Any, tuning: Any, H: Any) -> 
     return pose
 
 
-@njit(cache=True, nogil=True)
+@njit
 def find_peak(
     view: Any, beams: Any, near: Any, prior: Any, start: Any, wider: int, tuning: Any, H: Any
 ) -> Any:
@@ -133,7 +133,7 @@ def find_peak(
     return peak, value, hit, known, True
 
 
-@njit(cache=True, nogil=True)
+@njit
 def match_one(view: Any, beams: Any, expected: Any, covariance: Any, wider: int, tuning: Any) -> Any:
     """Return the best (3,) pose of a scan in one map, and the weights of log_likelihood.
 
@@ -151,7 +151,7 @@ def match_one(view: Any, beams: Any, expected: Any, covariance: Any, wider: int,
     return peak, hit, known
 
 
-@njit(cache=True, nogil=True)
+@njit
 def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
     """Return the best (3,) pose in a window around the prior, by exhaustive search.
 
@@ -187,7 +187,7 @@ def search(view: Any, beams: Any, prior: Any, tuning: Any) -> Any:
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _coarse_walls(view: Any, points: Any, pose: Any, cell: float, margin: float) -> Any:
     """Return a coarse map (rows, cols) of walls, and its first cell's row and column.
 
@@ -287,7 +287,7 @@ NOWHERE = -(1 << 62)
 """Number of an invalid cell."""
 
 
-@njit(cache=True, nogil=True)
+@njit
 def near_walls(beams: Any, stride: int, reach: int, side: int) -> Any:
     """Return every `stride`-th weighted beam, with space for walls within `reach` cells."""
     every, n = (len(beams.points) + stride - 1) // stride, 0
@@ -310,7 +310,7 @@ def near_walls(beams: Any, stride: int, reach: int, side: int) -> Any:
     return NearWalls(reach, side, points, weights, ends, slot, pull, pairs, cells, known, counts, means)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def near_beams(beams: Any, reach: int) -> Any:
     """Return the beams of both stages, with space for walls within `reach` cells."""
     # Not plain numbers: for each literal Numba would compile near_walls once more.
@@ -319,21 +319,21 @@ def near_beams(beams: Any, reach: int) -> Any:
     return Near(near_walls(beams, one, reach, two), coarse)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def invalidate(near: Any) -> None:
     """Invalidate the looked-up walls, since another map follows."""
     near.fine.cells[:] = NOWHERE
     near.coarse.cells[:] = NOWHERE
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def coarse_stride(beams: Any) -> int:
     """Return the step from one beam of the coarse stage to the next."""
     return max(1, len(beams.points) // 90)
 
 
 # For all beams at once: to hand tuples of arrays on for one would cost more than to look.
-@njit(cache=True, nogil=True)
+@njit
 def _look_up(view: Any, near: Any) -> None:
     """Look up the walls around the beams' ends, in row order, unless they are cached."""
     table, corner, patches, _, wall_slope = view
@@ -367,7 +367,7 @@ def _look_up(view: Any, near: Any) -> None:
         cells[slot], near.counts[slot], near.known[slot] = (row0 << 32) + col0, count, known
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _attract(near: Any, narrow: float) -> None:
     """Compute the attraction of the beams' ends by walls: strength, offset, matrix.
 
@@ -407,7 +407,7 @@ def _attract(near: Any, narrow: float) -> None:
         pull[i, 3], pull[i, 4], pull[i, 5] = scale * cvv, -scale * cuv, scale * cuu
 
 
-@njit(cache=True, nogil=True)
+@njit
 def log_likelihood(view: Any, near: Any, pose: Any, lsigma: float, width: float) -> Any:
     """Return a scan's log-likelihood, and the weights of beams at walls and on known cells.
 
@@ -447,7 +447,7 @@ def log_likelihood(view: Any, near: Any, pose: Any, lsigma: float, width: float)
     return total, hit, known
 
 
-@njit(cache=True, nogil=True)
+@njit
 def linearize(view: Any, near: Any, pose: Any, width: float, H: Any, g: Any) -> Any:
     """Fill H (3, 3) and g (3,) of a Gauss-Newton step toward the walls.
 

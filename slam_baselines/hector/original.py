@@ -249,7 +249,7 @@ class OriginalMap:
         return OccupancyGrid(values, resolution, Pose2(west * resolution, south * resolution))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _match(probability: Any, middle: int, resolution: float, ends: Any, pose: Any, steps: int) -> Any:
     """Gauss-Newton in cells: the probability at the ends of the beams shall become 1 (Eq. 7)."""
     scale = 1 / resolution
@@ -276,7 +276,7 @@ def _match(probability: Any, middle: int, resolution: float, ends: Any, pose: An
     return np.array(((x - middle) / scale, (y - middle) / scale, yaw))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _interpolate(probability: Any, x: float, y: float) -> Any:
     """Return probability and its derivatives at a point in cells (Eqs. 4-6); zeros outside.
 
@@ -294,7 +294,7 @@ def _interpolate(probability: Any, x: float, y: float) -> Any:
     return value, (b - a) * (1 - fx) + (d - c) * fx, (c - a) * (1 - fy) + (d - b) * fy
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _draw(layers: Any, cells: Any, scan: int, odds: Any) -> None:
     """Draw the lines from cells[0] to all others.
 
@@ -317,7 +317,7 @@ def _draw(layers: Any, cells: Any, scan: int, odds: Any) -> None:
             drawn[row, col] = scan + 1
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _change(log_odds: Any, probability: Any, row: int, col: int, by: float) -> None:
     log_odds[row, col] += by
     probability[row, col] = 1 - 1 / (1 + math.exp(log_odds[row, col]))

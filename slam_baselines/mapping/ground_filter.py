@@ -384,7 +384,7 @@ def limits_for_weights(wall_slope: int, full_weight_slope: float) -> Limits:
     return float(wall_slope), min(255.0, max(float(wall_slope), full_weight_slope / SLOPE_STEP + 1.0))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def lower(upper_bound: Any, row: int, col: int, z: Any) -> None:
     """Lower the upper bounds of a cell and of its block to at most z."""
     r, c = np.uintp(row), np.uintp(col)
@@ -394,7 +394,7 @@ def lower(upper_bound: Any, row: int, col: int, z: Any) -> None:
         upper_bound.blocks[r, c] = min(upper_bound.blocks[r, c], z)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def raise_min_slopes(
     upper_bound: Any, origin: Any, hits: Any, pose: Any, ground: Any, margins: Any, limits: Any, drawn: Any,
     slopes: Any,
@@ -438,7 +438,7 @@ def raise_min_slopes(
         slopes[i] = max(slopes[i], np.uint8(min(best / SLOPE_STEP, 255.0)))
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(forceinline=True)
 def _steepest(upper_bound: Any, x: float, y: float, z: float, best: float, most: float) -> float:
     """Return the largest rise over run from cells around (x, y) to z.
 
@@ -469,7 +469,7 @@ def _steepest(upper_bound: Any, x: float, y: float, z: float, best: float, most:
     return best
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@njit(forceinline=True)
 def _lowest(blocks: Any, row: int, col: int, reach: int) -> Any:
     """Return the smallest upper bound of the blocks within `reach` cells of a cell."""
     lowest = np.float32(np.inf)
@@ -479,7 +479,7 @@ def _lowest(blocks: Any, row: int, col: int, reach: int) -> Any:
     return lowest
 
 
-@njit(cache=True, nogil=True)
+@njit
 def lower_along_beams(
     upper_bound: Any, origin: Any, ends: Any, with_end: bool, near: float, far: float
 ) -> None:

@@ -257,7 +257,7 @@ class Layers(NamedTuple):
     top: NDArray[np.int16]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def enter_trace(
     layers: Any, corner: Any, trace: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any
 ) -> None:
@@ -307,7 +307,7 @@ def enter_trace(
         first = end
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _change(layers: Any, r: int, c: int, step: int, wall_slope: int, limit: int) -> None:
     """Add to the log-odds of a cell and update its `value`."""
     after = _add_step(np.int64(layers.log_odds[r, c]), step, limit)
@@ -317,13 +317,13 @@ def _change(layers: Any, r: int, c: int, step: int, wall_slope: int, limit: int)
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _add_step(before: int, step: int, limit: int) -> int:
     """Return the log-odds of a cell after a step."""
     return min(limit, max(-limit, (0 if before == UNKNOWN else before) + step))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def bounding_box(scan: Any) -> Any:
     """Return the (4,) box of a scan: west, south, east, north, meters."""
     west = east = scan.origin[0]

@@ -89,7 +89,7 @@ class RayTracer:
         return self._touched[: rows * cols].reshape(rows, cols)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any, out: Any) -> None:
     """Fill a trace: cells of the beams' ends, then passed cells; each once, a hit wins.
 
@@ -132,7 +132,7 @@ def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any,
         out.ends[b] = m
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _number_cells(line: Any, count: int, v: int, u: int, dy: float, dx: float) -> None:
     """Fill the first `count` numbers of `line` with the cells of a beam, by SIMD."""
     dv, du = np.int64(dy * ONE), np.int64(dx * ONE)
@@ -140,7 +140,7 @@ def _number_cells(line: Any, count: int, v: int, u: int, dy: float, dx: float) -
         line[k] = ((v + k * dv) & ~COLUMN) | ((u + k * du) >> BITS)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def line_cells(row: int, col: int, last_row: int, last_col: int) -> Any:
     """Return the cells (n, 2) of Bresenham's line: row and column, without the last."""
     dy, dx = last_row - row, last_col - col

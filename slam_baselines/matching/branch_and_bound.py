@@ -176,7 +176,7 @@ def branch_and_bound(
     return SearchResult(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _rotated_cells(points: Any, start: Any, yaw: float, lattice: _Lattice, rows: Any, cols: Any) -> None:
     """Fill the cells of the points at one yaw and no shift."""
     c, s = np.cos(yaw), np.sin(yaw)
@@ -186,7 +186,7 @@ def _rotated_cells(points: Any, start: Any, yaw: float, lattice: _Lattice, rows:
         rows[i] = int(np.floor(y / lattice.resolution)) - lattice.row0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _sum(level: Any, rows: Any, cols: Any, dr: int, dc: int) -> int:
     """Add up a level at shifted cells."""
     height, width = level.shape
@@ -198,19 +198,19 @@ def _sum(level: Any, rows: Any, cols: Any, dr: int, dc: int) -> int:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _put(row: Any, score: int, level: int, turn: int, dr: int, dc: int) -> None:
     row[0], row[1], row[2], row[3], row[4] = score, level, turn, dr, dc
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _copy(row: Any, to: Any) -> None:
     # Not `to[:] = row`: Numba would compile the message of shapes that differ.
     for i in range(5):
         to[i] = row[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) -> Any:
     """Fill the cells of every turn; return roots (k, 5): score, level, turn, row, column."""
     depth, count = len(lattice.levels) - 1, 2 * tree.turns + 1
@@ -229,7 +229,7 @@ def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) ->
     return roots
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: Any) -> int:
     """Fill the up to four children of a node (5,) by ascending score; return their number."""
     h, t, dr, dc = node[1], np.int64(node[2]), node[3], node[4]
@@ -248,7 +248,7 @@ def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: 
     return m
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _search(
     lattice: _Lattice, tree: _Tree, limits: _Limits, roots: Any, order: Any, rows: Any, cols: Any, out: Any
 ) -> None:

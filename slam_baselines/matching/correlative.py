@@ -90,7 +90,7 @@ def correlative_search(
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _search(cells: _Cells, points: Any, weights: Any, start: Any, window: _Window, best: Any) -> None:
     """Fill `best` (3,) with the pose of the highest mean value minus the loss by distance."""
     rows, cols = cells.value.shape

@@ -142,7 +142,7 @@ class ScanMatcher:
         return Match(out[:3], out[3:12].reshape(3, 3), out[12:21].reshape(3, 3), score, known)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def levels_for(frames: Any, covariance: Any, lever: float) -> int:
     """Return the number of levels that correct an error of two standard deviations.
 
@@ -156,7 +156,7 @@ def levels_for(frames: Any, covariance: Any, lever: float) -> int:
     return levels
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _match(
     pyramid: Levels, points: Any, weights: Any, prior: Prior, start: Any, levels: int, settings: _Settings,
     variance: float, out: Any,
@@ -187,7 +187,7 @@ def _match(
     out[21], out[22] = score / max(known, 1e-9), known / max(total, 1e-9)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _iterate(
     pyramid: Levels, points: Any, weights: Any, prior: Any, information: Any, levels: int,
     settings: _Settings, variance: float, pose: Any, H: Any,
@@ -226,7 +226,7 @@ def _iterate(
     return score, known
 
 
-@njit(cache=True, nogil=True)
+@njit
 def linearize(
     value: Any, frame: Any, points: Any, weights: Any, stride: int, pose: Any, H: Any, g: Any
 ) -> tuple[float, float]:

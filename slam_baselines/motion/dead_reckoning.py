@@ -173,7 +173,7 @@ class MotionConfig:
         )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def propagate_steps(pose: Any, covariance: Any, steps: Any) -> Any:
     """Return pose (3,) and covariance (3, 3) after steps.
 

@@ -121,7 +121,7 @@ class Mount(NamedTuple):
     position: FloatArray
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _transform(points: Any, pose: Any, out: Any) -> None:
     """Fill arrays `out` with turned and shifted points (n, 3); the pose is x, y, yaw, z."""
     x, y, yaw, z = pose
@@ -133,7 +133,7 @@ def _transform(points: Any, pose: Any, out: Any) -> None:
             new[i, 0], new[i, 1], new[i, 2] = x + c * u - s * v, y + s * u + c * v, z + old[i, 2]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _level(
     ranges: Any, directions: Any, mount: Any, limits: Any, attitude: Any, ends: Any, origin: Any
 ) -> tuple[int, int]:
@@ -213,7 +213,7 @@ def interpolate_hits(
     return ScanPoints(scan.origin, hits, scan.free), slopes
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _count_between(origin: Any, hits: Any, spacing: float, limits: Any, count: Any) -> None:
     """Fill `count` (n,) with the number of hits to insert after each."""
     max_gap, max_obliqueness, straight = limits
@@ -237,7 +237,7 @@ def _count_between(origin: Any, hits: Any, spacing: float, limits: Any, count: A
                 count[i] = int(gap / spacing)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fill(hits: Any, slopes: Any, count: Any, out: Any, out_slopes: Any) -> None:
     """Copy hits (n, 3) and slopes (n,); insert `count` (n,) evenly spaced ones after each."""
     # Number by number: to assign to a slice, Numba first compiles the message of an error for two seconds.

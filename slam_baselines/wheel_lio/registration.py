@@ -156,7 +156,7 @@ def find_weak(information: FloatArray, weak: float) -> Constraint:
     return Constraint(values, directions, values < weak**2)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def linearize(points: Any, origin: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
     """Linearize the distances of points, seen from `origin` (3,), from the map's planes.
 
@@ -197,7 +197,7 @@ def linearize(points: Any, origin: Any, table: Any, cell: float, R: Any, t: Any,
     return H, g, total, square, found
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _smallest(table: Any, x: float, y: float, z: float, cell: float) -> Any:
     """Return the slot of the smallest plane or line around a point, -1 without."""
     keys, _, planes = table
@@ -208,7 +208,7 @@ def _smallest(table: Any, x: float, y: float, z: float, cell: float) -> Any:
     return -1
 
 
-@njit(cache=True, nogil=True)
+@njit
 def linearize_edges(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
     """Linearize the horizontal distances of edges from the map's vertical lines.
 

@@ -62,7 +62,7 @@ def deskew(cloud: PointCloud, twist: BodyTwist) -> FloatArray:
     return points
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _deskew(xyz: Any, time: Any, R: Any, offset: Any, v: Any, w: Any, points: Any) -> None:
     """Fill `points` by Rodrigues' formula and its integral (Lynch and Park, "Modern Robotics", eq. 3.88)."""
     rate = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
@@ -87,12 +87,12 @@ def _deskew(xyz: Any, time: Any, R: Any, offset: Any, v: Any, w: Any, points: An
             points[n, i] = p[i] + a * wp[i] + b * wwp[i] + t * v[i] + b * wv[i] + c * wwv[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _cross(a: Any, b: Any) -> Any:
     return np.array((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def thin(points: Any, cell: float) -> Any:
     """Return the mean (m, 3) of the points (n, 3) in each cubic cell.
 
@@ -117,7 +117,7 @@ def thin(points: Any, cell: float) -> Any:
     return sums[:m]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def find_edges(points: Any, ring: Any, origin: Any) -> Any:
     """Return the ends (m, 3) of surfaces in the rings, meters.
 
@@ -154,7 +154,7 @@ def find_edges(points: Any, ring: Any, origin: Any) -> Any:
     return found[:count]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _angle(a: float, b: float) -> Any:
     """Return the angle between two azimuths, radians."""
     return abs((a - b + math.pi) % math.tau - math.pi)

@@ -156,7 +156,7 @@ def _new_table(slots: int) -> Table:
     return Table(np.full(slots, EMPTY, np.int64), np.zeros((slots, 10)), np.zeros((slots, 8)))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def voxel_key(x: float, y: float, z: float, cell: float, level: int) -> int:
     """Return the key of a point's voxel.
 
@@ -167,7 +167,7 @@ def voxel_key(x: float, y: float, z: float, cell: float, level: int) -> int:
     return (level << 60) | ((i & 0xFFFFF) << 40) | ((j & 0xFFFFF) << 20) | (k & 0xFFFFF)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def find_slot(keys: Any, key: int) -> int:
     """Return the slot of a key, or the free one in which it belongs."""
     mask = len(keys) - 1
@@ -177,7 +177,7 @@ def find_slot(keys: Any, key: int) -> int:
     return slot
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _center(key: int, cell: float) -> Any:
     """Return the center of a voxel, meters."""
     edge, half = cell * (1 << (key >> 60)), 1 << 19
@@ -185,7 +185,7 @@ def _center(key: int, cell: float) -> Any:
     return (i + 0.5) * edge, (j + 0.5) * edge, (k + 0.5) * edge
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _add(table: Any, points: Any, center: Any, cell: float, full: float, touched: Any) -> Any:
     """Add points; return the numbers of new voxels and of rows in `touched`."""
     keys, sums, planes = table
@@ -218,7 +218,7 @@ def _add(table: Any, points: Any, center: Any, cell: float, full: float, touched
     return created, count
 
 
-@njit(cache=True, nogil=True)
+@njit
 def is_behind(plane: Any, sensor: Any) -> Any:
     """Return whether a sensor (3,) is on the side of a plane that was not seen."""
     a, b, c = plane[0], plane[1], plane[2]
@@ -226,7 +226,7 @@ def is_behind(plane: Any, sensor: Any) -> Any:
     return plane[VARIANCE] > 0.0 and side < -BEHIND
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fit_planes(table: Any, slots: Any, center: Any, cell: float, rule: Any) -> None:
     """Fit the planes of voxels by the eigenvectors of their points' covariance.
 
@@ -261,7 +261,7 @@ def _fit_planes(table: Any, slots: Any, center: Any, cell: float, rule: Any) -> 
             plane[VARIANCE] = across
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fit_lines(table: Any, slots: Any, center: Any, cell: float, rule: Any) -> None:
     """Fit vertical lines to voxels: mean and horizontal variance of the points."""
     keys, sums, lines = table
@@ -280,7 +280,7 @@ def _fit_lines(table: Any, slots: Any, center: Any, cell: float, rule: Any) -> N
             line[VARIANCE] = max(across, 1e-6)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _near(keys: Any, center: Any, cell: float, radius: float) -> Any:
     """Return the slots of the voxels within a radius of a point."""
     kept = np.empty(len(keys), np.int64)
@@ -295,7 +295,7 @@ def _near(keys: Any, center: Any, cell: float, radius: float) -> Any:
     return kept[:count]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _copy(old: Any, new: Any, slots: Any) -> None:
     """Copy voxels to an empty table."""
     for slot in slots:

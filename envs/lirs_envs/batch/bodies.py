@@ -172,7 +172,7 @@ def _contact_sensors(body: RobotModel) -> tuple[IntArray, IntArray, FloatArray]:
     return np.array(touch, np.int64), np.array(wheels, np.int64).reshape(-1, 2), np.array(drops, np.float64)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _add_touching(
     sensordata: FloatArray, touch: IntArray, wheels: IntArray, drops: FloatArray, touched: BoolArray
 ) -> None:
@@ -187,7 +187,7 @@ def _add_touching(
                 touched[i] |= sensordata[i, center + 2] - sensordata[i, k + 3] < drops[j]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _find_diverged(
     qpos: FloatArray, qvel: FloatArray, warning: Int32Array, kinds: IntArray, found: BoolArray
 ) -> None:
@@ -195,7 +195,7 @@ def _find_diverged(
         found[i] = not is_sound(warning[i, :, 1], kinds, qpos[i], qvel[i])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _read_poses(rows: IntArray, qpos: FloatArray, out: FloatArray) -> None:
     for i in rows:
         w, x, y, z = qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6]

@@ -102,7 +102,7 @@ class Lidars:
         )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _scan_rows(
     rows: IntArray,
     T_world_base: FloatArray,

@@ -344,7 +344,7 @@ def check_options(options: Any) -> Mapping[str, Any]:
     return options or {}
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _planar(T_world_base: FloatArray, poses: FloatArray) -> None:
     """Fill (N, 3) x, y, yaw of poses (N, 7), x, y, z, quaternion."""
     for i in range(len(poses)):

@@ -118,7 +118,7 @@ def _scan(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
     return ranges
 
 
-@njit(cache=True, nogil=True)
+@njit
 def make_finite(ranges: Float32Array, range_max: float) -> None:
     """Replace ranges without hit by `range_max`, and too short or lost ones by 0."""
     for i in range(ranges.shape[0]):
@@ -179,7 +179,7 @@ def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
     return proximity
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _find_proximity(ranges: Float32Array, sector_of: IntArray, range_max: float, out: Float32Array) -> None:
     """Fill the proximity (n, sectors) of each sector: 1 / (1 + r).
 
@@ -240,7 +240,7 @@ def _height_map(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
     return maps
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _local_heights(
     z: Float32Array,
     frame: tuple[float, float, float, float],

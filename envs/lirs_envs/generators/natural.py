@@ -69,7 +69,7 @@ def with_rocks(
     return z
 
 
-@njit(cache=True)
+@njit
 def _add_rocks(z: FloatArray, x: FloatArray, rocks: FloatArray) -> None:
     """Add rocks (n, 4), east, north, radius, height, to heights. The nodes are at `x` along both axes."""
     per_meter = (len(z) - 1) / x[-1]

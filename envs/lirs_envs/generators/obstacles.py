@@ -97,7 +97,7 @@ def craters(difficulty: float, rng: np.random.Generator) -> Obstacles:
     return z, z * min(1.0, GENTLE / (2 * steepness))
 
 
-@njit(cache=True)
+@njit
 def _dig(
     bowls: FloatArray,
     steepness: float,

@@ -172,7 +172,7 @@ def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tup
     return R, (G @ v) / rate
 
 
-@njit(cache=True, nogil=True)
+@njit
 def transform_rays(
     quaternion: tuple[float, float, float, float],
     position: tuple[float, float, float],

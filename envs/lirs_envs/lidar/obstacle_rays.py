@@ -54,7 +54,7 @@ def build_wall_cells(walls: WallGrid | None) -> WallCells:
     return WallCells(distance, frame, hole)
 
 
-@njit(cache=True)
+@njit
 def wall_ranges(
     walls: WallCells, origins: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
@@ -85,7 +85,7 @@ def wall_ranges(
             ranges[k] = _first_wall(distance, (u, v, du, dv, per_u, per_v), t, t_end)
 
 
-@njit(cache=True)
+@njit
 def remove_hits_in_holes(
     walls: WallCells, origins: FloatArray, directions: FloatArray, wall_range: FloatArray, ranges: FloatArray
 ) -> None:
@@ -102,7 +102,7 @@ def remove_hits_in_holes(
                 ranges[k] = wall_range[k]
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def _first_wall(
     distance: ByteArray, ray: tuple[float, float, float, float, float, float], t: float, t_end: float
 ) -> float:
@@ -136,7 +136,7 @@ def _first_wall(
             return np.inf
 
 
-@njit(cache=True, nogil=True)
+@njit
 def meet_walkers(
     centers: FloatArray,
     origins: FloatArray,
@@ -177,7 +177,7 @@ def capsule_normals(centers: FloatArray, points: FloatArray) -> FloatArray:
     return normals
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _cast_fan(
     centers: FloatArray, origin: FloatArray, directions: FloatArray, max_range: float, nearest: FloatArray
 ) -> None:
@@ -207,7 +207,7 @@ def _cast_fan(
                     nearest[k] = hit
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _bound_block(directions: FloatArray, cone: FloatArray) -> None:
     """Fill a cone with the mean horizontal direction of rays and the least cosine.
 
@@ -229,7 +229,7 @@ def _bound_block(directions: FloatArray, cone: FloatArray) -> None:
         cone[0], cone[1], cone[2] = x, y, least - 1e-9
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _capsule_range(x: float, y: float, z: float, dx: float, dy: float, dz: float) -> float:
     """Return the distance of a ray's first hit on the capsule, else inf.
 

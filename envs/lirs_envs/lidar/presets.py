@@ -305,7 +305,7 @@ def draw_noise(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple
     return normal, rng.random((beams, 2)) if noise.draws_uniform else NO_DRAWS
 
 
-@njit(cache=True, nogil=True)
+@njit
 def measure(
     exact: FloatArray,
     normal: FloatArray,

@@ -114,7 +114,7 @@ class MeshCaster:
         return ranges, met["primID"]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _refine(
     vertices: FloatArray,
     faces: Int32Array,
@@ -133,7 +133,7 @@ def _refine(
                 ranges[k] = t
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def _plane_range(vertices: FloatArray, face: Int32Array, o: FloatArray, d: FloatArray) -> float:
     """Return the distance along a ray to a triangle's plane.
 
@@ -219,7 +219,7 @@ class RayCaster:
         return ranges, reflectances
 
 
-@njit(cache=True, nogil=True)
+@njit
 def cast_rays(
     terrain: TerrainMipmap,
     walls: WallCells,

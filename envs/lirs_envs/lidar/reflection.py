@@ -48,7 +48,7 @@ def reflect(reflectivity: float, normals: FloatArray, directions: FloatArray) ->
     return reflectivity * cosines
 
 
-@njit(cache=True, nogil=True)
+@njit
 def world_reflectances(
     terrain: TerrainMipmap,
     walls: WallCells,
@@ -67,7 +67,7 @@ def world_reflectances(
             reflectances[k] = WALL * cosine if cosine >= 0.0 else GROUND * _ground_cosine(terrain, x, y, d)
 
 
-@njit(cache=True)
+@njit
 def _wall_cosine(walls: WallCells, x: float, y: float, z: float, d: FloatArray) -> float:
     """Return the cosine of the incidence on a wall's face. -1 = the point is on no face."""
     distance, frame = walls.distance, walls.frame
@@ -89,7 +89,7 @@ def _wall_cosine(walls: WallCells, x: float, y: float, z: float, d: FloatArray) 
     return float(abs(d[2])) if abs(z - height) < ON_FACE else -1.0
 
 
-@njit(cache=True)
+@njit
 def _ground_cosine(terrain: TerrainMipmap, x: float, y: float, d: FloatArray) -> float:
     """Return the cosine of the incidence on the triangle at a point."""
     frame, (nx, ny) = terrain.frame, terrain.cells

@@ -148,7 +148,7 @@ class TerrainLidar:
         return measured
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _turn_beams(beams: FloatArray, rotation: FloatArray, origin: FloatArray, directions: FloatArray) -> bool:
     """Fill directions (n, 3) with beams in the world's frame.
 
@@ -163,7 +163,7 @@ def _turn_beams(beams: FloatArray, rotation: FloatArray, origin: FloatArray, dir
     return math.isfinite(rotation.sum() + origin.sum())
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _mark_misses(geoms: Int32Array, ranges: FloatArray) -> None:
     """Set ranges (n,) of rays that met no geom to inf."""
     for k in range(len(geoms)):
@@ -171,7 +171,7 @@ def _mark_misses(geoms: Int32Array, ranges: FloatArray) -> None:
             ranges[k] = np.inf
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _field_ranges(
     terrain: TerrainMipmap,
     elevation: float,

@@ -95,7 +95,7 @@ FAR = 1e300
 """Finite substitute for infinity, so that products with 0 stay numbers."""
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def inverse(slope: float) -> float:
     """Return 1 / slope; 0 for a slope of at most 1e-14.
 
@@ -104,7 +104,7 @@ def inverse(slope: float) -> float:
     return 1.0 / slope if abs(slope) > 1e-14 else 0.0
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def clip(o: float, per: float, low: float, high: float, t0: float, t1: float) -> tuple[float, float]:
     """Return the part of [t0, t1] with low <= o + t / per <= high.
 
@@ -126,7 +126,7 @@ CLEARANCE = 1e-6
 """Meters by which beams stay above a bound, far more than rounding."""
 
 
-@njit(cache=True)
+@njit
 def safe_distance(
     terrain: TerrainMipmap, start: tuple[float, float, float], directions: FloatArray, max_range: float
 ) -> float:
@@ -171,7 +171,7 @@ def safe_distance(
     return t
 
 
-@njit(cache=True, forceinline=True)
+@njit(forceinline=True)
 def _highest(terrain: TerrainMipmap, box: tuple[int, int, int, int], level: int) -> float:
     """Return the highest bound of a level's squares that cover a box of cells.
 
@@ -203,7 +203,7 @@ FUSED = {"contract"}
 """Fast-math flags: fused multiply-add only, no other change of results."""
 
 
-@njit(cache=True, fastmath=FUSED)
+@njit(fastmath=FUSED)
 def terrain_ranges(
     terrain: TerrainMipmap, origins: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
@@ -244,7 +244,7 @@ def terrain_ranges(
             ranges[k] = min(ranges[k], hit)
 
 
-@njit(cache=True, forceinline=True, fastmath=FUSED)
+@njit(forceinline=True, fastmath=FUSED)
 def _traverse(
     terrain: TerrainMipmap,
     cell: tuple[int, int],
@@ -306,7 +306,7 @@ def _traverse(
             level += 1
 
 
-@njit(cache=True, forceinline=True, fastmath=FUSED)
+@njit(forceinline=True, fastmath=FUSED)
 def _surface(terrain: TerrainMipmap, i: int, j: int, a: float, b: float) -> float:
     """Return the surface height in cell (j, i).
 
@@ -324,7 +324,7 @@ def _surface(terrain: TerrainMipmap, i: int, j: int, a: float, b: float) -> floa
     return sw + a * (ne - nw) + b * (nw - sw)
 
 
-@njit(cache=True, forceinline=True, fastmath=FUSED)
+@njit(forceinline=True, fastmath=FUSED)
 def _block_range(
     block: Float32Array,
     number: int,
@@ -375,7 +375,7 @@ def _block_range(
             return np.inf
 
 
-@njit(cache=True, forceinline=True, fastmath=FUSED)
+@njit(forceinline=True, fastmath=FUSED)
 def _cell_range(corners: tuple[float, float, float, float], ray: Ray, t: float, t_out: float) -> float:
     """Return the distance of a ray's hit on a cell's two triangles, else inf.
 
@@ -404,7 +404,7 @@ def _cell_range(corners: tuple[float, float, float, float], ray: Ray, t: float, 
     return np.inf
 
 
-@njit(cache=True)
+@njit
 def side_ranges(
     terrain: TerrainMipmap,
     base: float,

@@ -90,7 +90,7 @@ class DifferentialDrives:
         _drive(ids, commands, rates, dt, self._parameters, self._actuators, self._state, ctrl)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _drive(
     ids: IntArray,
     commands: FloatArray,
@@ -110,7 +110,7 @@ def _drive(
             ctrl[i, a] = right
 
 
-@njit(cache=True, nogil=True)
+@njit
 def wheel_speeds(
     state: FloatArray, v: float, omega: float, yaw_rate: float, dt: float, parameters: RecordArray
 ) -> tuple[float, float]:
@@ -138,7 +138,7 @@ def wheel_speeds(
     return (state[0] - side) / p.wheel_radius, (state[0] + side) / p.wheel_radius
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _limit(value: float, limit: float) -> float:
     return max(-limit, min(limit, value))
 

@@ -134,7 +134,7 @@ class ImuSensors:
         return Imu(roll, pitch, tuple(self.rates[i].tolist()), tuple(self.force[i].tolist()), stamp)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def next_rates(errors: FloatArray, left: IntArray, true: Vector3) -> Vector3:
     """Return the measured rates about x, y, z, rad/s.
 
@@ -145,7 +145,7 @@ def next_rates(errors: FloatArray, left: IntArray, true: Vector3) -> Vector3:
     return true[0] + errors[row, 0], true[1] + errors[row, 1], true[2] + errors[row, 2]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def read_imu(
     bias: FloatArray,
     normal: FloatArray,
@@ -169,7 +169,7 @@ def read_imu(
     )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _read_rates(
     ids: IntArray, qvel: FloatArray, errors: FloatArray, left: IntArray, rates: FloatArray
 ) -> bool:
@@ -183,7 +183,7 @@ def _read_rates(
     return used_up
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _read(
     ids: IntArray,
     true: tuple[FloatArray, FloatArray],
@@ -203,7 +203,7 @@ def _read(
         force[i, 0], force[i, 1], force[i, 2] = x, y, z
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _attitude(qpos: FloatArray) -> tuple[float, float]:
     """Return roll and pitch of a free body, radians."""
     norm = math.sqrt(qpos[3] * qpos[3] + qpos[4] * qpos[4] + qpos[5] * qpos[5] + qpos[6] * qpos[6])

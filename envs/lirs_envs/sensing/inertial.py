@@ -90,7 +90,7 @@ class InertialUnit:
         return ImuReadings(stamps, readings[:, :3], readings[:, 3:], *self._sigmas[::3].tolist())
 
 
-@njit(cache=True)
+@njit
 def _means(states: FloatArray, steps: int, dt: float, gravity: float) -> FloatArray:
     """Return (n, 6) mean rates, rad/s, and specific force, m/s^2, of n times `steps` steps.
 

@@ -133,7 +133,7 @@ class DistanceNoise(DistanceNoises):
         return meters
 
 
-@njit(cache=True, nogil=True)
+@njit
 def measured_distance(
     scale: FloatArray,
     normals: FloatArray,
@@ -150,7 +150,7 @@ def measured_distance(
     return meters
 
 
-@njit(cache=True, nogil=True)
+@njit
 def mean_angle(qpos: FloatArray, joints: IntArray) -> float:
     """Return the mean angle of some wheels, radians, from a state's positions (nq,)."""
     total = 0.0
@@ -159,14 +159,14 @@ def mean_angle(qpos: FloatArray, joints: IntArray) -> float:
     return total / len(joints)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def yaw_rate(rates: Vector3, roll: float, pitch: float) -> float:
     """Return the yaw rate (R = Rz Ry Rx) from rates about the base's axes, rad/s."""
     rate: float = (rates[1] * math.sin(roll) + rates[2] * math.cos(roll)) / max(math.cos(pitch), 0.1)
     return rate
 
 
-@njit(cache=True, nogil=True)
+@njit
 def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
     """Return x, y, yaw after a short motion along an arc.
 
@@ -184,7 +184,7 @@ def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
     return x + forward * math.cos(middle), y + forward * math.sin(middle), yaw
 
 
-@njit(cache=True, nogil=True)
+@njit
 def reckoned_pose(
     pose: Vector3,
     noise: tuple[FloatArray, FloatArray, IntArray],
@@ -266,7 +266,7 @@ class WheelOdometries:
         """Do nothing: the pose is always up to date."""
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _integrate_wheels(
     ids: IntArray,
     motion: tuple[FloatArray, FloatArray, FloatArray],

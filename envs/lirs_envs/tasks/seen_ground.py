@@ -92,7 +92,7 @@ class SeenGround:
         _crop(self._ceilings[i], self._ground[i], corner, (x, y, yaw), out)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _mark_rows(
     rows: IntArray,
     fans: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
@@ -120,7 +120,7 @@ def _mark_rows(
         wanted_cells[i] += new_wanted
 
 
-@njit(cache=True, nogil=True, fastmath=FUSED)
+@njit(fastmath=FUSED)
 def mark_seen(
     ceiling: Float32Array,
     highest: Float32Array,
@@ -170,7 +170,7 @@ def mark_seen(
     return new, new_wanted
 
 
-@njit(cache=True, nogil=True, fastmath=FUSED, forceinline=True)
+@njit(fastmath=FUSED, forceinline=True)
 def _mark_beam(
     grids: Grids,
     layout: Layout,
@@ -232,7 +232,7 @@ def _mark_beam(
     return new, new_wanted
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _bound_block(grids: Grids, layout: Layout, block: int, row: int) -> None:
     """Set the highest ceiling of a block, given along and across a beam."""
     ceiling, highest, _ = grids
@@ -244,7 +244,7 @@ def _bound_block(grids: Grids, layout: Layout, block: int, row: int) -> None:
     highest[blocks[0] * block + blocks[1] * row] = top
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _bound_blocks(ceiling: Float32Array, highest: Float32Array) -> None:
     rows, cols = ceiling.shape
     for r in range(highest.shape[0]):
@@ -256,7 +256,7 @@ def _bound_blocks(ceiling: Float32Array, highest: Float32Array) -> None:
             highest[r, c] = top
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _crop(
     ceiling: Float32Array,
     ground: BoolArray,

@@ -153,7 +153,7 @@ def _largest(areas: IntArray, driven: BoolArray) -> int:
     return 1 + int(np.argmax(sizes[1:]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _path_lengths(free: BoolArray, row: int, col: int, limit: float) -> FloatArray:
     """Return (rows, cols) shortest path lengths to a cell in cells, inf where beyond the limit.
 
@@ -193,7 +193,7 @@ def _path_lengths(free: BoolArray, row: int, col: int, limit: float) -> FloatArr
     return cost
 
 
-@njit(cache=True, nogil=True)
+@njit
 def distance_at(
     cost: FloatArray, corner: tuple[float, float], resolution: float, x: float, y: float
 ) -> float:

@@ -52,7 +52,7 @@ def write_triangles(
             file.write(record.data)
 
 
-@njit(cache=True)
+@njit
 def _facets(corners: FloatArray) -> Float32Array:
     """Return (n, 12) unit normal and corners of each triangle; zero normal without area."""
     out = np.empty((len(corners), 12), np.float32)

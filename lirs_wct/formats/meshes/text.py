@@ -30,7 +30,7 @@ def fixed_text(table: ArrayLike, decimals: ArrayLike, between: bytes = b" ") -> 
     return out[: _write(values, digits, ends, out)].tobytes()
 
 
-@njit(cache=True)
+@njit
 def _write(values: FloatArray, decimals: IntArray, ends: ByteArray, out: ByteArray) -> int:
     """Write the text into `out`, with a character after each column; return its length."""
     at = 0

@@ -97,7 +97,7 @@ def bound_grids(grid: ProbabilityGrid, depth: int) -> ByteArray:
     return bounds
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _best_candidate(bounds: Any, cells: Any, low: Any, high: Any, least: int) -> tuple[int, int, int, int]:
     """Return the best sum above `least` on the finest level: sum, turn, rows, columns.
 
@@ -133,7 +133,7 @@ def _best_candidate(bounds: Any, cells: Any, low: Any, high: Any, least: int) ->
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _coarse_candidates(low: Any, high: Any, step: int) -> int:
     """Return the number of candidates on the coarsest level."""
     count = 0
@@ -143,7 +143,7 @@ def _coarse_candidates(low: Any, high: Any, step: int) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _put(stack: Any, first: int, count: int, total: int, candidate: Any) -> None:
     """Insert a candidate into the stack of `count`, ordered by bounds from `first` on."""
     at = count
@@ -156,7 +156,7 @@ def _put(stack: Any, first: int, count: int, total: int, candidate: Any) -> None
         stack[at, i + 1] = candidate[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _sum_bounds(bounds: Any, cells: Any, row: int, col: int, half: int, sums: Any) -> None:
     """Fill the sums (4,) of bounds at cells (2, n) after four shifts.
 

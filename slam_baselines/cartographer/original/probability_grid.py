@@ -116,7 +116,7 @@ class ProbabilityGrid:
             self.corner = self.corner + self.resolution * np.array((rows // 2, cols // 2))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _cast_rays(cells: Any, ends: Any, returns: int, hit: Any, miss: Any) -> None:
     """Update the cells by beams from ends[0], in subcells; the first `returns` hit."""
     for k in range(1, returns + 1):
@@ -127,7 +127,7 @@ def _cast_rays(cells: Any, ends: Any, returns: int, hit: Any, miss: Any) -> None
         _miss_cells(cells, ends[0], ends[k], miss)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _miss_cells(cells: Any, first: Any, last: Any, miss: Any) -> None:
     """Update all cells whose interior the segment between two centers of subcells meets."""
     if first[1] > last[1]:

@@ -138,7 +138,7 @@ MULTIPLIER, MODULUS = 16807, 2147483647
 """Of the minimal standard generator (Park and Miller 1988)."""
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _drawn(voxel: Any, voxels: int) -> Any:
     """Return (n,) whether each point is the one that its voxel keeps.
 

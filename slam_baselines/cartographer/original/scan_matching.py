@@ -57,7 +57,7 @@ class _MatchProblem:
         return step
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _occupied_space(
     cells: Any, corner: Any, resolution: float, cost: Any, points: Any, pose: Any, H: Any, g: Any
 ) -> float:
@@ -79,7 +79,7 @@ def _occupied_space(
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit
 def interpolate_bicubic(cells: Any, cost: Any, u: float, v: float) -> tuple[float, float, float]:
     """Return 1 - p at row `u`, column `v`, and its derivatives (Catmull-Rom).
 
@@ -100,7 +100,7 @@ def interpolate_bicubic(cells: Any, cost: Any, u: float, v: float) -> tuple[floa
     return f, fu, fv
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _weights(t: float) -> Any:
     """Return weights of four samples for value and derivative at 0 <= t < 1."""
     value = (
@@ -118,7 +118,7 @@ def _weights(t: float) -> Any:
     return value, slope
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _cell_cost(cells: Any, cost: Any, row: int, col: int) -> float:
     if row < 0 or col < 0 or row >= cells.shape[0] or col >= cells.shape[1]:
         return float(cost[0])
@@ -170,7 +170,7 @@ def shifted_pose(pose: Pose2, rows: float, cols: float, turn: float) -> Pose2:
     return Pose2(pose.x - rows, pose.y - cols, wrap_angle(pose.yaw + turn))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _best_shift(
     grid: Any, cost: Any, cells: Any, turns: Any, reach: int, resolution: float, weights: Any
 ) -> tuple[int, int, int]:

@@ -75,14 +75,14 @@ def _resize(old: HitPatches | None, size: int) -> HitPatches:
     return new
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def cell_of(x: float, delta: float) -> int:
     """Return a coordinate's cell: the nearest center, halves away from 0 as in C's `round`."""
     q = x / delta
     return math.floor(q + 0.5) if q >= 0 else -math.floor(0.5 - q)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _register(tables: Any, corner: Any, patches: Any, delta: float, poses: Any, ends: Any, first: int) -> int:
     """Add a scan to the maps from `first` on, until patches run out; return the number done."""
     for k in range(first, len(poses)):
@@ -104,7 +104,7 @@ def _register(tables: Any, corner: Any, patches: Any, delta: float, poses: Any, 
     return len(poses)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _own(table: Any, patches: Any, row: int, col: int) -> Any:
     """Give a table its own patch, new or copied, at a place; return its index."""
     p = table[row, col]
@@ -165,7 +165,7 @@ def match_scan(
     return HillClimbMatch(pose, float(_score(hits, pose, ends, parameters)[1]))
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _climb(hits: Any, start: Any, ends: Any, parameters: Any) -> Any:
     """Climb to the best of six neighbors in halving steps; return pose and score."""
     _, _, linear, angular, iterations, _ = parameters
@@ -186,7 +186,7 @@ def _climb(hits: Any, start: Any, ends: Any, parameters: Any) -> Any:
             return pose, best
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _score(hits: Any, pose: Any, ends: Any, parameters: Any) -> Any:
     """Return the score of the climb and the log-likelihood of a particle.
 

@@ -248,7 +248,7 @@ def _occupancy(grid: GrowingGrid, occ_thresh: float) -> OccupancyGrid:
     return OccupancyGrid.from_probability(p, delta, corner)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _draw(hits: Any, visits: Any, cells: Any, is_hit: Any) -> None:
     """Count the beams from cells[0] to all others, each (col, row)."""
     for k in range(1, len(cells)):
@@ -284,13 +284,13 @@ class Drand48:
         return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _uniform(state: Any) -> Any:
     state[0] = (state[0] * MULTIPLIER + INCREMENT) & MASK
     return np.float64(state[0]) / 281474976710656.0  # 2^48
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fill_normal(state: Any, out: Any) -> None:
     """Fill `out` by Marsaglia's polar method; like the original, skip every second number."""
     for k in range(len(out)):

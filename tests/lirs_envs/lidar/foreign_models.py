@@ -145,7 +145,7 @@ def _field_triangles(model: mujoco.MjModel, field: int) -> Array:
     return np.concatenate([*parts, [(a, b, c), (a, c, d)]])
 
 
-@njit(cache=True)
+@njit
 def triangle_ranges(triangles: Array, origin: Array, directions: Array, ranges: Array) -> None:
     """Shorten ranges (n,) to the nearest triangle (Moeller and Trumbore 1997)."""
     for m in range(len(triangles)):
