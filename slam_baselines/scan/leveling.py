@@ -123,7 +123,7 @@ class Mount(NamedTuple):
 
 @njit
 def _transform(points: Any, pose: Any, out: Any) -> None:
-    """Fill arrays `out` with turned and shifted points (n, 3); the pose is x, y, yaw, z."""
+    """Turn and shift arrays of points (n, 3) by a pose (x, y, yaw, z) into `out`."""
     x, y, yaw, z = pose
     c, s = np.cos(yaw), np.sin(yaw)
     for k in range(len(points)):
