@@ -53,7 +53,8 @@ GOOD = VerdictFigures(
         ({"f1_aligned": None, "false_occupied": None}, "works"),
         ({"f1_aligned": None, "elevation_rmse": 0.11, "reference_elevation_rmse": 0.0}, "path only"),
         ({"occupied": None, "elevation_rmse": 0.11, "reference_elevation_rmse": 0.05}, "works"),
-        ({"elevation_seen": 0.7}, "path only"),
+        ({"elevation_seen": 0.79}, "path only"),
+        ({"elevation_seen": 0.81}, "works"),
     ],
 )
 def test_the_first_rule_that_applies_decides(changes: dict[str, object], expected: str) -> None:
