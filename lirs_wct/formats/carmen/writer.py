@@ -13,8 +13,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lirs_wct.arrays import ByteArray, Float32Array, IntArray
+from lirs_wct.arrays import Float32Array, IntArray
 from lirs_wct.files import write_gzipped
 from lirs_wct.formats.carmen.laser import mount_comment
 from lirs_wct.geometry.pose import Pose2
@@ -65,9 +66,8 @@ def _pose(pose: Pose2) -> str:
 
 def _ranges(scan: LaserScan) -> bytes:
     """Return the ranges as text, a space before each."""
-    letters = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
-    text = letters[_millimeters(scan.ranges, len(letters) - 2)]
-    return bytes(text[text != 0].tobytes())
+    texts = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
+    return texts[_millimeters(scan.ranges, len(texts) - 2)].tobytes().translate(None, b"\0")
 
 
 def _millimeters(ranges: Float32Array, most: int) -> IntArray:
@@ -83,7 +83,6 @@ def _millimeters(ranges: Float32Array, most: int) -> IntArray:
 
 
 @cache
-def _formatted_ranges(millimeters: int) -> ByteArray:
-    """Return (n, letters) texts of ranges by millimeter, padded with 0; the last is "invalid"."""
-    texts = [*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"]
-    return np.array(texts, dtype=np.bytes_).view(np.uint8).reshape(len(texts), -1)
+def _formatted_ranges(millimeters: int) -> NDArray[np.bytes_]:
+    """Return texts of ranges by millimeter; the last is "invalid"."""
+    return np.array([*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"], np.bytes_)
