@@ -285,11 +285,6 @@ class RobotModel:
             self.data.warning.number[:] = warnings
             mujoco.mj_setState(self.model, self.data, present, FULL_STATE)
 
-    @property
-    def steps_as_reference(self) -> bool:
-        """Whether the robot's own step is the reference physics'."""
-        return self.timestep == _even_part(self._period, REFERENCE_TIMESTEP)
-
     def _steps_within_updates(self, timestep: float) -> tuple[int, ...]:
         """Return how many steps of some length begin within each control update of one period."""
         ends = np.cumsum(self.substeps) * (self.timestep / timestep)

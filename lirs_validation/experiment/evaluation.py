@@ -200,7 +200,7 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True
         **factor,
         "parts": _parts(log, simulation),
         "mapper_in": log.mapper_in,
-        **physics_rtf(simulation, measured=replayed and not log.concurrent),
+        "physics_reference": reference_rtf(simulation) if replayed and not log.concurrent else None,
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
         "timestep": simulation.body.timestep,
@@ -226,26 +226,15 @@ def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
     return parts | {"rest": sum(log.walls) / driven - summed}
 
 
-def physics_rtf(simulation: Simulation, *, measured: bool) -> dict[str, float | None]:
-    """Return the RTF of physics alone, over the first seconds of the drive.
+def reference_rtf(simulation: Simulation) -> float | None:
+    """Return the RTF of the reference physics alone, over the first seconds of the drive.
 
-    The recorded controls are replayed with MuJoCo's step, and with the reference physics. The second is
-    None where the reference physics diverges: some robots need a shorter step.
-
-    Args:
-        simulation: Driven simulation.
-        measured: Whether to measure; otherwise both are None.
+    The recorded controls are replayed through it. None where it diverges: some robots need a shorter step.
     """
-    if not measured:
-        return {"physics_only": None, "physics_reference": None}
-    alone = simulation.replay(seconds=REPLAYED).rtf
-    if simulation.body.steps_as_reference:
-        return {"physics_only": alone, "physics_reference": alone}
     try:
-        reference = simulation.replay(reference=True, seconds=REPLAYED).rtf
+        return simulation.replay(reference=True, seconds=REPLAYED).rtf
     except SimulationError:
-        reference = None
-    return {"physics_only": alone, "physics_reference": reference}
+        return None
 
 
 def evaluate_contact(simulation: Simulation) -> dict[str, Any]:

@@ -37,7 +37,7 @@ def record(
         reason="" if status == "ok" else f"it ended: {status}",
         rtf={
             "mean": rtf, "std": rtf / 10, "min": rtf / 2,
-            "physics_only": rtf * 3, "physics_reference": rtf * 2,
+            "physics_reference": rtf * 2,
             "parts": {"physics": 0.3 / rtf, "sensors": 0.2 / rtf, "mapper": 0.4 / rtf, "rest": 0.1 / rtf},
             "simulated_seconds": float(SECONDS), "wall_seconds": SECONDS / rtf,
             "concurrent": concurrent, "extrapolated": extrapolated,
