@@ -8,10 +8,10 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import scipy  # its modules load on first use
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from scipy.ndimage import binary_dilation
 
 from lirs_validation.config import TOUR, driver_parts
 from lirs_validation.metrics.agreement import contradicted
@@ -200,7 +200,7 @@ def _draw_built_map(
     for asked, other, color in ((true_pose, built, BLUE), (built, true_pose, VERMILLION)):
         wrong = contradicted(asked, other)
         marked = canvas.mark_pixels(wrong, asked.resolution, asked.origin)
-        picture[binary_dilation(marked)] = rgb(color)  # a wall is a pixel wide
+        picture[scipy.ndimage.binary_dilation(marked)] = rgb(color)  # a wall is a pixel wide
     map_axes(axes, canvas, picture)
     title(axes, "Built map")
     if f1 is not None:

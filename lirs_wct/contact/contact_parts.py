@@ -13,8 +13,7 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+import scipy  # its modules load on first use
 
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -131,8 +130,8 @@ def bodies(mesh: TriangleMesh) -> Iterator[TriangleMesh]:
     """Yield the connected components of a mesh, in the order of their vertices."""
     a, b, c = mesh.faces.T
     n = len(mesh.vertices)
-    edges = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(n, n))
-    _, label = connected_components(edges, directed=False)
+    edges = scipy.sparse.coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(n, n))
+    _, label = scipy.sparse.csgraph.connected_components(edges, directed=False)
     for piece in np.unique(label[a]):
         faces = mesh.faces[label[a] == piece]
         used, renumbered = np.unique(faces, return_inverse=True)

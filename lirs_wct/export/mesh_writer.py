@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import trimesh
 from PIL import Image
 
 from lirs_wct.errors import ConfigError, OutputError
@@ -47,6 +46,8 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
 
 
 def _write_ply(path: Path, mesh: TriangleMesh) -> None:
+    import trimesh  # slow import, needed here only
+
     with atomic_write(path) as temporary:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
 

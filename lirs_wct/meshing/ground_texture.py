@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import scipy.ndimage
+import scipy  # its modules load on first use
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.errors import SourceError

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_cdt
 
 from lirs_envs.lidar.terrain_rays import FAR, clip, inverse
 from lirs_envs.walkers import HALF_LENGTH, RADIUS
@@ -45,8 +45,8 @@ def build_wall_cells(walls: WallGrid | None) -> WallCells:
     if walls is None:
         return WallCells(distance, np.zeros(6), hole)
     if walls.solid.any():
-        cells = distance_transform_cdt(~walls.solid, metric="chessboard")
-        distance = np.ascontiguousarray(np.minimum(cells, 255).astype(np.uint8))
+        cells = cv2.distanceTransform((~walls.solid).astype(np.uint8), cv2.DIST_C, 3)
+        distance = np.minimum(cells, 255).astype(np.uint8)
     if walls.hole is not None:
         hole = np.ascontiguousarray(walls.hole)
     T = walls.origin

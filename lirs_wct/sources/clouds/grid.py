@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # its modules load on first use
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lirs_wct.arrays import BoolArray, FloatArray
 
@@ -72,7 +72,7 @@ class NodeGrid:
         for _ in range(2):
             along_y, along_x = np.gradient(_nearest(level.reshape(self.shape)))
             slope_x, slope_y = (
-                ndimage.gaussian_filter(g, SMOOTH, mode="nearest") for g in (along_x, along_y)
+                scipy.ndimage.gaussian_filter(g, SMOOTH, mode="nearest") for g in (along_x, along_y)
             )
             level = z - slope_x.ravel() * east - slope_y.ravel() * north
         return np.asarray(level.reshape(self.shape), np.float64)
@@ -80,7 +80,7 @@ class NodeGrid:
     def sample(self, values: FloatArray, xy: FloatArray) -> FloatArray:
         """Return (n,) values of the grid at points, linearly interpolated."""
         at = ((xy[:, 1] - self.south) / self.spacing, (xy[:, 0] - self.west) / self.spacing)
-        found: FloatArray = ndimage.map_coordinates(values, at, order=1, mode="nearest")
+        found: FloatArray = scipy.ndimage.map_coordinates(values, at, order=1, mode="nearest")
         return found
 
 
@@ -89,7 +89,7 @@ def _nearest(values: FloatArray) -> FloatArray:
     missing = np.isnan(values)
     if not missing.any():
         return values.copy()
-    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     found: FloatArray = values[tuple(nearest)]
     return found
 
@@ -99,16 +99,14 @@ def fill_gaps(values: FloatArray) -> FloatArray:
 
     A plane stays a plane. Outside the rims' hull a node takes its nearest value.
     """
-    from scipy.interpolate import LinearNDInterpolator  # slow import, needed here only
-
     missing = np.isnan(values)
     if not missing.any():
         return values
-    rim = ndimage.binary_dilation(missing, np.ones((3, 3), np.bool_)) & ~missing
+    rim = scipy.ndimage.binary_dilation(missing, np.ones((3, 3), np.bool_)) & ~missing
     known, wanted = np.argwhere(rim), np.argwhere(missing)
     out = _nearest(values)
     if len(known) >= 3 and min(np.ptp(known, axis=0)) > 0:
-        linear = LinearNDInterpolator(known, values[rim])(wanted)
+        linear = scipy.interpolate.LinearNDInterpolator(known, values[rim])(wanted)
         there = np.isfinite(linear)
         out[tuple(wanted[there].T)] = linear[there]
     return out
@@ -116,5 +114,5 @@ def fill_gaps(values: FloatArray) -> FloatArray:
 
 def gap_distance(missing: BoolArray, spacing: float) -> FloatArray:
     """Return (rows, cols) distances from each node to the nearest known one, meters."""
-    distance: FloatArray = ndimage.distance_transform_edt(missing) * spacing
+    distance: FloatArray = scipy.ndimage.distance_transform_edt(missing) * spacing
     return distance

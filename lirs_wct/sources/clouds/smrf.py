@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy import ndimage
+import scipy  # its modules load on first use
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError
@@ -106,8 +106,8 @@ def _mean_slope(surface: FloatArray, window: float, cell: float) -> FloatArray:
 
     A crest thus has the slope of its flanks.
     """
-    north, east = np.gradient(ndimage.gaussian_filter(surface, SMOOTH, mode="nearest"), cell)
-    mean: FloatArray = ndimage.gaussian_filter(np.hypot(north, east), window / 2 / cell, mode="nearest")
+    north, east = np.gradient(scipy.ndimage.gaussian_filter(surface, SMOOTH, mode="nearest"), cell)
+    mean: FloatArray = scipy.ndimage.gaussian_filter(np.hypot(north, east), window / 2 / cell, mode="nearest")
     return mean
 
 

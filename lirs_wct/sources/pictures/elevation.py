@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy  # its modules load on first use
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation import Raster, RasterInfo, decode, guess, tile_georeference
@@ -113,7 +113,7 @@ def fill_nodata(
     if count > values.size / 2:
         raise SourceError(f"{path}: {share}, at most half may lack one")
     warnings.warn(f"{path}: {share}, filled from their nearest neighbors", stacklevel=3)
-    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     filled: NDArray[np.floating[Any]] = values[tuple(nearest)]
     return filled
 
@@ -131,10 +131,10 @@ def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: floa
     if np.count_nonzero(border == lowest) < max(4, BORDER * border.size):
         return
     low = values == lowest
-    label, _ = ndimage.label(low)
+    label, _ = scipy.ndimage.label(low)
     edge = np.concatenate((label[0], label[-1], label[:, 0], label[:, -1]))
     low = np.isin(label, np.unique(edge[edge > 0]))
-    beside = ndimage.binary_dilation(low) & ~low
+    beside = scipy.ndimage.binary_dilation(low) & ~low
     if not beside.any():
         return
     cliff = float(np.median(values[beside] - lowest)) * unit
