@@ -137,6 +137,16 @@ def test_cells_of_a_grid_on_the_same_lattice(seed: int, row: int, col: int, yaw:
     np.testing.assert_array_equal(sample_like(built.moved(frame), like), sample_like(off, like))
 
 
+def test_cells_of_a_turned_grid_of_the_same_resolution() -> None:
+    grid = OccupancyGrid(np.arange(30, dtype=np.float32).reshape(5, 6), 0.5)
+    turned = replace(grid, origin=Pose2(yaw=0.3))
+    found = sample_like(grid, turned)
+    np.testing.assert_array_equal(
+        found, log_odds_at(grid, turned.centers(np.argwhere(grid.known))).reshape(5, 6)
+    )
+    assert not np.array_equal(found, grid.log_odds)
+
+
 def test_a_point_outside_is_unknown_on_every_side() -> None:
     grid = OccupancyGrid(np.arange(6, dtype=np.float32).reshape(2, 3), 0.5, Pose2(-4.0, 7.0))
     points = np.array([(-4.0, 7.0), (-2.51, 7.99), (-2.5, 7.5), (-3.0, 8.0), (-4.01, 7.5), (-3.9, 6.99)])

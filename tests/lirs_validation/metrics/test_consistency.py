@@ -10,6 +10,7 @@ import pytest
 from lirs_validation.metrics.consistency import (
     ScanConsistency,
     _compare,
+    _residuals,
     _sees,
     contradicted_share,
     scan_consistency,
@@ -226,6 +227,9 @@ def test_hits_in_free_space_are_counted() -> None:
     seen, against = _compare(wall, angles, sensors, driven)
     assert seen.min() > 60
     assert against.tolist() == [0, 0]
+    compared, total = _residuals(wall, angles, sensors, driven, 10.0, math.inf)
+    assert compared.min() > 60
+    assert (total / compared).max() < 0.06  # beams are that far apart
     wall[1] *= 1.5  # now the second scan sees 2 m of free space behind the first one's wall
     seen, against = _compare(wall, angles, sensors, driven)
     assert against[0] == seen[0] > 60
