@@ -210,6 +210,7 @@ def test_distances_are_those_to_the_nearest_hit() -> None:
         (4.6, 45, math.nan, -1),
         (4.6, 1, 5.0, -1),  # at the rim of the field of view
         (4.6, 89, 5.0, -1),
+        (4.8, 89, 5.0, 0),  # its own beam ends there
     ],
 )
 def test_a_point_is_free_a_wall_or_unknown(distance: float, turn: float, nearer: float, verdict: int) -> None:
