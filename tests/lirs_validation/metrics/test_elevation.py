@@ -47,6 +47,12 @@ def test_a_cell_holds_the_mean_of_its_points() -> None:
     assert grid.centers[1].tolist() == pytest.approx([0.15, 0.05])
 
 
+@pytest.mark.parametrize(("x", "y"), [(-0.05, 0.2), (1.05, 0.2), (0.5, -0.05), (0.5, 0.55)])
+def test_points_in_the_cell_beyond_a_border_are_left_out(x: float, y: float) -> None:
+    grid = elevation_map([np.array([(x, y, 1.0), (0.5, 0.2, 2.0)])], (0.0, 0.0, 1.0, 0.5))
+    assert np.nansum(grid.mean) == 2.0
+
+
 def test_rows_run_from_the_south() -> None:
     grid = elevation_map([np.array([(0.05, 0.45, 2.0)])], (0.0, 0.0, 1.0, 0.5))
     assert grid.mean[4, 0] == 2.0

@@ -110,6 +110,12 @@ def test_paths_without_a_common_moment_are_refused() -> None:
         spatial_errors(truth, late)
 
 
+def test_two_poses_in_common_suffice() -> None:
+    truth = wander(np.random.default_rng(1), 30)
+    two = Trajectory(truth.stamps[:2], truth.positions[:2], truth.quaternions[:2])
+    assert spatial_errors(truth, two).ate_rmse_3d == pytest.approx(0, abs=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_evo_says_the_same(seed: int) -> None:
     metrics = pytest.importorskip("evo.core.metrics")
