@@ -156,7 +156,7 @@ def _shifted(values: Float32Array, row: int, col: int, shape: tuple[int, int]) -
 
 
 def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
-    """Return a grid's log-odds at another grid's cell centers.
+    """Return a grid's log-odds at points (..., 2), meters.
 
     NaN where unknown or outside.
     """
