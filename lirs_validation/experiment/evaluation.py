@@ -227,9 +227,9 @@ def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
 
 
 def reference_rtf(simulation: Simulation) -> float | None:
-    """Return the RTF of the reference physics alone, over the first seconds of the drive.
+    """Return the RTF of the reference physics alone, in a replay of the drive's first seconds.
 
-    The recorded controls are replayed through it. None where it diverges: some robots need a shorter step.
+    None where it diverges: some robots need a shorter step.
     """
     try:
         return simulation.replay(reference=True, seconds=REPLAYED).rtf

@@ -11,15 +11,16 @@ import pytest
 
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
+from lirs_envs.simulation import Simulation
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.experiment.evaluation import evaluate_rtf
+from lirs_validation.experiment.evaluation import evaluate_rtf, reference_rtf
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.run import Run, prepare
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.metrics.real_time_factor import per_second
 from lirs_validation.metrics.verdict import LOST_SECONDS
 from lirs_validation.sweep.experiment import SlamExperiment
-from lirs_wct.errors import ConfigError, MapperError, SourceError
+from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.pose import Pose2
@@ -77,6 +78,18 @@ def test_the_reference_physics_is_replayed_where_nothing_else_runs(room: str) ->
     found = evaluate_rtf(replace(log, concurrent=False), ready.simulation)
     assert found["physics_reference"] > max(0.3, found["mean"])
     assert evaluate_rtf(replace(log, concurrent=True), ready.simulation)["physics_reference"] is None
+
+
+def test_a_reference_physics_that_diverges_has_no_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def replay(self: Simulation, **given: Any) -> None:
+        asked.append(given)
+        raise SimulationError("diverged")
+
+    monkeypatch.setattr(Simulation, "replay", replay)
+    assert reference_rtf(build_scenario(RunConfig(source="simple")).simulation(make_robot("husky"))) is None
+    assert asked == [{"reference": True, "seconds": 10.0}]
 
 
 def test_a_brief_run_is_complete_without_its_picture(room: str, tmp_path: Path) -> None:
