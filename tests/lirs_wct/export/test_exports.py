@@ -1,6 +1,7 @@
 """What other programs get of a world: GLB, USD, gz-sim's file, and a map for planners."""
 
 import math
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -32,6 +33,18 @@ def gate(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("gate") / "gate.stl"
     trimesh.util.concatenate(boxes).export(path)
     return path
+
+
+@pytest.mark.slow
+def test_a_picture_is_built_without_the_imports_of_meshes_and_clouds(tmp_path: Path) -> None:
+    code = (
+        "import sys; from lirs_wct import build_world; from lirs_wct.export.package import write_package;"
+        f"write_package(build_world({str(ROOT / 'examples/data/dunes.png')!r}), {str(tmp_path)!r});"
+        "print({'trimesh', 'scipy.ndimage', 'scipy.sparse', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+    assert list(tmp_path.glob("dunes/**/*.dae"))
 
 
 def occupied(grid: Any, x: float, y: float) -> bool:
