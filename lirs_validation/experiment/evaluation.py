@@ -227,7 +227,7 @@ def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
 
 
 def reference_rtf(simulation: Simulation) -> float | None:
-    """Return the RTF of the reference physics alone, in a replay of the drive's first seconds.
+    """Replay the drive's first seconds; return the RTF of the reference physics alone.
 
     None where it diverges: some robots need a shorter step.
     """
