@@ -92,9 +92,8 @@ READERS = {
     "collada": Reader(read_mesh, "mesh_hill_dae"),
     "glb": Reader(read_mesh, "mesh_hill_glb"),
     "cloud_ply": Reader(read_points, "cloud_ply"),
-    "pcd": Reader(read_points, "cloud_binary_pcd"),
 }
-"""Readers by name. GDAL and laspy read in a process of their own: `fuzz_inputs.py` covers them."""
+"""Readers by name. GDAL, laspy and pypcd4 read in a process of their own: `fuzz_inputs.py` covers them."""
 
 
 def write_reader_seeds(folder: Path, names: tuple[str, ...] = tuple(READERS)) -> dict[str, Path]:

@@ -61,8 +61,8 @@ KINDS = (
     *_pictures(),
     Kind("geotiff", "dem.tif", ("info {}",)),
     Kind("hgt", "N47E008.hgt", ("info {} --window 0,0,5000",)),
-    Kind("asc", "dem.asc", ("info {}",), text=True, wrong_suffixes=(".tif", ".hgt", ".vrt", ".txt")),
-    Kind("vrt", "dem.vrt", ("info {}",), text=True),
+    Kind("asc", "dem.asc", ("info {}",), text=True, wrong_suffixes=(".tif", ".hgt", ".xyz", ".txt")),
+    Kind("xyz", "dem.xyz", ("info {}",), text=True),
     Kind("map_yaml", "map.yaml", INFO, text=True),
     Kind("map_image", "map.pgm", ("info in/map.yaml", "build in/map.yaml -o out")),
     Kind("texture", "ground.png", ("build in/dune.png --texture {} -o out",)),
@@ -144,7 +144,6 @@ def _link(kind: Kind, shared: Path, folder: Path) -> None:
     """Copy the files that a kind's commands name."""
     named = {kind.file, *(word[3:] for c in kind.commands for word in c.split() if word.startswith("in/"))}
     named |= {"run", "other"} if any(RUN in c for c in kind.commands) else set()
-    named |= {"dem.tif"} if kind.name == "vrt" else set()
     named |= {"map.pgm"} if {"map.yaml", "est.yaml"} & named else set()
     for top in {Path(name).parts[0] for name in named}:
         if (shared / top).is_dir():
@@ -185,12 +184,8 @@ def _write_elevation(folder: Path) -> None:
     (folder / "dem.asc").write_text(
         f"ncols 41\nnrows 41\nxllcorner 500000\nyllcorner 5200000\ncellsize 1\nNODATA_value -9999\n{rows}\n"
     )
-    (folder / "dem.vrt").write_text(
-        '<VRTDataset rasterXSize="41" rasterYSize="41"><SRS>EPSG:32632</SRS>'
-        "<GeoTransform>500000, 1, 0, 5200000, 0, -1</GeoTransform>"
-        '<VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="1">dem.tif'
-        '</SourceFilename><SourceBand>1</SourceBand><SrcRect xOff="0" yOff="0" xSize="41" ySize="41"/>'
-        '<DstRect xOff="0" yOff="0" xSize="41" ySize="41"/></SimpleSource></VRTRasterBand></VRTDataset>\n'
+    (folder / "dem.xyz").write_text(
+        "".join(f"{500_000 + i} {5_200_000 - j} {v:.2f}\n" for (j, i), v in np.ndenumerate(heights))
     )
     y, x = np.mgrid[0:1201, 0:1201]
     (300 + 50 * np.sin(x / 90) * np.cos(y / 70)).astype(">i2").tofile(folder / "N47E008.hgt")

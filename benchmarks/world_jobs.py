@@ -19,11 +19,9 @@ from lirs_wct.export.package import write_package
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.effort import effort_of
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_height_field
 from lirs_wct.sources.rasterize import rasterize_heights
-from lirs_wct.sources.source import find_source
 from lirs_wct.world import World
 
 BUNDLED = ("simple", "medium", "advanced")
@@ -202,17 +200,10 @@ def large_map(_: Path, out: Path, cells: float) -> Figures:
 
 
 def large(path: Path, out: Path, pixels: int, **options: float | None) -> Figures:
-    """Build with the default formats; compare with the estimate of a refusal."""
-    found = find_source(path, BuildOptions())
-    memory, seconds = effort_of(found.kind, BuildOptions(**options))(pixels)  # type: ignore[arg-type]
+    """Build with the default formats."""
     start = time.process_time()
     world = package(path, out, MAP_FORMATS, max_pixels=pixels, **options)
-    return {
-        "cpu": time.process_time() - start,
-        "triangles": len(world.file_mesh.faces),
-        "estimated_cpu": seconds,
-        "estimated_mb": memory / 1e6,
-    }
+    return {"cpu": time.process_time() - start, "triangles": len(world.file_mesh.faces)}
 
 
 JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {

@@ -20,23 +20,6 @@ class LogSourceError(SourceError):
     """A laser log as source where a world is needed; it must be mapped first."""
 
 
-class TooLargeError(SourceError):
-    """A picture with more pixels than allowed.
-
-    Args:
-        size: path and size of the picture, the message's beginning.
-        pixels: of the picture.
-        reason: the message's end.
-    """
-
-    def __init__(self, size: str, pixels: int, reason: str) -> None:
-        super().__init__(size, pixels, reason)
-        self.size, self.pixels, self.reason = size, pixels, reason
-
-    def __str__(self) -> str:
-        return f"{self.size}, {self.reason}"
-
-
 class ConfigError(WctError, ValueError):
     """An option with an illegal value."""
 

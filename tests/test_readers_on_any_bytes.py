@@ -47,7 +47,7 @@ def test_a_reader_ends_in_a_value_or_a_wct_error(seeds: dict[str, Path], tmp_pat
 
 
 HARNESS = Path(__file__).parents[1] / "benchmarks" / "fuzz_inputs.py"
-KINDS = "gray8_png,gray8_jpg,float_tif,asc,vrt,map_yaml,mesh_hill_dae,mesh_binary_stl,world_json,task_set"
+KINDS = "gray8_png,gray8_jpg,float_tif,asc,xyz,map_yaml,mesh_hill_dae,mesh_binary_stl,world_json,task_set"
 
 
 @pytest.mark.slow

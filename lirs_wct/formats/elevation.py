@@ -5,6 +5,7 @@ GDAL reads a damaged number of an ASCII grid as 0, so these grids have a reader 
 
 from __future__ import annotations
 
+import glob
 import math
 import re
 import warnings
@@ -17,11 +18,17 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.gdal import DRIVERS, GdalRaster, read_gdal
-from lirs_wct.formats.images.header import MAX_PIXELS
-from lirs_wct.formats.images.picture import check_size, read_picture
-from lirs_wct.formats.suffixes import ENCODINGS, RASTERS, Encoding
+from lirs_wct.formats.images.gdal import GdalRaster, read_gdal
+from lirs_wct.formats.images.picture import (
+    MAX_PIXELS,
+    check_size,
+    first_bytes,
+    pixels_of,
+    read_picture,
+    without_alpha,
+)
+from lirs_wct.formats.nodata import missing_heights
+from lirs_wct.formats.suffixes import ENCODINGS, Encoding
 from lirs_wct.geometry.geodesy import (
     TURNED,
     WGS84,
@@ -77,23 +84,29 @@ class Raster:
     info: RasterInfo = field(default_factory=RasterInfo)
 
 
-def read_raster(path: Path, max_pixels: int = MAX_PIXELS) -> Raster:
-    """Read the raster of a file.
+def read_raster(path: Path, max_pixels: int = MAX_PIXELS, *, sized: bool = False) -> Raster:
+    """Read the raster of a file; the format follows its content.
+
+    Args:
+        path: file.
+        max_pixels: limit of pixels.
+        sized: whether the caller knows the extent.
 
     Raises:
         SourceError: the file is missing, damaged, of an unknown format, smaller than 2x2 or larger than
             `max_pixels`.
     """
-    suffix = path.suffix.lower()
+    head = first_bytes(path)
     pixels: NDArray[Any]
-    if suffix == ".asc":
-        pixels, info = read_ascii_grid(path, max_pixels)
-    elif suffix in RASTERS:
-        pixels, info = _read_by_gdal(path, max_pixels)
+    if _ASCII_GRID.match(head):
+        pixels, info = read_ascii_grid(path, max_pixels, sized=sized)
+    elif _PICTURE.match(head):
+        pixels = read_picture(path, max_pixels).pixels
+        info = RasterInfo()
+        if _has_world_file(path):
+            info = _info(path, read_gdal(path, 0), pixels, sized)
     else:
-        picture = read_picture(path, max_pixels)
-        pixels = picture.pixels
-        info = _tiff_info(path, picture.tags)
+        pixels, info = _read_by_gdal(path, max_pixels, sized)
     if pixels.dtype.kind == "c":
         raise SourceError(f"{path}: holds complex numbers, heights must be integers or real numbers")
     if info.georeference is None:
@@ -103,64 +116,147 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS) -> Raster:
     return Raster(pixels, replace(info, georeference=georeference))
 
 
-def _tiff_info(path: Path, tags: tiff.Tags) -> RasterInfo:
-    """Return georeference and value conversion of a TIFF.
-
-    Without a georeference, values have no unit of height.
-    """
-    if not tags.keys() & tiff.GEOREFERENCE:
-        return RasterInfo()
-    info = _info(path, read_gdal(path, DRIVERS[".tif"], 0))
-    if tiff.PIXEL_SCALE in tags and info.georeference is None:
-        raise SourceError(f"{path}: pixel scale must be above 0, got {tiff.floats(tags, tiff.PIXEL_SCALE)}")
-    if tiff.PIXEL_SCALE in tags and tiff.TIE_POINT not in tags:
-        warnings.warn(f"{path}: has a pixel scale but no tie point, its coordinates begin at 0", stacklevel=3)
-    return info if info.georeference is not None else replace(info, unit=None)
+_ASCII_GRID = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:ncols|nrows|[xy]llc\w+|cellsize|d[xy])\s", re.I)
+_PICTURE = re.compile(rb"\x89PNG|P[1-6fF]\s|GIF8|\xff\xd8\xff|BM|RIFF....WEBP", re.DOTALL)
 
 
-def _read_by_gdal(path: Path, max_pixels: int) -> tuple[NDArray[Any], RasterInfo]:
-    """Read the first band of a raster and its metadata through GDAL."""
+def _has_world_file(path: Path) -> bool:
+    """Whether a file beside a picture may hold its georeference."""
+    suffix = path.suffix.lower()
+    endings = {f"{suffix[:2]}{suffix[-1:]}w", f"{suffix}w", ".wld"}
+    return any(
+        beside.suffix.lower() in endings or beside.name == f"{path.name}.aux.xml"
+        for beside in path.parent.glob(f"{glob.escape(path.stem)}.*")
+    )
+
+
+def _read_by_gdal(path: Path, max_pixels: int, sized: bool) -> tuple[NDArray[Any], RasterInfo]:
+    """Read a raster and its metadata through GDAL."""
     try:
-        found = read_gdal(path, DRIVERS[path.suffix.lower()], max_pixels)
+        found = read_gdal(path, max_pixels)
     except SourceError as error:
-        hint = " An HGT file is named by its south-west corner, like N40W074.hgt."
+        hint = ". An HGT file is named by its south-west corner, like N40W074.hgt."
         raise SourceError(f"{error}{hint}" if path.suffix.lower() == ".hgt" else str(error)) from error
     check_size(path, found.width, found.height, max_pixels)
-    assert found.pixels is not None
-    return found.pixels, _info(path, found)
+    pixels = without_alpha(path, pixels_of(path, found))
+    return pixels, _info(path, found, pixels, sized)
 
 
-def _info(path: Path, found: GdalRaster) -> RasterInfo:
-    """Return georeference and value conversion of a raster from GDAL's metadata."""
-    info = RasterInfo(None, found.nodata, found.scale, found.offset, _height_unit(path, found.unit))
+def _info(path: Path, found: GdalRaster, pixels: NDArray[Any], sized: bool) -> RasterInfo:
+    """Return georeference and value conversion of a raster from GDAL's metadata.
+
+    Values of a raster without extent have no unit of height.
+    """
+    info = RasterInfo(None, found.nodata, found.scale, found.offset)
     if found.transform is None:
         return info
-    affine, shape = middle_of_pixels(found.transform), (found.height, found.width)
-    return replace(info, georeference=_georeference(path, found.wkt, affine, shape))
+    system, unit = system_of_wkt(found.wkt) if found.wkt else (None, None)
+    unit = height_unit(path, system or CoordinateSystem(), _named_unit(path, found.unit) or unit)
+    info, affine = replace(info, unit=unit), middle_of_pixels(found.transform)
+    return replace(info, georeference=_georeference(path, system, affine, pixels, info, sized))
 
 
-def _height_unit(path: Path, name: str) -> float:
+def _named_unit(path: Path, name: str) -> float | None:
     """Return meters per unit of height by its name; warn of an unknown one."""
     american = re.sub("tre(s?)$", r"ter\1", name.strip().lower())
     for meters, names in UNITS.items():
         if american in names:
             return meters
-    if name.strip():
-        warnings.warn(f"{path}: its values are in {name.strip()!r}, which is taken for meters", stacklevel=2)
+    if not name.strip():
+        return None
+    warnings.warn(f"{path}: its values are in {name.strip()!r}, which is taken for meters", stacklevel=2)
     return 1.0
 
 
-def _georeference(path: Path, wkt: str, affine: Affine, shape: tuple[int, int]) -> Georeference:
-    """Return the georeference of (rows, cols) pixels; small coordinates without a system are degrees."""
+def height_unit(path: Path, system: CoordinateSystem, vertical: float | None) -> float:
+    """Return meters per unit of height: the vertical unit, else that of the plane; warn of feet."""
+    if vertical is None and system.unit != 1.0:
+        warnings.warn(
+            f"{path}: its plane is in units of {system.unit:.7g} m (feet: 0.3048), and its heights have no "
+            f"unit: they are taken for the same; if they are meters, give --z-scale {1 / system.unit:.7g}",
+            stacklevel=3,
+        )
+    return system.unit if vertical is None else vertical
+
+
+def _georeference(
+    path: Path,
+    system: CoordinateSystem | None,
+    affine: Affine,
+    pixels: NDArray[Any],
+    info: RasterInfo,
+    sized: bool,
+) -> Georeference | None:
+    """Return the georeference of (rows, cols) pixels; None where only the caller knows the extent.
+
+    Without a system, the relief decides whether coordinates are degrees or meters.
+
+    Raises:
+        SourceError: pixels without extent, or neither degrees nor meters are likely.
+    """
     sizes = math.hypot(affine[0], affine[3]), math.hypot(affine[1], affine[4])
     if not all(0 < size < math.inf for size in sizes):
         raise SourceError(f"{path}: pixels must be above 0, got {sizes[0]:g} x {sizes[1]:g}")
-    if wkt:
-        return georeference_raster(path, system_of_wkt(wkt)[0], affine, shape)
-    if not _looks_geographic(affine):
+    shape = pixels.shape[0], pixels.shape[1]
+    if system is not None:
+        return georeference_raster(path, system, affine, shape)
+    degrees = _are_degrees(affine, shape, _relief(pixels, info))
+    if degrees is None:
+        if sized:
+            return None
+        raise SourceError(
+            f"{path}: names no coordinate system; its pixels of {sizes[0]:.6g} may be degrees or meters: "
+            "give --pixel-size METERS, or the system (gdal_edit -a_srs EPSG:4326)"
+        )
+    if not degrees:
         return Georeference.on_grid(CoordinateSystem(), affine)
     warnings.warn(f"{path}: names no coordinate system, its coordinates are taken for degrees", stacklevel=2)
     return georeference_raster(path, CoordinateSystem.of_code(4326), affine, shape)
+
+
+def _relief(pixels: NDArray[Any], info: RasterInfo) -> float:
+    """Return the range of heights in a raster, meters."""
+    if pixels.ndim != 2 or pixels.dtype.kind == "c":
+        return 0.0
+    missing, _ = missing_heights(pixels, info.nodata, search=True)
+    known = pixels[~missing].astype(np.float64)
+    return float(np.ptp(known)) * abs(info.scale) * (info.unit or 1.0) if known.size else 0.0
+
+
+FLATTEST, STEEPEST = 1e-5, 3.0
+"""Usual relief of a terrain, share of its width."""
+FINE = 0.02
+"""Size of a pixel below which degrees are as likely as meters."""
+DEGREE = 111_320.0
+"""Meters of a degree at the equator."""
+
+
+def _are_degrees(affine: Affine, shape: tuple[int, int], relief: float) -> bool | None:
+    """Whether coordinates without a system are degrees; None where neither is the likely one.
+
+    Coarse pixels are degrees only if their relief excludes meters. Fine ones are decided by the relief, then
+    by their size: whole arc seconds, or thirds and ninths of one, against whole millimeters.
+    """
+    a, b, c, d, e, f = affine
+    rows, cols = shape
+    step = max(map(abs, (a, b, d, e)))
+    x, y = (c, c + a * (cols - 1) + b * (rows - 1)), (f, f + d * (cols - 1) + e * (rows - 1))
+    local = min(map(abs, x)) <= step and min(map(abs, y)) <= step
+    if max(map(abs, x)) > 360 or max(map(abs, y)) > 90 + step or local:
+        return False
+    width = step * max(rows, cols)
+    as_meters = FLATTEST * width <= relief <= STEEPEST * width
+    as_degrees = FLATTEST * width * DEGREE <= relief <= STEEPEST * width * DEGREE
+    seconds, millimeters = _is_whole(step * 3600 * 9), _is_whole(step * 1000)
+    if step >= FINE:
+        return as_degrees and not as_meters and seconds
+    if as_degrees != as_meters:
+        return as_degrees
+    return seconds if seconds != millimeters else None
+
+
+def _is_whole(number: float) -> bool:
+    return number > 0.5 and abs(number - round(number)) < 1e-4 * number
 
 
 def georeference_raster(
@@ -182,12 +278,6 @@ def georeference_raster(
             raise SourceError(f"{path}: {error}") from error
         warnings.warn(f"{path}: its units are taken for ground meters: {error}", stacklevel=2)
         return Georeference.on_grid(system, affine)
-
-
-def _looks_geographic(affine: Affine) -> bool:
-    """Whether coordinates are likely degrees: pixels below 1/50 unit, and on the globe."""
-    a, b, c, d, e, f = affine
-    return max(map(abs, (a, b, d, e))) < 0.02 and 0 < abs(c) <= 360 and 0 < abs(f) <= 90
 
 
 def _warn_turned(path: Path, georeference: Georeference) -> None:
@@ -216,7 +306,7 @@ _KEYS = (
 )
 
 
-def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo]:
+def read_ascii_grid(path: Path, max_pixels: int, *, sized: bool) -> tuple[FloatArray, RasterInfo]:
     """Read (rows, cols) heights of an ESRI ASCII grid and their metadata.
 
     Row 0 is north. The format has a header of six lines, then heights in rows from the north.
@@ -238,10 +328,21 @@ def read_ascii_grid(path: Path, max_pixels: int) -> tuple[FloatArray, RasterInfo
         raise SourceError(f"{path}: holds a value that is no number: {error}") from error
     if values.size != rows * cols:
         raise SourceError(f"{path}: holds {values.size} heights, {cols} x {rows} are announced")
+    pixels = values.reshape(rows, cols)
+    system, unit = _projection(path)
+    unit = height_unit(path, system or CoordinateSystem(), unit)
+    info = RasterInfo(None, header.get("nodata_value"), unit=unit)
+    georeference = _georeference(path, system, _affine(path, header, rows), pixels, info, sized)
+    return pixels, replace(info, georeference=georeference)
+
+
+def _projection(path: Path) -> tuple[CoordinateSystem | None, float | None]:
+    """Return the system of a grid's .prj file, and its unit of height; None without one."""
     projection = path.with_suffix(".prj")
-    wkt = projection.read_text(encoding="utf-8", errors="replace") if projection.is_file() else ""
-    georeference = _georeference(path, wkt, _affine(path, header, rows), (rows, cols))
-    return values.reshape(rows, cols), RasterInfo(georeference, header.get("nodata_value"), unit=1.0)
+    wkt = projection.read_text(encoding="utf-8", errors="replace").strip() if projection.is_file() else ""
+    if wkt and "[" not in wkt:  # keywords of ArcInfo, which GDAL knows
+        wkt = read_gdal(path, 0).wkt
+    return system_of_wkt(wkt) if wkt else (None, None)
 
 
 def _header(path: Path, file: TextIO) -> tuple[dict[str, float], str]:

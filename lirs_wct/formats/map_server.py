@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.images.header import MAX_PIXELS
-from lirs_wct.formats.images.picture import read_picture, write_image
+from lirs_wct.formats.images.picture import MAX_PIXELS, read_picture, write_image
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

@@ -14,15 +14,15 @@ RASTERS = (
     ".dt1",
     ".dt2",
     ".img",
-    ".vrt",
     ".bil",
     ".flt",
     ".dem",
     ".adf",
     ".nc",
     ".jp2",
+    ".xyz",
 )
-"""Elevation data besides GeoTIFF; GDAL reads all but the first two."""
+"""Elevation data besides GeoTIFF, by their usual suffixes; the content decides."""
 Encoding = Literal["gray", "terrain-rgb", "terrarium"]
 ENCODINGS: tuple[Encoding, ...] = ("gray", "terrain-rgb", "terrarium")
 """Encodings of heights in a picture: gray levels, or colors of map tiles."""

@@ -135,11 +135,8 @@ def _transformer(name: str) -> Transformer:
     return Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
 
 
-def system_of_wkt(text: str) -> tuple[CoordinateSystem, float]:
-    """Return the coordinate system of a WKT text, and the meters per unit of height.
-
-    Without a vertical system, heights have the unit of x and y.
-    """
+def system_of_wkt(text: str) -> tuple[CoordinateSystem, float | None]:
+    """Return the coordinate system of a WKT text, and the meters per unit of height if it has one."""
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 
@@ -147,12 +144,12 @@ def system_of_wkt(text: str) -> tuple[CoordinateSystem, float]:
     try:
         crs = CRS.from_wkt(text)
     except CRSError:
-        return CoordinateSystem(text, "other"), 1.0
+        return CoordinateSystem(text, "other"), None
     plane, *vertical = crs.sub_crs_list if crs.is_compound else [crs]
     if plane.is_bound and plane.source_crs is not None:
         plane = plane.source_crs
     unit = 1.0 if plane.is_geographic else _unit(plane)
-    height_unit = _unit(vertical[0]) if vertical else unit
+    height_unit = _unit(vertical[0]) if vertical else None
     code = plane.to_epsg()
     if code is not None:
         return CoordinateSystem.of_code(code, unit), height_unit

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from lirs_wct.errors import ConfigError, LogSourceError, TooLargeError
+from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.spawn_poses import FOOTPRINTS
 from lirs_wct.sources.clouds.source import read_point_cloud
-from lirs_wct.sources.effort import explain_refusal, limit_to_memory
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions, SourceKind
@@ -41,10 +40,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     if found.kind is SourceKind.LOG:
         raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
     warn_of_useless(found, options)
-    try:
-        world = _build_from(found, limit_to_memory(found.kind, options))
-    except TooLargeError as error:
-        raise explain_refusal(error, found.kind, options) from error
+    world = _build_from(found, options)
     exact = world.walls is not None or world.overhangs
     warn_of_shape(found, options, world.surface.size, exact)
     for texture in (options.texture, options.wall_texture):

@@ -11,7 +11,7 @@ from enum import Enum
 from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.images.header import MAX_PIXELS
+from lirs_wct.formats.images.picture import MAX_PIXELS
 from lirs_wct.formats.suffixes import ENCODINGS, Encoding
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
@@ -172,7 +172,7 @@ class PictureOptions(Options):
         title="z axis scale",
         slider=Slider(low=0.1, high=10.0, step=0.1, neutral=1.0),
         check=positive,
-        **_SCALE,
+        **_SCALE | {"kinds": {*_MESHES, SourceKind.CLOUD}},
     )
     scale: tuple[float, float, float] | None = option(
         None,

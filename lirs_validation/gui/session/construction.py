@@ -171,7 +171,7 @@ class Construction:
     def _picture(self, found: Source, options: SourceOptions) -> TerrainPicture:
         """Return the source's picture, decoded once."""
         if self._opened is None or self._opened[0].path != found.path:
-            self._opened = found, open_picture(found, options.max_pixels)
+            self._opened = found, open_picture(found, options)
         return self._opened[1]
 
     def forget(self) -> None:

@@ -17,7 +17,7 @@ import yaml
 from lirs_wct.errors import SourceError
 from lirs_wct.field_validators import require_above
 from lirs_wct.files import remove_orphans
-from lirs_wct.formats.images.header import MAX_PIXELS
+from lirs_wct.formats.images.picture import MAX_PIXELS
 from lirs_wct.formats.suffixes import BAGS, CLOUDS, LOGS, MAPS, MESHES, RASTERS, ZSTD
 from lirs_wct.formats.yaml_text import load_yaml
 

@@ -1,56 +1,50 @@
-"""Picture files: safe decoding, and encoding of 8-bit pictures."""
+"""Picture files: decoding by Pillow, and encoding of 8-bit pictures."""
 
 from __future__ import annotations
 
-import mmap
-import os
-import re
-import struct
-import tempfile
-import threading
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
 from lirs_wct.arrays import ByteArray
-from lirs_wct.errors import OutputError, SourceError, TooLargeError
+from lirs_wct.errors import OutputError, SourceError, reason_of
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.images import tiff
-from lirs_wct.formats.images.gdal import DRIVERS, read_gdal
-from lirs_wct.formats.images.header import MAX_PIXELS, check_complete, read_header
+from lirs_wct.formats.images.gdal import GdalRaster, read_gdal
 
-_AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
-"""Gray stays gray, depth is kept, palettes are resolved, EXIF orientation is applied, alpha is dropped."""
-_LOG_LEVEL = threading.Lock()
-STDERR = 2
-"""File descriptor that C libraries write to."""
-_BY = re.compile(r"^lib(?:png|jpeg) (?:warning|error): ")
-_LOST = re.compile(r"(?!.*extraneous bytes)(?:Corrupt JPEG data|Premature end)")
-"""Notes that mean missing pixels; skipped bytes between two markers are harmless."""
+MAX_PIXELS = 5000 * 5000
+"""Larger pictures are refused unless the caller allows them."""
+BYTES = 220
+"""Memory per pixel of rough terrain, bytes, by `benchmarks/world.py --only large`."""
+FORMATS = ("PNG", "PPM", "GIF", "JPEG", "BMP", "WEBP")
+"""Formats of Pillow that are read; GDAL reads TIFF."""
+LEGAL = "PNG, PGM/PNM, GIF, JPEG, TIFF, BMP, WebP"
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""The first bytes of TIFF and BigTIFF files."""
 
 
 @dataclass(frozen=True, slots=True)
 class DecodedPicture:
-    """A decoded picture with its orientation applied.
+    """A decoded picture.
 
     Attributes:
         pixels: (rows, cols) gray or (rows, cols, 3 or 4) BGR(A), in the file's data type.
-        tags: a TIFF's tags, else empty.
+        full: value of white; that of a PNM is its maximum.
     """
 
     pixels: NDArray[Any]
-    tags: tiff.Tags
+    full: float
 
 
 def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = False) -> DecodedPicture:
-    """Decode the first page of a picture file; warn of more pages or bands.
+    """Decode the first page of a picture file; warn of more pages and of transparency that is left out.
 
     With `alpha` a transparent picture keeps its fourth channel, and EXIF orientation is not applied.
 
@@ -58,55 +52,128 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
         SourceError: the file is missing, damaged, not a picture, smaller than 2x2 or larger than
             `max_pixels`.
     """
-    data = _map_file(path)
-    try:
-        header = read_header(data)
-        check_size(path, header.width, header.height, max_pixels)
-        check_complete(data)
-    except struct.error as error:
-        raise SourceError(f"{path}: is truncated: the file ends inside its header") from error
-    except ValueError as error:
-        raise SourceError(f"{path}: {error}") from error
-    pixels, notes = _decode(
-        np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED if alpha else _AS_STORED
-    )
-    if header.tags and (pixels is None or header.masked or not _has_declared_type(pixels, header.tags)):
-        # GDAL supports masks and more compressions.
-        pixels = read_gdal(path, DRIVERS[".tif"], header.width * header.height).pixels
-    if pixels is None:
-        said = f" ({notes[-1]})" if notes else ""
-        raise SourceError(f"{path}: is damaged or uses a feature that cannot be decoded{said}")
-    for note in notes:
-        if _LOST.match(note):
-            raise SourceError(f"{path}: is damaged: {note}")
-        warnings.warn(f"{path}: its decoder notes: {note}", stacklevel=3)
-    if header.pages > 1:
-        warnings.warn(f"{path}: has {header.pages} pages, the first is taken", stacklevel=3)
-    bands = int(header.tags[tiff.SAMPLES][0]) if tiff.SAMPLES in header.tags else 1
-    if bands > 2 and pixels.ndim == 2:
-        warnings.warn(f"{path}: has {bands} bands, the first is taken", stacklevel=3)
-    return DecodedPicture(pixels, header.tags)
+    full = None
+    if first_bytes(path).startswith(TIFF):
+        found = read_gdal(path, max_pixels)
+        check_size(path, found.width, found.height, max_pixels)
+        pixels = pixels_of(path, found)
+    else:
+        with _open_picture(path) as picture:
+            check_size(path, *picture.size, max_pixels)
+            _check_complete(path, picture)
+            pages = getattr(picture, "n_frames", 1)
+            pixels, full = _decode(path, picture, oriented=not alpha)
+        if pages > 1:
+            warnings.warn(f"{path}: has {pages} pages, the first is taken", stacklevel=3)
+    return DecodedPicture(pixels if alpha else without_alpha(path, pixels), full or _white(pixels))
 
 
-def _has_declared_type(pixels: NDArray[Any], tags: tiff.Tags) -> bool:
-    """Whether pixels have the declared type of a TIFF; some OpenCV versions misread 32 bits."""
-    bits, form = (
-        int((tiff.floats(tags, tag) or (other,))[0]) for tag, other in ((tiff.BITS, 1), (tiff.FORMAT, 1))
-    )
-    if bits <= 16:
-        return True
-    kind = {1: "u", 2: "i", 3: "f"}.get(form)
-    return kind == pixels.dtype.kind and bits == 8 * pixels.dtype.itemsize
+def first_bytes(path: Path, count: int = 64) -> bytes:
+    """Return the first bytes of a file.
 
-
-def _map_file(path: Path) -> mmap.mmap:
+    Raises:
+        SourceError: the file is missing or empty, or cannot be read.
+    """
     try:
         with path.open("rb") as file:
-            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except ValueError as error:
-        raise SourceError(f"{path}: is empty") from error
+            head = file.read(count)
     except OSError as error:
         raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not head:
+        raise SourceError(f"{path}: is empty")
+    return head
+
+
+@contextmanager
+def _open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
+    """Open a picture by its header; faults of decoding become one line."""
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # the caller checks the size
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path, formats=FORMATS) as picture:
+                yield picture
+    except SourceError:
+        raise
+    except UnidentifiedImageError as error:
+        raise SourceError(f"{path}: is damaged, or not a picture; legal: {LEGAL}") from error
+    except Exception as error:  # each decoder raises different errors
+        raise SourceError(f"{path}: is damaged: {reason_of(error)}") from error
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+
+
+def _check_complete(path: Path, picture: Image.Image) -> None:
+    """Check for damage that Pillow does not report when it decodes.
+
+    Raises:
+        SourceError: a JPEG lacks pixels.
+        SyntaxError: a checksum of a PNG is wrong.
+    """
+    if picture.format == "PNG":
+        with Image.open(path, formats=FORMATS) as again:  # a verified picture cannot be decoded
+            again.verify()
+    if picture.format in ("JPEG", "MPO"):
+        read_gdal(path, picture.width * picture.height)
+
+
+def _decode(path: Path, picture: ImageFile.ImageFile, *, oriented: bool) -> tuple[NDArray[Any], float | None]:
+    """Return pixels, and the value of white where the type does not tell it."""
+    codec, _, offset, arguments = picture.tile[0]
+    several = len(picture.getbands()) > 1
+    if several and "16" in str(arguments):  # Pillow would keep 8 of the 16 bits
+        pixels = read_gdal(path, picture.width * picture.height).pixels
+        assert pixels is not None
+        return pixels, None
+    maximum = arguments[-1] if codec in ("ppm", "ppm_plain") and isinstance(arguments, tuple) else None
+    if codec == "ppm" and maximum is not None and not several:
+        kind = np.dtype(np.uint8 if maximum < 256 else ">u2")
+        gray = np.fromfile(path, kind, picture.width * picture.height, offset=offset)
+        return gray.reshape(picture.height, picture.width).astype(kind.newbyteorder("=")), maximum
+    pixels = _to_array(ImageOps.exif_transpose(picture) if oriented else picture)
+    if maximum is not None:  # Pillow has scaled the values
+        scaled = 255 if maximum < 256 else 65535
+        pixels = np.rint(pixels * (maximum / scaled)).astype(pixels.dtype)
+    return pixels, maximum
+
+
+def _to_array(picture: Image.Image) -> NDArray[Any]:
+    """Return gray or BGR(A) pixels of a picture in any mode."""
+    if picture.mode.startswith(("I", "F")):
+        deep = np.asarray(picture)
+        return deep if picture.mode == "F" else deep.astype(np.uint16)
+    if picture.has_transparency_data:
+        return np.asarray(picture.convert("RGBA"))[..., [2, 1, 0, 3]]
+    if picture.mode in ("1", "L"):
+        return np.asarray(picture.convert("L"))
+    return np.asarray(picture.convert("RGB"))[..., ::-1]
+
+
+def pixels_of(path: Path, found: GdalRaster) -> NDArray[Any]:
+    """Return the pixels of a raster; warn of pages and bands that are left out."""
+    assert found.pixels is not None
+    if found.pages > 1:
+        warnings.warn(f"{path}: has {found.pages} pages, the first is taken", stacklevel=4)
+    if found.bands > 1 and found.pixels.ndim == 2:
+        warnings.warn(f"{path}: has {found.bands} bands, the first is taken", stacklevel=4)
+    return found.pixels
+
+
+def without_alpha(path: Path, pixels: NDArray[Any]) -> NDArray[Any]:
+    """Return the pixels without their alpha channel; warn of transparent ones."""
+    if pixels.ndim == 2 or pixels.shape[2] < 4:
+        return pixels
+    clear = int((pixels[..., 3] < _white(pixels)).sum())
+    if clear:
+        warnings.warn(
+            f"{path}: {clear} of {pixels[..., 3].size} pixels are transparent; the alpha channel is left out",
+            stacklevel=4,
+        )
+    return np.ascontiguousarray(pixels[..., :3])
+
+
+def _white(pixels: NDArray[Any]) -> float:
+    return float(np.iinfo(pixels.dtype).max) if pixels.dtype.kind in "iu" else 1.0
 
 
 def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
@@ -114,40 +181,10 @@ def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
     if w < 2 or h < 2:
         raise SourceError(f"{path}: image is {w}x{h} px, a terrain needs at least 2x2")
     if w * h > max_pixels:
-        size = f"{path}: image is {w}x{h} px = {w * h} pixels"
-        raise TooLargeError(size, w * h, f"at most {max_pixels} are allowed")
-
-
-def _decode(data: ByteArray, flags: int) -> tuple[NDArray[Any] | None, list[str]]:
-    """Return the pixels (None on failure) and the distinct notes of the decoder."""
-    pixels: NDArray[Any] | None = None
-    with _quiet_codecs() as output:
-        with suppress(cv2.error):
-            pixels = cv2.imdecode(data, flags)
-        output.seek(0)
-        lines = output.read().decode(errors="replace").splitlines()
-    notes = dict.fromkeys(_BY.sub("", line).strip() for line in lines if line.strip())
-    return pixels, list(notes)
-
-
-@contextmanager
-def _quiet_codecs() -> Iterator[IO[bytes]]:
-    """Redirect stderr of codecs to a temporary file, and yield that file.
-
-    libjpeg and libpng write to the file descriptor; OpenCV also has a log.
-    """
-    log = cv2.utils.logging
-    with _LOG_LEVEL, tempfile.TemporaryFile() as output:
-        before = log.getLogLevel()
-        log.setLogLevel(log.LOG_LEVEL_SILENT)
-        kept = os.dup(STDERR)
-        os.dup2(output.fileno(), STDERR)
-        try:
-            yield output
-        finally:
-            os.dup2(kept, STDERR)
-            os.close(kept)
-            log.setLogLevel(before)
+        raise SourceError(
+            f"{path}: image is {w}x{h} px = {w * h} pixels, at most {max_pixels} are allowed; "
+            f"--max-pixels {w * h} allows it and takes up to {BYTES * w * h / 1e9:.2g} GB of memory"
+        )
 
 
 def write_image(path: Path, pixels: ByteArray) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation import georeference_raster
+from lirs_wct.formats.elevation import georeference_raster, height_unit
 from lirs_wct.formats.point_clouds import PointFile, read_points
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
@@ -48,7 +48,7 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
         ConfigError: an option does not fit the cloud.
     """
     found = read_points(path)
-    xyz, middle, steps = _in_meters(path, found)
+    xyz, middle, steps = _in_meters(path, found, options.z_scale or 1.0)
     kept = _within(path, xyz, options)
     xyz, known = xyz[kept], None if found.ground is None else found.ground[kept]
     if not (np.ptp(xyz[:, :2], axis=0) > 0).all():
@@ -70,7 +70,9 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     return Terrain(surface, no_ground), f"the file's own, {grid.spacing:.3g} m a node, {method}", place
 
 
-def _in_meters(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, float], tuple[float, float]]:
+def _in_meters(
+    path: Path, found: PointFile, z_scale: float
+) -> tuple[FloatArray, tuple[float, float], tuple[float, float]]:
     """Return points in the world's frame (meters), its origin, and its units.
 
     The origin is in the file's coordinates; the units are meters per coordinate.
@@ -88,7 +90,8 @@ def _in_meters(path: Path, found: PointFile) -> tuple[FloatArray, tuple[float, f
     sx, sy = system.unit, system.unit
     if system.form != "unknown":
         sx, sy = georeference_raster(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
-    return (xyz - (x, y, 0.0)) * (sx, sy, found.height_unit), (x, y), (sx, sy)
+    unit = height_unit(path, system, found.height_unit) * z_scale
+    return (xyz - (x, y, 0.0)) * (sx, sy, unit), (x, y), (sx, sy)
 
 
 def _within(path: Path, xyz: FloatArray, options: BuildOptions) -> BoolArray:

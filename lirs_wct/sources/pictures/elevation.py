@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation import Raster, RasterInfo, decode, guess, tile_georeference
+from lirs_wct.formats.nodata import missing_heights
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.sources.options import BuildOptions
 
+Rectangle = tuple[slice, slice]
+"""Rows and columns of a raster."""
 STEEPER = 0.01
 """Relative change of slopes above which a given extent without given heights causes a warning."""
-UNTAGGED_NODATA = (-9999.0, -32768.0)
-"""Usual values of unmeasured pixels, even without a tag; values beyond 1e30 likewise."""
 BORDER, CLIFF, STEPS = 0.02, 50.0, 10.0
 """Limits for the lowest value on the border as undeclared "no data": share of the border, height of the cliff
 next to it (meters), and ratio of the cliff to the usual step between neighbors."""
@@ -94,24 +95,36 @@ def warn_slope_change(path: Path, raster: Raster, surface: HeightField, options:
 
 
 def fill_nodata(
-    path: Path, values: NDArray[np.floating[Any]], nodata: float | None
+    path: Path, values: NDArray[np.floating[Any]], nodata: float | None, kept: Rectangle, *, search: bool
 ) -> NDArray[np.floating[Any]]:
     """Fill every pixel without a height from its nearest neighbor; warn with their number.
 
+    Args:
+        path: path of the raster.
+        values: (rows, cols) pixels.
+        nodata: declared value of pixels without a height.
+        kept: rows and columns of the world, of which at most half may lack a height.
+        search: whether isolated codes mean "no height".
+
     Raises:
-        SourceError: more than half of the pixels have no height.
+        SourceError: more than half of the kept pixels have no height.
     """
-    missing = ~np.isfinite(values) | (np.abs(values) > 1e30)
-    if nodata is not None:
-        missing |= values == values.dtype.type(nodata)
-    for value in UNTAGGED_NODATA:
-        missing |= values == value
+    missing, codes = missing_heights(values, nodata, search=search)
     count = int(missing.sum())
     if count == 0:
         return values
+    if missing[kept].mean() > 0.5:
+        raise SourceError(
+            f"{path}: {int(missing[kept].sum())} of {missing[kept].size} pixels have no height (NaN or "
+            "nodata), at most half may lack one; --window X,Y,SIDE keeps a part"
+        )
     share = f"{count} of {values.size} pixels have no height (NaN or nodata)"
-    if count > values.size / 2:
-        raise SourceError(f"{path}: {share}, at most half may lack one")
+    if codes:
+        known = values[~missing]
+        share += (
+            f", {' and '.join(f'{code:g}' for code in codes)} among them: an isolated level, the others are "
+            f"{known.min():.6g} to {known.max():.6g}"
+        )
     warnings.warn(f"{path}: {share}, filled from their nearest neighbors", stacklevel=3)
     nearest = scipy.ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     filled: NDArray[np.floating[Any]] = values[tuple(nearest)]

@@ -22,6 +22,7 @@ from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, SourceKind
 from lirs_wct.sources.pictures.elevation import (
+    Rectangle,
     decode_heights,
     fill_nodata,
     pixel_of,
@@ -31,7 +32,7 @@ from lirs_wct.sources.pictures.elevation import (
     warn_slope_change,
 )
 from lirs_wct.sources.source import Source
-from lirs_wct.sources.window import cut_surface, leveled, sample_spacing
+from lirs_wct.sources.window import Window, cut_surface, leveled, sample_spacing
 
 MEDIAN_WINDOW = 5
 """Side of the median filter, pixels."""
@@ -142,7 +143,7 @@ def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, P
         SourceError: the picture cannot be used.
         ConfigError: the window lies outside the terrain, or an option does not fit the picture.
     """
-    found = open_picture(source, options.max_pixels)
+    found = open_picture(source, options)
     surface, scale, place = _to_terrain(source.path, found, options)
     spacing = None
     if options.window is not None:
@@ -174,17 +175,17 @@ class TerrainPicture:
         return replace(options, size=size, height=options.height or self.height)
 
 
-def open_picture(source: Source, max_pixels: int) -> TerrainPicture:
+def open_picture(source: Source, options: BuildOptions) -> TerrainPicture:
     """Decode the picture of a terrain, or make that of a bundled world.
 
     Raises:
         SourceError: the picture cannot be used.
     """
     if source.kind is not SourceKind.BUNDLED:
-        return TerrainPicture(read_raster(source.path, max_pixels))
+        return TerrainPicture(_read(source.path, options))
     bundled = bundled_picture(source.path.name)
     rows, cols = bundled.pixels.shape
-    check_size(source.path, cols, rows, max_pixels)
+    check_size(source.path, cols, rows, options.max_pixels)
     return TerrainPicture(Raster(bundled.pixels), SIZE, bundled.height)
 
 
@@ -205,7 +206,11 @@ def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
     Raises:
         SourceError: the file is unusable, is in color without `grayscale`, or is more than half nodata.
     """
-    return _to_terrain(path, TerrainPicture(read_raster(path, options.max_pixels)), options)[:2]
+    return _to_terrain(path, TerrainPicture(_read(path, options)), options)[:2]
+
+
+def _read(path: Path, options: BuildOptions) -> Raster:
+    return read_raster(path, options.max_pixels, sized=bool(options.size or options.pixel_size))
 
 
 def _to_terrain(
@@ -289,7 +294,11 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
         raise ConfigError(f"{path}: --zero is a height of the file's own, which these heights are not")
     pixels = _crop(path, raster.pixels, options.crop)
     unit = info.unit or 1.0
-    above, base = _above(path, pixels, info, options, None if options.zero is None else options.zero / unit)
+    width, depth = _extent(pixels.shape, pixel_of(info), options)
+    sx, sy, _ = options.scale or (1.0, 1.0, 1.0)
+    width, depth = width * sx, depth * sy
+    filled = _filled(path, pixels, info, options, _kept_pixels(pixels.shape, (width, depth), options.window))
+    above, base = _above(filled, info, options, None if options.zero is None else options.zero / unit)
     if options.deterrace:
         above = dequantize(above, _level_step(path, pixels) * abs(info.scale))
     above = apply_filters(above, options)
@@ -299,11 +308,9 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
         above, base = _meters(above, info.unit, options.height, factor), base + lowest
     else:
         above *= np.float32(unit)
-    width, depth = _extent(pixels.shape, pixel_of(info), options)
-    sx, sy, _ = options.scale or (1.0, 1.0, 1.0)
     rows, cols = above.shape
     try:
-        surface = HeightField.centered(above, (width * sx / (cols - 1), depth * sy / (rows - 1)))
+        surface = HeightField.centered(above, (width / (cols - 1), depth / (rows - 1)))
     except ConfigError as error:
         raise SourceError(f"{path}: {error}") from error
     return surface, base * unit if own else None
@@ -342,20 +349,40 @@ def _level_step(path: Path, pixels: NDArray[Any]) -> float:
     return float(np.gcd.reduce(steps)) if len(steps) else 1.0
 
 
+def _kept_pixels(shape: tuple[int, ...], size: tuple[float, float], window: Window | None) -> Rectangle:
+    """Return the rows and columns of a picture that a window keeps."""
+    if window is None:
+        return slice(None), slice(None)
+    (x, y, side), spans = window, []
+    for middle, length, count in ((-y, size[1], shape[0]), (x, size[0], shape[1])):
+        first, last = (((middle + half) / length + 0.5) * (count - 1) for half in (-side / 2, side / 2))
+        start = min(max(int(first), 0), count - 1)
+        spans.append(slice(start, max(start + 1, int(last) + 2)))
+    return spans[0], spans[1]
+
+
+def _filled(
+    path: Path, pixels: NDArray[Any], info: RasterInfo, options: BuildOptions, kept: Rectangle
+) -> NDArray[np.floating[Any]]:
+    """Return (rows, cols) gray values with filled holes."""
+    values = _gray(path, pixels, options.grayscale)
+    nodata = info.nodata if options.nodata is None else options.nodata
+    heights = info.unit is not None
+    # Unsigned levels have no value for "no data" unless they are heights or the file declares one.
+    if nodata is not None or heights or pixels.dtype.kind != "u":
+        values = fill_nodata(path, values, nodata, kept, search=heights and options.nodata is None)
+    if nodata is None and info.unit is not None:
+        warn_nodata_border(path, values, info.unit)
+    return values
+
+
 def _above(
-    path: Path, pixels: NDArray[Any], info: RasterInfo, options: BuildOptions, base: float | None
+    values: NDArray[np.floating[Any]], info: RasterInfo, options: BuildOptions, base: float | None
 ) -> tuple[Float32Array, float]:
-    """Return (rows, cols) heights above a base with filled holes, a new array, and the base.
+    """Return (rows, cols) heights above a base, a new array, and the base.
 
     Both are in the raster's unit of height. The default base is the lowest height.
     """
-    values = _gray(path, pixels, options.grayscale)
-    nodata = info.nodata if options.nodata is None else options.nodata
-    # Unsigned levels have no value for "no data" unless the file declares one.
-    if nodata is not None or pixels.dtype.kind != "u":
-        values = fill_nodata(path, values, nodata)
-    if nodata is None and info.unit is not None:
-        warn_nodata_border(path, values, info.unit)
     if info.scale != 1.0 or info.offset != 0.0:
         values = values.astype(np.float64) * info.scale + info.offset
     if options.invert:

@@ -1,8 +1,5 @@
-"""Readers in a process with limits."""
+"""The process that reads rasters and point clouds: its limits, and what its faults become."""
 
-import os
-import signal
-import time
 from pathlib import Path
 
 import numpy as np
@@ -10,60 +7,62 @@ import pytest
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats import limited
-from lirs_wct.formats.limited import run_limited
+from lirs_wct.formats.limited import read_limited
+
+GRID = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\nnodata_value nan\n1 2 3\n4 nan 6\n"
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    path = tmp_path / "a.bin"
-    path.write_bytes(b"a")
+    path = tmp_path / "a.grd"
+    path.write_text(GRID)
     return path
 
 
-def test_a_result_comes_back_and_what_is_printed_does_not_matter(path: Path) -> None:
-    found = run_limited(path, _print_and_double, np.arange(1e6))
-    np.testing.assert_array_equal(found, 2 * np.arange(1e6))
+def run_program(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the process run another program."""
+    (tmp_path / "program.py").write_text(text)
+    monkeypatch.setattr(limited, "PROGRAM", tmp_path / "program.py")
 
 
-def test_an_error_keeps_its_one_line(path: Path) -> None:
-    with pytest.raises(SourceError, match=rf"^{path}: wrong$"):
-        run_limited(path, _refuse, f"{path}: wrong")
-    with pytest.raises(SourceError, match=rf"^{path}: cannot be read: two lines$"):
-        run_limited(path, _fail, "two\nlines")
+def test_values_and_arrays_come_back(path: Path) -> None:
+    found, (pixels,) = read_limited("raster", path, 6)
+    assert (found["width"], found["height"], found["bands"]) == (3, 2, 1)
+    assert np.isnan(found["nodata"])
+    np.testing.assert_array_equal(pixels, [[1, 2, 3], [4, np.nan, 6]])
+    assert read_limited("raster", path, 5)[1] == []
 
 
 def test_memory_is_limited(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limited, "MEMORY", 160 << 20)
-    with pytest.raises(SourceError, match=rf"^{path}: cannot be read: needs more than 160 MiB of memory$"):
-        run_limited(path, np.ones, 2**24)
-    assert run_limited(path, _count_ones, 2**24, memory=2**28) == 2**24
+    path.write_bytes(b"LASF" + bytes(21) + b"\x02" + bytes(400))
+    monkeypatch.setattr(limited, "MEMORY", 1 << 20)
+    with pytest.raises(SourceError, match=rf"^{path}: "):
+        read_limited("points", path)
 
 
-def test_time_is_limited(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(limited, "SECONDS", 1.0)
+def test_time_is_limited(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run_program("import time; time.sleep(100)", tmp_path, monkeypatch)
+    monkeypatch.setattr(limited, "SECONDS", 0.6)
     with pytest.raises(SourceError, match=rf"^{path}: cannot be read: its reader takes more than 1 s$"):
-        run_limited(path, time.sleep, 100)
+        read_limited("raster", path)
 
 
-def test_a_crash_ends_the_reader_alone(path: Path) -> None:
-    with pytest.raises(SourceError, match=rf"^{path}: cannot be read: its reader was ended by SIGABRT$"):
-        run_limited(path, os.abort)
-    with pytest.raises(SourceError, match="was ended by SIGSEGV"):
-        run_limited(path, signal.raise_signal, signal.SIGSEGV)
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [
+        ("import os; os.abort()", "was ended by SIGABRT"),
+        ("import os; os._exit(3)", "ended with exit code 3"),
+        ("print('{\"arrays\": [[\"<f8\", [5]]]}'); print('short')", "ended with exit code 0"),
+    ],
+)
+def test_a_crash_ends_the_reader_alone(
+    program: str, reason: str, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run_program(program, tmp_path, monkeypatch)
+    with pytest.raises(SourceError, match=rf"^{path}: cannot be read: its reader {reason}$"):
+        read_limited("raster", path)
 
 
-def _print_and_double(values: np.ndarray) -> np.ndarray:
-    os.write(1, b"noise\n")
-    return 2 * values
-
-
-def _count_ones(count: int) -> int:
-    return len(np.ones(count))
-
-
-def _refuse(text: str) -> None:
-    raise SourceError(text)
-
-
-def _fail(text: str) -> None:
-    raise ValueError(text)
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"a\.tif: no such file$"):
+        read_limited("raster", tmp_path / "a.tif")

@@ -1,0 +1,199 @@
+"""Readers of rasters and point clouds by compiled libraries: the program of a process with limits.
+
+It imports nothing of this package. Its answer on stdout is a line of JSON, then the arrays that it announces.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import warnings
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Answer = tuple[dict[str, Any], list[NDArray[Any]]]
+DRIVERS = (
+    "GTiff",
+    "HFA",
+    "netCDF",
+    "JP2OpenJPEG",
+    "DTED",
+    "SRTMHGT",
+    "AIG",
+    "USGSDEM",
+    "ENVI",
+    "EHdr",
+    "PNG",
+    "JPEG",
+    "BMP",
+    "GIF",
+    "WEBP",
+    "PNM",
+    "AAIGrid",
+    "XYZ",
+)
+"""Drivers of GDAL that are tried on a file, in this order. None follows references to other files."""
+FOLLOWERS = "VRT DERIVED GTI WMS WMTS WCS TMS DAAS EEDA EEDAI PLMOSAIC HTTP STACIT STACTA NGW OGCAPI Zarr"
+"""Drivers that a sidecar could name, and that open other files or a network."""
+UNREAD = "is neither a picture nor elevation data that is read; legal: PNG, PGM/PNM, GIF, JPEG, TIFF, BMP, \
+WebP, ESRI ASCII grid, and the rasters of GDAL"
+UNKNOWN_FORMAT = "not recognized as being in a supported file format"
+NOISE = (7, 18)
+"""Classes of the ASPRS LAS specification 1.4, table 17."""
+GROUND = 2
+
+
+def read_raster(path: str, max_pixels: int) -> Answer:
+    """Return a raster's metadata, and its pixels unless there are too many."""
+    os.environ |= {
+        "GDAL_SKIP": FOLLOWERS,
+        "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+        "GDAL_CACHEMAX": "64",
+        "GDAL_ERROR_ON_LIBJPEG_WARNING": "YES",
+        "PROJ_NETWORK": "OFF",
+    }
+    with _open_raster(path) as dataset:
+        if dataset.count == 0:
+            names = ", ".join(name.rsplit(":", 1)[-1] for name in dataset.subdatasets) or "none"
+            raise ValueError(f"holds several rasters ({names}), one is needed: gdal_translate cuts it out")
+        small = dataset.width * dataset.height <= max_pixels
+        return {
+            "width": dataset.width,
+            "height": dataset.height,
+            "bands": dataset.count,
+            "pages": max(1, len(dataset.subdatasets)),
+            "nodata": dataset.nodata,
+            "scale": dataset.scales[0],
+            "offset": dataset.offsets[0],
+            "unit": dataset.units[0] or "",
+            "transform": None if dataset.transform.is_identity else tuple(dataset.transform)[:6],
+            "wkt": dataset.crs.to_wkt() if dataset.crs else "",
+        }, [_pixels(dataset)] if small else []
+
+
+def _open_raster(path: str) -> Any:
+    """Open a raster by the first driver that knows its content."""
+    import rasterio
+
+    reasons = []
+    for driver in DRIVERS:
+        try:
+            return rasterio.open(path, driver=driver)
+        except (rasterio.errors.RasterioError, SystemError) as error:
+            reason = str(error.__cause__ or error).splitlines()[0]
+            reasons += [] if UNKNOWN_FORMAT in reason or "No such driver" in reason else [reason]
+    raise ValueError(f"cannot be read by GDAL: {reasons[0]}" if reasons else UNREAD)
+
+
+def _pixels(dataset: Any) -> NDArray[Any]:
+    """Return colors as (rows, cols, 3 or 4) blue, green, red, alpha; else the first band."""
+    kinds = [kind.name for kind in dataset.colorinterp]
+    if kinds[:1] == ["palette"]:
+        table = dataset.colormap(1)
+        colors = np.array([table.get(k, (0, 0, 0, 255)) for k in range(max(table) + 1)], np.uint8)
+        found: NDArray[Any] = colors[dataset.read(1)][..., [2, 1, 0, 3]]
+        return found if (colors[:, 3] < 255).any() else found[..., :3]
+    if kinds[:3] == ["red", "green", "blue"]:
+        order = [3, 2, 1, *([4] if kinds[3:4] == ["alpha"] else [])]
+        return np.ascontiguousarray(np.moveaxis(dataset.read(order), 0, 2))
+    band: NDArray[Any] = dataset.read(1)
+    if kinds == ["gray", "alpha"]:
+        return np.dstack([band] * 3 + [dataset.read(2)])
+    if dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES" and band.dtype.kind == "u":
+        band = np.iinfo(band.dtype).max - band
+    if {flag.name for flag in dataset.mask_flag_enums[0]} == {"per_dataset"}:
+        missing = dataset.read_masks(1) == 0
+        if missing.any():
+            band = np.where(missing, np.nan, band.astype(np.float64))
+    return band
+
+
+def read_points(path: str, _: int) -> Answer:
+    """Return the points (n, 3) of a LAS, LAZ or PCD file; of LAS also its ground and its system."""
+    with open(path, "rb") as file:  # noqa: PTH123  this program imports little
+        las = file.read(4) == b"LASF"
+    return _las_points(path) if las else _pcd_points(path)
+
+
+def _las_points(path: str) -> Answer:
+    import laspy
+
+    las = laspy.read(path)
+    if len(las.points) != las.header.point_count:
+        raise ValueError(f"is cut off: {las.header.point_count} points announced, {len(las.points)} there")
+    kind = np.asarray(las.classification)
+    kept = ~np.isin(kind, NOISE)
+    xyz = np.stack((las.x, las.y, las.z), axis=1).astype(np.float64)
+    wkt, keys = "", dict[int, int]()
+    for record in (*las.header.vlrs, *(las.header.evlrs or ())):
+        if record.record_id == 2112 and getattr(record, "string", None):
+            wkt, keys = record.string, {}
+            break
+        if record.record_id == 34735:
+            crs = record.parse_crs()
+            wkt = "" if crs is None else crs.to_wkt()
+            keys = {key.id: key.value_offset for key in record.geo_keys}
+    return {"wkt": wkt, "keys": keys}, [xyz[kept], (kind == GROUND)[kept]]
+
+
+def _pcd_points(path: str) -> Answer:
+    from pypcd4 import PointCloud
+
+    loaded = PointCloud.from_path(path)
+    announced, there = loaded.metadata.points, loaded.pc_data.size
+    if announced != there:
+        raise ValueError(f"is cut off: {announced} points announced, {there} there")
+    missing = [axis for axis in "xyz" if axis not in loaded.fields]
+    if missing:
+        raise ValueError(
+            f"points need x, y and z; missing: {', '.join(missing)}; got: {', '.join(loaded.fields)}"
+        )
+    return {}, [np.asarray(loaded.numpy(("x", "y", "z")), np.float64).reshape(-1, 3)]
+
+
+READERS: dict[str, Callable[[str, int], Answer]] = {"raster": read_raster, "points": read_points}
+
+
+def main(kind: str, path: str, max_pixels: str, memory: str, seconds: str) -> None:
+    """Answer with a file's content, or with the text of an error."""
+    with os.fdopen(os.dup(1), "wb") as out:
+        # Output that a library prints must not mix with the answer.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        _limit(int(memory), int(seconds))
+        found: dict[str, Any] = {}
+        arrays: list[NDArray[Any]] = []
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                found, arrays = READERS[kind](path, int(max_pixels))
+        except MemoryError:
+            found = {"error": f"needs more than {int(memory) >> 20} MiB of memory"}
+        except BaseException as error:  # a reader in Rust panics with an exception that is none of Python's
+            text = " ".join(str(error.__cause__ or error).split())
+            found = {"error": text.rpartition("libjpeg: ")[2] or "is damaged"}
+        arrays = [np.ascontiguousarray(array) for array in arrays]
+        found["arrays"] = [(array.dtype.str, array.shape) for array in arrays]
+        out.write(json.dumps(found).encode() + b"\n")
+        for array in arrays:
+            out.write(array.data)
+
+
+def _limit(memory: int, seconds: int) -> None:
+    if sys.platform == "win32":
+        return  # only the time limit of the caller applies
+    import resource
+
+    # Not the address space: allocators and threads reserve much that they never use.
+    limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CPU: 8 * seconds, resource.RLIMIT_CORE: 0}
+    for kind, most in limits.items():
+        with suppress(ValueError):  # the hard limit is lower
+            resource.setrlimit(kind, (most, resource.getrlimit(kind)[1]))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
