@@ -15,6 +15,7 @@ from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.pictures.picture import read_terrain
+from lirs_wct.sources.result_check import warn_of_result
 from lirs_wct.sources.source import Source, find_source, warn_of_shape, warn_of_useless
 from lirs_wct.sources.window import Window, cut_nodes, cut_surface, leveled, sample_spacing
 from lirs_wct.world import World
@@ -43,6 +44,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
     world = _build_from(found, options)
     exact = world.walls is not None or world.overhangs
     warn_of_shape(found, options, world.surface.size, exact)
+    warn_of_result(found, world)
     for texture in (options.texture, options.wall_texture):
         checked_texture(texture, options.max_pixels)
     return world.with_export(options)

@@ -22,6 +22,7 @@ from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.pictures.picture import TerrainPicture, decimate, height_field, open_picture
+from lirs_wct.sources.result_check import warn_of_result
 from lirs_wct.sources.source import Source, find_source
 from lirs_wct.sources.window import cut_surface
 from lirs_wct.world import World
@@ -121,6 +122,7 @@ class Construction:
         for texture in (options.texture, options.wall_texture):
             checked_texture(texture, options.max_pixels)
         world = World(found.name, ground, scale=scale).with_export(options)
+        warn_of_result(found, world)
         return Shown(world, preview_facts(world), source, options)
 
     def build(
