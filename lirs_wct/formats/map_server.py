@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import math
-from dataclasses import dataclass, replace
+import warnings
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,7 @@ from lirs_wct.geometry.pose import Pose2
 Entry = str | list[str]
 """A value in a map's YAML, not yet read as number."""
 MODES = ("trinary", "scale", "raw")
+SWITCHES = dict.fromkeys(("true", "yes", "y", "on"), "1") | dict.fromkeys(("false", "no", "n", "off"), "0")
 MAX_RESOLUTION = 1000.0
 """Meters of a cell's edge: a map of robots has cells of centimeters."""
 FARTHEST = 1e9
@@ -44,6 +48,9 @@ class MapMetadata:
     free_thresh: float = WRITTEN_FREE
     negate: bool = False
     mode: str = "trinary"
+
+
+KEYS = [field.name for field in fields(MapMetadata)]
 
 
 def read_map(path: Path, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
@@ -80,7 +87,7 @@ def read_metadata(path: Path) -> MapMetadata:
         SourceError: missing, no YAML of a map, or a value that is not legal.
     """
     try:
-        entry = _entries(path.read_text(encoding="utf-8"))
+        entry = _entries(path)
         missing = [key for key in ("image", "resolution", "origin") if key not in entry]
         if missing:
             raise ValueError(f"a map needs image, resolution and origin, this has no {', '.join(missing)}")
@@ -92,13 +99,11 @@ def read_metadata(path: Path) -> MapMetadata:
                 occupied_thresh=_number(entry, "occupied_thresh", OCCUPIED),
                 free_thresh=_number(entry, "free_thresh", WRITTEN_FREE),
                 negate=bool(_number(entry, "negate", 0.0)),
-                mode=str(entry.get("mode", "trinary")),
+                mode=str(entry.get("mode", "trinary")).lower(),
             )
         )
     except OSError as error:
         raise SourceError(f"{path}: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise SourceError(f"{path}: {reason_of(error)}") from error
     except ValueError as error:
         raise SourceError(f"{path}: {error}") from error
 
@@ -176,43 +181,47 @@ def _check_metadata(metadata: MapMetadata) -> MapMetadata:
     return metadata
 
 
-def _entries(text: str) -> dict[str, Entry]:
-    """Return the entries of a map's YAML with scalars as text.
+def _entries(path: Path) -> dict[str, Entry]:
+    """Return the entries of a map's YAML; the first of two keys counts.
 
-    As text, `1e-2` can become a number and a date can be a file name.
-
-    Raises:
-        ValueError: no YAML, or content that no map has (nesting, two documents).
+    Scalars are text: `1e-2` can become a number and a date can be a file name.
     """
-    found = load_yaml(text, typed=False) or {}
-    if not isinstance(found, dict):
+    content = path.read_bytes()
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = content.decode("utf-16" if wide else "utf-8")
+    except UnicodeDecodeError:  # yaml-cpp refuses no byte; umlauts of Windows are the usual case
+        text = content.decode("cp1252", errors="replace")
+    found = load_yaml(text, typed=False)
+    if not isinstance(found, list) or not all(isinstance(pair, tuple) for pair in found):
         raise ValueError("line 1 is not `key: value`")
-    for key, value in found.items():
-        if not all(isinstance(item, str) for item in (value if isinstance(value, list) else [value])):
+    entry: dict[str, Entry] = {}
+    for key, value in found:
+        if key not in KEYS:
+            continue
+        if not all(isinstance(item, str) for item in value):
             raise ValueError(f"{key}: a map has no use for nested values")
-    return found
+        first = entry.setdefault(key, value)
+        if first != value:
+            warnings.warn(f"{path}: {key} stands twice; the first is taken: {first!r}", stacklevel=2)
+    return entry
 
 
 def _number(entry: dict[str, Entry], key: str, default: float) -> float:
     value = entry.get(key, str(default))
-    try:
-        return _float(value)
-    except ValueError:
-        raise ValueError(f"{key} must be a number, got {value!r}") from None
+    words = SWITCHES if key == "negate" else {}
+    if isinstance(value, str):
+        with suppress(ValueError):
+            return float(words.get(value.lower(), value))
+    raise ValueError(f"{key} must be a number, got {value!r}")
 
 
 def _pose(entry: dict[str, Entry], key: str) -> Pose2:
     value = entry[key]
     try:
-        numbers = [_float(item) for item in value] if isinstance(value, list) else []
+        numbers = [float(item) for item in value] if isinstance(value, list) else []
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"{key} must be [x, y, yaw], got {value!r}")
     return Pose2(*numbers)
-
-
-def _float(text: Entry) -> float:
-    if isinstance(text, list):
-        raise ValueError("a list is no number")
-    return float({"true": "1", "false": "0"}.get(text.lower(), text))

@@ -1,22 +1,20 @@
-"""Strict reading of YAML text: a duplicate key is an error."""
+"""YAML text: strict reading as values, and as text by the rules of yaml-cpp."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
 
 from lirs_wct.errors import reason_of
 
-if TYPE_CHECKING:
-    from yaml.constructor import BaseConstructor as _Constructor
-else:
-    _Constructor = object
 MERGE = "tag:yaml.org,2002:merge"
 """Tag of the key `<<`, which may occur several times."""
 
 
-class _UniqueKeys(_Constructor):
+class _Typed(yaml.SafeLoader):
+    """Numbers, booleans and dates as YAML defines them; a duplicate key is an error."""
+
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         lines: dict[str, int] = {}
         for key, _ in node.value:
@@ -31,12 +29,18 @@ class _UniqueKeys(_Constructor):
         return super().construct_mapping(node, deep)
 
 
-class _Typed(_UniqueKeys, yaml.SafeLoader):
-    """Numbers, booleans and dates as YAML defines them."""
+class _Text(yaml.BaseLoader):
+    """Scalars as text and mappings as pairs; as in yaml-cpp, tabs may stand between tokens."""
 
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> Any:
+        return self.construct_pairs(node, deep=True)
 
-class _Text(_UniqueKeys, yaml.BaseLoader):
-    """Scalars as text."""
+    def scan_to_next_token(self) -> None:
+        super().scan_to_next_token()
+        while self.peek() == "\t":
+            self.allow_simple_key &= self.flow_level > 0  # a tab does not indent
+            self.forward()
+            super().scan_to_next_token()
 
 
 def load_yaml(text: str, *, typed: bool = True) -> Any:
@@ -44,13 +48,14 @@ def load_yaml(text: str, *, typed: bool = True) -> Any:
 
     Args:
         text: one document.
-        typed: whether scalars become numbers, booleans and dates; they stay text otherwise.
+        typed: whether scalars become numbers, booleans and dates. They stay text otherwise, mappings are
+            lists of pairs, and further documents are left out.
 
     Raises:
         ValueError: no YAML, or a duplicate key; the message is one line that names the line.
     """
     try:
-        return yaml.load(text, _Typed if typed else _Text)
+        return yaml.load(text, _Typed) if typed else next(yaml.load_all(text, _Text), None)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         reasons = ", ".join(reason for reason in (error.context, error.problem) if reason)
