@@ -8,10 +8,8 @@ import warnings
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError, reason_of
@@ -33,6 +31,8 @@ BLACK, WHITE, UNKNOWN = 0, 254, 205
 """Pixels of occupied, free and unknown cells, as map_saver writes them."""
 WRITTEN_FREE = 0.196
 """`free_thresh` that keeps a pixel of 205 (p = 0.19608) unknown."""
+LUMA = (114, 587, 299)
+"""Thousandths of blue, green and red in the gray of a color (Rec. 601)."""
 LEVELS = np.arange(256, dtype=np.uint8)[None, :]
 """Every 8-bit pixel value: a look-up table converts large maps fast."""
 
@@ -66,6 +66,12 @@ def read_map(path: Path, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
         raise SourceError(f"{path}: its image {metadata.image} {reason_of(error)}") from error
     if not there:
         raise SourceError(f"{path}: its image {metadata.image} is not there")
+    free, occupied = metadata.free_thresh, metadata.occupied_thresh
+    if occupied < free:
+        warnings.warn(
+            f"{path}: occupied_thresh {occupied} is below free_thresh {free}; free wins as in nav2",
+            stacklevel=2,
+        )
     return _grid(metadata, max_pixels)
 
 
@@ -130,36 +136,51 @@ def write_map(stem: Path, grid: OccupancyGrid) -> None:
 
 
 def _grid(metadata: MapMetadata, max_pixels: int) -> OccupancyGrid:
-    pixels = read_picture(metadata.image, max_pixels, alpha=True).pixels
-    graded = pixels.ndim == 2 and pixels.dtype == np.uint8 and pixels.size > LEVELS.size
-    p = _probability(LEVELS if graded else pixels, metadata)
-    grid = OccupancyGrid.from_probability(p[::-1], metadata.resolution, metadata.origin)
-    return replace(grid, log_odds=grid.log_odds[0][pixels[::-1]]) if graded else grid
-
-
-def _probability(pixels: NDArray[Any], metadata: MapMetadata) -> FloatArray:
-    """Return (rows, cols) probabilities, row 0 = north, NaN = unknown.
-
-    Trinary and raw maps average alpha with the colors; scaled ones take any transparency as unknown.
-    """
+    pixels = level = read_picture(metadata.image, max_pixels, alpha=True).pixels[::-1]
     full = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
-    shade = pixels.astype(np.float64) / full
-    clear = np.zeros(shade.shape[:2], np.bool_)
-    if shade.ndim == 3:
-        if shade.shape[2] == 4 and metadata.mode == "scale":
-            clear = shade[..., 3] < 1
-            shade = shade[..., :3]
-        shade = shade.mean(axis=2)
+    if pixels.ndim == 3:
+        luma = pixels[..., :3] @ LUMA
+        # As GraphicsMagick, which cuts 16 bits to 8: .999 of a level counts as the next, less is lost.
+        level = (luma + 1) // 1000 if full > 1 else luma / 1000
+    graded = pixels.dtype == np.uint8
+    p = _probability((LEVELS if graded else level) / full, metadata)
+    grid = OccupancyGrid.from_probability(p, metadata.resolution, metadata.origin)
+    if graded:
+        grid = replace(grid, log_odds=grid.log_odds[0][level])
+    if pixels.shape[2:] == (4,) and metadata.mode != "raw":
+        grid.log_odds[pixels[..., 3] < full] = np.nan
+    if pixels.ndim == 3 and metadata.mode == "trinary":
+        _warn_of_averages(metadata, pixels.mean(axis=2) / full, grid)
+    return grid
+
+
+def _probability(shade: FloatArray, metadata: MapMetadata) -> FloatArray:
+    """Return the probabilities of opaque shades, NaN = unknown; 0 is black, 1 white."""
     if metadata.mode == "raw":
         value = np.round(shade * 255)
         return np.where(value <= 100, value / 100, np.nan)
+    # nav2 compares in 32 bits; a shade at a threshold is beyond it, and free wins where both apply.
+    single = shade.astype(np.float32)
+    p, single = (shade, single) if metadata.negate else (1 - shade, 1 - single)
+    span = metadata.occupied_thresh - metadata.free_thresh
+    scaled = metadata.mode == "scale" and span > 0
+    between = (p - metadata.free_thresh) / span if scaled else np.full(p.shape, np.nan)
+    known = np.where(single >= np.float32(metadata.occupied_thresh), 1.0, between)
+    return np.where(single <= np.float32(metadata.free_thresh), 0.0, known)
+
+
+def _warn_of_averages(metadata: MapMetadata, shade: FloatArray, grid: OccupancyGrid) -> None:
+    """Warn where the older rule, the mean of all channels with alpha, differs."""
     p = shade if metadata.negate else 1 - shade
-    occupied, free = p > metadata.occupied_thresh, p < metadata.free_thresh
-    between = np.full(p.shape, np.nan)
-    if metadata.mode == "scale":
-        span = metadata.occupied_thresh - metadata.free_thresh
-        between = (p - metadata.free_thresh) / span if span > 0 else between
-    return np.where(clear, np.nan, np.where(occupied, 1.0, np.where(free, 0.0, between)))
+    occupied = p > metadata.occupied_thresh
+    free = (p < metadata.free_thresh) & ~occupied
+    if (occupied != grid.occupied).any() or (free != grid.free).any():
+        warnings.warn(
+            f"{metadata.image}: {grid.occupied.sum():,} occupied and {grid.free.sum():,} free cells, as in "
+            f"nav2 since Jazzy (transparent is unknown); {occupied.sum():,} and {free.sum():,} in Humble and "
+            "ROS 1, which average alpha with the colors",
+            stacklevel=4,
+        )
 
 
 def _check_metadata(metadata: MapMetadata) -> MapMetadata:
@@ -173,10 +194,10 @@ def _check_metadata(metadata: MapMetadata) -> MapMetadata:
         raise ValueError(f"origin must lie within {FARTHEST:g} m, got {origin.x:g}, {origin.y:g}")
     if metadata.mode not in MODES:
         raise ValueError(f"unknown mode {metadata.mode!r}; legal: {', '.join(MODES)}")
-    if not 0 <= metadata.free_thresh <= metadata.occupied_thresh <= 1:
+    free, occupied = metadata.free_thresh, metadata.occupied_thresh
+    if not (0 <= free <= 1 and 0 <= occupied <= 1):
         raise ValueError(
-            f"thresholds must be 0 <= free_thresh <= occupied_thresh <= 1, "
-            f"got {metadata.free_thresh} and {metadata.occupied_thresh}"
+            f"thresholds must be from 0 to 1, got free_thresh {free} and occupied_thresh {occupied}"
         )
     return metadata
 

@@ -1,6 +1,8 @@
 """ROS maps: a YAML and a picture, read as map_server reads them, pixel by pixel."""
 
 import math
+import warnings
+from itertools import cycle
 from pathlib import Path
 
 import cv2
@@ -9,6 +11,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import MapMetadata, read_map, read_map_picture, read_metadata, write_map
@@ -61,7 +64,7 @@ def test_a_written_map_reads_back(
         ("image: m.png\nresolution: 1\norigin: [0, 1e300, 0]\n", "origin must lie within 1e+09 m"),
         (f"image: m.png\n{KEYS}mode: cubic\n", "trinary, scale, raw"),
         ("image: m.png\nresolution: 1\norigin: [0]\n", "origin must be [x, y, yaw]"),
-        ("image: m.png\nresolution: 1\norigin: [0, 0]\nfree_thresh: 1.5\n", "free_thresh"),
+        ("image: m.png\nresolution: 1\norigin: [0, 0]\nfree_thresh: 1.5\n", "got free_thresh 1.5 and"),
         ("image: m.png\nresolution: true\norigin: [0, 0]\n", "resolution must be a number, got 'true'"),
         (f"image: m.png\n{KEYS}negate: perhaps\n", "negate must be a number, got 'perhaps'"),
         (f"image: m.png\n{KEYS}mode: {{a: b}}\n", "mode: a map has no use for nested values"),
@@ -173,60 +176,157 @@ def test_yaml_is_read_as_pyyaml_reads_it(shared_data: Path, tmp_path: Path) -> N
             assert getattr(ours, key) == expected[key], (key, text)
 
 
-# ---- every pixel by the rules of map_server
+# ---- every pixel by the rules of nav2's map_server
 
 
-def probability(shade: float, clear: bool, mode: str, negate: bool, occupied: float, free: float) -> float:
-    """Return what a pixel means, as ROS's map_server computes it; shade in [0, 1], NaN = unknown."""
-    if mode == "raw":
-        value = round(shade * 255)
-        return value / 100 if value <= 100 else math.nan
-    p = shade if negate else 1 - shade
-    if mode == "scale" and clear:
-        return math.nan
-    if p > occupied:
-        return 1.0
-    if p < free:
-        return 0.0
-    return (p - free) / (occupied - free) if mode == "scale" else math.nan
+def nav2_cells(text: str, picture: Image.Image) -> list[list[int]]:
+    """Return the cells of nav2's map_server, as written in its map_io.cpp: 0 to 100, -1 = unknown."""
+    keys: dict[str, str] = {}
+    for line in text.splitlines():
+        key, _, value = line.partition(":")
+        keys.setdefault(key.strip("\t '"), value.partition("#")[0].strip("\t '"))
+    mode, negate = keys["mode"].lower(), keys["negate"].lower() in ("1", "yes", "on", "true")
+    occupied, free = float(keys["occupied_thresh"]), float(keys["free_thresh"])
+
+    def cell(red: int, green: int, blue: int, alpha: int) -> int:
+        gray = (299 * red + 587 * green + 114 * blue + 1) // 1000
+        if mode == "raw":
+            return gray if gray <= 100 else -1
+        if alpha < 255:
+            return -1
+        p = np.float32(gray) / np.float32(255)
+        p = p if negate else 1 - p
+        if p <= np.float32(free):
+            return 0
+        if p >= np.float32(occupied):
+            return 100
+        if mode == "trinary":
+            return -1
+        return math.floor((p - np.float32(free)) / np.float32(occupied - free) * 100 + np.float32(0.5))
+
+    colors = picture.convert("RGBA")
+    width, height = colors.size
+    return [[cell(*colors.getpixel((x, y))) for x in range(width)] for y in range(height)]
+
+
+def a_picture(kind: str, seed: int) -> Image.Image:
+    rng = np.random.default_rng(seed)
+    levels = (0, 51, 89, 90, 100, 101, 102, 153, 191, 192, 204, 205, 254, 255, *rng.integers(0, 256, 9))
+    gray, red, blue = (Image.fromarray(rng.choice(levels, (9, 14)).astype(np.uint8)) for _ in range(3))
+    alpha = Image.fromarray(rng.choice((0, 128, 254, 255, 255), (9, 14)).astype(np.uint8))
+    if kind.startswith("P"):
+        palette = gray.quantize(8)
+        palette.putpalette(rng.permutation(256)[:24].tolist())
+        if kind == "P+tRNS":
+            palette.info["transparency"] = bytes((255, 0, 254, 255, 128, 255, 255, 255))
+        return palette
+    bands = {"L": (gray,), "LA": (gray, alpha), "RGB": (red, gray, blue), "RGBA": (red, gray, blue, alpha)}
+    return Image.merge(kind, bands[kind])
+
+
+KINDS = ("L", "RGB", "RGBA", "LA", "P", "P+tRNS")
+SPELLED_MODES = ("trinary", "Scale", "'raw'", "TRINARY # all", "\tscale\t")
+NEGATES = ("0", "1", "yes", "No", "on", "OFF", "True")
+THRESHOLDS = ((0.65, 0.196), (0.65, 0.25), (0.6, 0.4), (0.4, 0.2), (0.8, 0.2), (0.2, 0.2), (0.1, 0.9))
+THRESHOLDS += ((1.0, 0.0), (0.0, 1.0), (0.4, 0.6), (9e-1, 1e-2))
+PAIRS = list(
+    zip(range(40), cycle(KINDS), cycle(SPELLED_MODES), cycle(NEGATES), cycle(THRESHOLDS), strict=False)
+)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("seed", "kind", "mode", "negate", "thresholds"), PAIRS)
+def test_a_map_is_read_as_nav2_reads_it(
+    seed: int, kind: str, mode: str, negate: str, thresholds: tuple[float, float], tmp_path: Path
+) -> None:
+    picture = a_picture(kind, seed)
+    picture.save(tmp_path / "m.png")
+    text = (
+        f"image: m.png\nresolution: 0.5\norigin: [1.0, -2.0, 0.5]\nmode: {mode}\nnegate:\t{negate}\n"
+        f"'occupied_thresh': {thresholds[0]}\nfree_thresh : {thresholds[1]}\n"
+    )
+    (tmp_path / "m.yaml").write_text(text)
+    grid = read_map(tmp_path / "m.yaml")
+    found = np.where(grid.known, grid.probability * 100, -1)[::-1]
+    # nav2 publishes whole percents.
+    np.testing.assert_allclose(found, nav2_cells(text, picture), atol=0.501 if "cale" in mode else 1e-3)
 
 
 @pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
 @pytest.mark.parametrize("negate", ["0", "1"])
-@pytest.mark.parametrize("kind", ["gray8", "gray16", "small", "color", "alpha"])
-def test_every_pixel_means_what_map_server_says(tmp_path: Path, mode: str, negate: str, kind: str) -> None:
-    rng = np.random.default_rng(5)
-    dtype, full = (np.uint16, 65535) if kind == "gray16" else (np.uint8, 255)
-    bands = {"color": (3,), "alpha": (4,)}.get(kind, ())
-    shape = (3, 5) if kind == "small" else (20, 31)  # above 256 pixels of 8 bits are looked up
-    pixels = rng.integers(0, full + 1, (*shape, *bands)).astype(dtype)
-    if kind == "alpha":
-        pixels[rng.random(shape) < 0.6, 3] = full
+@pytest.mark.parametrize("bands", [(), (3,), (4,)])
+def test_16_bits_keep_their_depth(tmp_path: Path, mode: str, negate: str, bands: tuple[int, ...]) -> None:
+    pixels = np.random.default_rng(5).integers(0, 65536, (7, 9, *bands)).astype(np.uint16)
+    if bands == (4,):
+        pixels[::2, :, 3] = 65535
     cv2.imwrite(str(tmp_path / "m.png"), pixels)
     (tmp_path / "m.yaml").write_text(
         f"image: m.png\nresolution: 0.2\norigin: [3, -4, 0.5]\nmode: {mode}\n"
         f"negate: {negate}\noccupied_thresh: 0.6\nfree_thresh: 0.3\n"
     )
-    grid = read_map(tmp_path / "m.yaml")
-    assert (grid.shape, grid.resolution, grid.origin) == (shape, 0.2, Pose2(3, -4, 0.5))
-    for row, col in np.ndindex(shape):
-        values = np.atleast_1d(pixels[row, col]).astype(float) / full
-        clear = kind == "alpha" and values[3] < 1
-        shade = values[:3].mean() if mode == "scale" else values.mean()
-        expected = probability(shade, clear, mode, negate == "1", 0.6, 0.3)
-        found = float(grid.probability[shape[0] - 1 - row, col])
-        assert found == pytest.approx(min(expected, 1.0), abs=2e-6, nan_ok=True), (row, col)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        grid = read_map(tmp_path / "m.yaml")
+    assert (grid.shape, grid.resolution, grid.origin) == ((7, 9), 0.2, Pose2(3, -4, 0.5))
+    shade = ((pixels[..., :3] @ (114, 587, 299) + 1) // 1000 if bands else pixels) / 65535
+    p = shade if negate == "1" else 1 - shade
+    between = (p - 0.3) / 0.3 if mode == "scale" else np.nan
+    expected = np.where(p >= 0.6, 1.0, np.where(p <= 0.3, 0.0, between))
+    if mode == "raw":
+        expected = np.where(np.round(shade * 255) <= 100, np.round(shade * 255) / 100, np.nan)
+    elif bands == (4,):
+        expected[pixels[..., 3] < 65535] = np.nan
+    np.testing.assert_allclose(grid.probability[::-1], np.clip(expected, 0, 1), atol=6e-5)
 
 
-@pytest.mark.parametrize(("mode", "expected"), [("trinary", math.nan), ("scale", math.nan)])
-def test_thresholds_that_meet_leave_nothing_between(tmp_path: Path, mode: str, expected: float) -> None:
-    cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 51, 255]] * 2, np.uint8))
+def a_framed_map(folder: Path, keys: str, outside: tuple[int, int, int, int]) -> OccupancyGrid:
+    pixels = np.full((12, 16, 4), 255, np.uint8)
+    pixels[:4] = outside
+    pixels[5, 2:10] = (0, 0, 0, 255)
+    return a_map(folder, pixels, keys)
+
+
+def test_transparent_is_unknown_and_the_older_rule_is_told(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="in Humble and ROS 1") as caught:
+        grid = a_framed_map(tmp_path, "", (0, 0, 0, 0))
+    assert [len(caught), grid.occupied.sum(), grid.free.sum(), (~grid.known).sum()] == [1, 8, 120, 64]
+    assert str(caught[0].message).startswith(f"{tmp_path / 'm.png'}: 8 occupied and 120 free cells")
+    assert "; 72 and 120 in Humble and ROS 1" in str(caught[0].message)
+
+
+def test_no_word_where_both_rules_agree(tmp_path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert a_framed_map(tmp_path, "", (255, 255, 255, 0)).occupied.sum() == 8
+        assert a_framed_map(tmp_path, "mode: raw\n", (0, 0, 0, 0)).free.sum() == 72
+        assert a_framed_map(tmp_path, "mode: scale\n", (0, 0, 0, 0)).occupied.sum() == 8
+
+
+def test_opaque_walls_stay_walls_at_any_threshold(tmp_path: Path) -> None:
+    Image.fromarray(np.uint8([[[0, 0, 0, 255], [255, 255, 255, 255]]] * 2)).save(tmp_path / "m.png")
+    (tmp_path / "m.yaml").write_text("image: m.png\nresolution: 1\norigin: [0, 0, 0]\noccupied_thresh: 0.9\n")
+    with pytest.warns(UserWarning, match="2 occupied and 2 free cells.*; 0 and 2 in Humble"):
+        assert states(read_map(tmp_path / "m.yaml")) == [["#", "."]] * 2
+
+
+def test_free_wins_where_thresholds_cross(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 10, 100, 255]] * 2, np.uint8))
+    (tmp_path / "m.yaml").write_text(
+        "image: m.png\nresolution: 1\norigin: [0, 0, 0]\noccupied_thresh: 0.1\nfree_thresh: 0.9\n"
+    )
+    with pytest.warns(UserWarning, match=r"m\.yaml: occupied_thresh 0\.1 is below free_thresh 0\.9"):
+        assert states(read_map(tmp_path / "m.yaml")) == [["#", "#", ".", "."]] * 2
+
+
+@pytest.mark.parametrize("mode", ["trinary", "scale"])
+def test_thresholds_that_meet_leave_nothing_between(tmp_path: Path, mode: str) -> None:
+    cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 51, 52, 255]] * 2, np.uint8))
     (tmp_path / "m.yaml").write_text(
         f"image: m.png\nresolution: 1\norigin: [0, 0, 0]\nmode: {mode}\nnegate: 1\n"
         "occupied_thresh: 0.2\nfree_thresh: 0.2\n"
     )
     found = read_map(tmp_path / "m.yaml").probability[0]
-    np.testing.assert_allclose(found, (0, expected, 1), atol=2e-6)
+    np.testing.assert_allclose(found, (0, 0, 1, 1), atol=2e-6)
 
 
 def test_what_a_yaml_leaves_out(tmp_path: Path) -> None:
@@ -248,18 +348,18 @@ def test_what_a_yaml_leaves_out(tmp_path: Path) -> None:
     [
         ("0", "1", True),
         ("0.5", "0.5", True),
-        ("0.51", "0.5", False),
+        ("0.9", "0.1", True),
         ("-0.01", "0.5", False),
         ("0.1", "1.01", False),
         ("nan", "0.5", False),
     ],
 )
-def test_thresholds_in_their_order(tmp_path: Path, free: str, occupied: str, legal: bool) -> None:
+def test_thresholds_in_their_range(tmp_path: Path, free: str, occupied: str, legal: bool) -> None:
     text = f"image: m\nresolution: 1\norigin: [0, 0]\nfree_thresh: {free}\noccupied_thresh: {occupied}\n"
     if legal:
         assert read_text(text, tmp_path).free_thresh == float(free)
         return
-    with pytest.raises(SourceError, match="thresholds must be 0 <= free_thresh"):
+    with pytest.raises(SourceError, match="thresholds must be from 0 to 1, got free_thresh"):
         read_text(text, tmp_path)
 
 
