@@ -1,4 +1,4 @@
-"""Types of ground: terrain of a picture, laser map, closed mesh."""
+"""Types of ground: terrain of a picture, laser map, mesh."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class LaserMap:
 
 
 @dataclass(frozen=True)
-class ClosedMesh:
-    """A closed mesh and its heights from above.
+class MeshGround:
+    """A mesh and its heights from above; contact with an open one is on the front of its faces.
 
     Attributes:
         surface: heights of the mesh's highest points.
@@ -78,7 +78,7 @@ class ClosedMesh:
         return _simplify(self.surface, settings) if settings.limited and not self.overhangs else self.solid
 
 
-Ground = Terrain | LaserMap | ClosedMesh
+Ground = Terrain | LaserMap | MeshGround
 
 
 def _simplify(surface: HeightField, settings: ExportOptions) -> TriangleMesh:

@@ -20,7 +20,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
+from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.navigation.spawn_poses import FOOTPRINTS, mapped_area, spawn_poses
 from lirs_wct.navigation.traversability import (
@@ -39,7 +39,7 @@ class World(ShownAsPicture):
 
     Attributes:
         name: name that is legal in file names and Gazebo's URIs.
-        ground: a terrain, a laser map or a closed mesh.
+        ground: a terrain, a laser map or a mesh.
         spawn_poses: legal start poses of a robot; the first is the requested one, else the roomiest.
         spawn_for: largest wheeled robot that has spawn poses; empty = none has.
         start: the requested start pose; None = not requested.
@@ -69,7 +69,7 @@ class World(ShownAsPicture):
 
     @property
     def kind(self) -> Literal["terrain", "map", "mesh"]:
-        """`terrain` from a picture, `map` from a laser map, `mesh` from a closed mesh."""
+        """`terrain` from a picture, `map` from a laser map, `mesh` from a mesh."""
         return self.ground.kind
 
     @property
@@ -103,13 +103,13 @@ class World(ShownAsPicture):
 
     @property
     def solid(self) -> TriangleMesh | None:
-        """The closed mesh of a world of kind `mesh`."""
-        return self.ground.solid if isinstance(self.ground, ClosedMesh) else None
+        """The mesh of a world of kind `mesh`."""
+        return self.ground.solid if isinstance(self.ground, MeshGround) else None
 
     @property
     def overhangs(self) -> bool:
-        """Whether the world is a closed mesh with more than one surface on a vertical line."""
-        return isinstance(self.ground, ClosedMesh) and self.ground.overhangs
+        """Whether the world is a mesh with more than one surface on a vertical line."""
+        return isinstance(self.ground, MeshGround) and self.ground.overhangs
 
     @property
     def no_ground(self) -> BoolArray | None:
@@ -278,5 +278,5 @@ def _ground(content: WorldFile) -> Ground:
     if content.walls is not None:
         return LaserMap(content.surface, content.walls, content.truth)
     if content.solid is not None:
-        return ClosedMesh(content.surface, content.solid, content.overhangs, content.no_ground)
+        return MeshGround(content.surface, content.solid, content.overhangs, content.no_ground)
     return Terrain(content.surface, content.no_ground, content.sample_spacing)

@@ -78,11 +78,12 @@ def prisms(world: World) -> Iterator[FloatArray]:
 
 
 def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
-    """Yield the convex parts of closed bodies, body by body.
+    """Yield the convex parts of bodies, body by body.
 
-    A convex body is one part. CoACD cuts a body of few faces. A body of up to `MAX_PRISMS` faces becomes a
-    shell with contact on its triangles (`shell_parts`): CoACD takes minutes for thousands of faces, and its
-    parts bulge by 1 % of the body. CoACD also cuts larger bodies.
+    A closed convex body is one part. CoACD cuts a closed body of few faces. A body of up to `MAX_PRISMS`
+    faces becomes a shell with contact on its triangles (`shell_parts`), on their front where it is open:
+    CoACD takes minutes for thousands of faces, and its parts bulge by 1 % of the body. CoACD also cuts
+    larger bodies.
 
     Wei et al. 2022, "Approximate convex decomposition for 3D meshes with collision-aware concavity and
     tree search" (CoACD); the same mesh gives the same parts. Each closed body is cut separately, because
@@ -97,10 +98,11 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
         raise ConfigError("terrain convex needs the package coacd: pip install '.[mesh]'") from None
     coacd.set_log_level("error")
     for body in bodies(mesh):
-        if _is_convex(body):
+        closed = body.is_watertight
+        if closed and _is_convex(body):
             yield np.unique(body.vertices, axis=0)
             continue
-        if FEW_FACES < len(body.faces) <= MAX_PRISMS:
+        if len(body.faces) <= MAX_PRISMS and not (closed and len(body.faces) <= FEW_FACES):
             yield from shell_parts(body)
             continue
         if len(body.faces) > MAX_PRISMS:
@@ -110,7 +112,10 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
                 stacklevel=2,
             )
         parts = coacd.run_coacd(
-            coacd.Mesh(body.vertices, body.faces), threshold=CONCAVITY, preprocess_mode="off", seed=0
+            coacd.Mesh(body.vertices, body.faces),
+            threshold=CONCAVITY,
+            preprocess_mode="off" if closed else "on",
+            seed=0,
         )
         for vertices, _ in parts:
             yield np.asarray(vertices, dtype=np.float64)

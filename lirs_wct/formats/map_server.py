@@ -136,8 +136,9 @@ def write_map(stem: Path, grid: OccupancyGrid) -> None:
 
 
 def _grid(metadata: MapMetadata, max_pixels: int) -> OccupancyGrid:
-    pixels = level = read_picture(metadata.image, max_pixels, alpha=True).pixels[::-1]
-    full = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
+    picture = read_picture(metadata.image, max_pixels, alpha=True)
+    pixels, full = picture.pixels[::-1], picture.full
+    level = pixels
     if pixels.ndim == 3:
         luma = pixels[..., :3] @ LUMA
         # As GraphicsMagick, which cuts 16 bits to 8: .999 of a level counts as the next, less is lost.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
+from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.spawn_poses import FOOTPRINTS
 from lirs_wct.sources.clouds.source import read_point_cloud
@@ -56,11 +56,11 @@ def _build_from(found: Source, options: BuildOptions) -> World:
     ground: Ground
     place = None
     if found.kind is SourceKind.MESH:
-        ground, scale = read_mesh_source(found.path, options)
+        ground, scale, place = read_mesh_source(found.path, options)
     elif found.kind is SourceKind.CLOUD:
         ground, scale, place = read_point_cloud(found.path, options)
     elif found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
-        ground, scale = read_laser_map(found, options)
+        ground, scale, place = read_laser_map(found, options)
     else:
         ground, scale, place = read_terrain(found, options)
     world = World(found.name, ground, scale=scale, source=found.identity, start=options.start, place=place)
@@ -81,7 +81,7 @@ def _load_world(source: Source, options: BuildOptions) -> World:
     return _with_spawn_poses(replace(world, ground=ground, place=world.place and world.place.raised(lift)))
 
 
-def _cut(ground: Terrain | ClosedMesh, window: Window) -> tuple[Terrain, float]:
+def _cut(ground: Terrain | MeshGround, window: Window) -> tuple[Terrain, float]:
     """Return a square of a ground with its lowest point at z = 0, and the height subtracted, meters."""
     surface, lift = leveled(cut_surface(ground.surface, window, level=False))
     spacing = sample_spacing(ground.surface, surface)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,11 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.meshes.mesh_reader import read_upright
+from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.ground import ClosedMesh, Terrain
+from lirs_wct.ground import MeshGround, Terrain
+from lirs_wct.sources.local_origin import local_origin
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.rasterize import layers, rasterize_heights
 from lirs_wct.sources.window import Window
@@ -23,37 +26,48 @@ FINEST = 0.02
 """Smallest default node spacing, meters; finer detail does not affect a wheel."""
 UNITLESS = (".stl", ".obj", ".ply")
 """Files that do not state their unit; those of this program name meters in their first bytes."""
+TALL = 0.1
+"""Height of a large mesh from a file with a unit, share of its width, from which millimeters are likely."""
+LOW, SLOPED, LEVEL, RELIEF_SHARE = 0.5, 0.5, 0.9999, 0.35
+"""Of a terrain that is upright with y up: depth as a share of its other sides, cosines of the angle between y
+and sloped faces, and their share of the area."""
 HEAD = 80
 """Bytes of a file that may name its unit."""
 LARGE = 1000.0
 """Longest side from which coordinates without a unit are likely millimeters."""
 
 
-def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | ClosedMesh, str]:
-    """Return a mesh as ground, and the origin of its meters as text.
+def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshGround, str, Place | None]:
+    """Return a mesh as ground, the origin of its meters as text, and its place.
 
-    The mesh keeps its own frame, meters and z up. An open mesh, or one cut by a window, becomes its heights
-    from above.
+    The mesh keeps its own frame, meters and z up; far from its origin, its center becomes the world's. An
+    open mesh without overhangs, or one cut by a window, becomes its heights from above.
 
     Raises:
-        SourceError: the file is unusable, has no extent in the plane, or is open and has overhangs.
+        SourceError: the file is unusable, or has no extent in the plane.
         ConfigError: an option does not fit a mesh.
     """
-    mesh = _scale(path, _outward(read_upright(path)), options)
+    mesh, factor = _scale(path, _outward(read_upright(path, options.up)), options)
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
-        raise SourceError(f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m")
+        hint = "" if options.up else "; is y up? --up y"
+        raise SourceError(
+            f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m{hint}"
+        )
     if not (options.size or options.scale):
         _warn_millimeters(path, low, high)
+    if options.up is None:
+        _warn_of_y_up(path, mesh)
+    mesh, place = _near_origin(path, mesh, factor)
     surface, overhangs, no_ground = _surface(path, mesh, options)
     closed = mesh.is_watertight
     if not closed:
-        # The ground side and the contact surface of an open mesh with overhangs are ambiguous.
-        if overhangs:
-            raise SourceError(f"{path}: has overhangs and is not closed, a solid is needed; mend its holes")
-        warnings.warn(
-            f"{path}: is not closed, its world is made from its heights seen from above", stacklevel=3
+        way = (
+            "contact is one-sided: on the front of its faces"
+            if overhangs
+            else ("its world is made from its heights seen from above")
         )
+        warnings.warn(f"{path}: is not closed, {way}", stacklevel=3)
     if options.window is not None and overhangs:
         raise ConfigError(f"{path}: has overhangs, --window cannot cut it")
     if no_ground.any():
@@ -64,15 +78,43 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | Close
         )
     given = options.size or options.height or options.scale or options.z_scale
     scale = "as given" if given else "the file's own"
-    gaps = no_ground if closed and no_ground.any() else None
-    if closed and options.window is None:
-        return ClosedMesh(surface, mesh, overhangs, gaps), scale
-    return Terrain(surface, gaps), scale
+    whole = (closed or overhangs) and options.window is None
+    gaps = no_ground if (closed or overhangs) and no_ground.any() else None
+    return MeshGround(surface, mesh, overhangs, gaps) if whole else Terrain(surface, gaps), scale, place
+
+
+def _near_origin(path: Path, mesh: TriangleMesh, factor: FloatArray) -> tuple[TriangleMesh, Place | None]:
+    """Return a far mesh at a local origin with its lowest point at z = 0, and its place."""
+    low, high = mesh.bounds
+    x, y = local_origin(path, low[:2], high[:2])
+    if (x, y) == (0.0, 0.0):
+        return mesh, None
+    sx, sy, sz = factor.tolist()
+    place = Place(CoordinateSystem(), (1 / sx, 0.0, x / sx, 0.0, 1 / sy, y / sy), float(low[2]) / sz)
+    return replace(mesh, vertices=mesh.vertices - (x, y, low[2])), place
+
+
+def _warn_of_y_up(path: Path, mesh: TriangleMesh) -> None:
+    """Warn of a low and wide relief along y, which is upright with y up."""
+    width, depth, height = np.ptp(mesh.bounds, axis=0).tolist()
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    along = np.abs(mesh.face_normals[:, 1])
+    sloped = area[(along > SLOPED) & (along < LEVEL)].sum()
+    if depth < LOW * min(width, height) and sloped > RELIEF_SHARE * area.sum():
+        up = "z" if path.suffix.lower() == ".glb" else "y"  # y is up in a GLB
+        warnings.warn(
+            f"{path}: is {_size(*mesh.bounds)} m and most of its faces look along y: "
+            f"{up.upper()} up? --up {up}",
+            stacklevel=4,
+        )
 
 
 def _warn_millimeters(path: Path, low: FloatArray, high: FloatArray) -> None:
-    """Warn of a large mesh from a file without a unit."""
-    if path.suffix.lower() not in UNITLESS or (high - low)[:2].max() < LARGE:
+    """Warn of a large mesh from a file without a unit, and of one that is high, too, from any file."""
+    side, height = float((high - low)[:2].max()), float((high - low)[2])
+    unitless = path.suffix.lower() in UNITLESS
+    if side < LARGE or not (unitless or height > max(LARGE, TALL * side)):
         return
     with path.open("rb") as file:
         if b"meters" in file.read(HEAD):
@@ -135,8 +177,8 @@ def _extent(mesh: TriangleMesh, window: Window | None) -> tuple[tuple[float, flo
     return (float(low[0]), float(low[1])), (float(high[0]), float(high[1]))
 
 
-def _scale(path: Path, mesh: TriangleMesh, options: BuildOptions) -> TriangleMesh:
-    """Scale the mesh to the options' meters about its own origin."""
+def _scale(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[TriangleMesh, FloatArray]:
+    """Scale the mesh to the options' meters about its own origin; return also the three factors."""
     if options.pixel_size is not None:
         raise ConfigError(f"{path}: a mesh has no pixels; give --size or --scale instead of --pixel-size")
     extent = np.ptp(mesh.bounds, axis=0)
@@ -149,12 +191,12 @@ def _scale(path: Path, mesh: TriangleMesh, options: BuildOptions) -> TriangleMes
         factor[2] = options.height / extent[2]
     factor *= options.scale or (1.0, 1.0, 1.0)
     factor[2] *= options.z_scale or 1.0
-    return TriangleMesh(mesh.vertices * factor, mesh.faces)
+    return TriangleMesh(mesh.vertices * factor, mesh.faces), factor
 
 
 def _outward(mesh: TriangleMesh) -> TriangleMesh:
-    """Return the mesh with outward faces; some programs write solids inside out."""
-    if mesh.volume >= 0:
+    """Return a closed mesh with outward faces; some programs write solids inside out."""
+    if not mesh.is_watertight or mesh.volume >= 0:
         return mesh
     return TriangleMesh(mesh.vertices, np.ascontiguousarray(mesh.faces[:, ::-1]))
 

@@ -314,9 +314,24 @@ class CloudOptions(Options):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions(Options):
+    """Options of a mesh."""
+
+    up: Literal["y", "z"] | None = option(
+        None,
+        "Axis of a mesh file that points up; default: the file's, else z.",
+        metavar="y|z",
+        read=choice("y", "z"),
+        check=one_of(("y", "z")),
+        panel="Meshes",
+        kinds={SourceKind.MESH},
+    )
+
+
 @documented
 @dataclass(frozen=True, kw_only=True)
-class BuildOptions(ExportOptions, CloudOptions, MapOptions, PictureOptions, CommonOptions):
+class BuildOptions(ExportOptions, MeshOptions, CloudOptions, MapOptions, PictureOptions, CommonOptions):
     """Options of building a world; None means the source's own value, else the default.
 
     Lengths are meters in the world's frame, angles of poses radians, a crop is column, row, width and height.

@@ -46,13 +46,13 @@ def unusual_figures(world: World) -> Iterator[str]:
     relief = world.surface.relief if world.solid is None else float(np.ptp(world.solid.vertices[:, 2]))
     if relief > STEEPEST * width:
         yield (
-            f"the relief of {relief:.4g} m is {relief / width:.3g} x the width of {width:.4g} m: is a unit wrong, "
-            'or are there values that mean "no height" (--nodata)?'
+            f"the relief of {relief:.4g} m is {relief / width:.3g} x the width of {width:.4g} m: is a unit "
+            'wrong, or do some values mean "no height" (--nodata)?'
         )
     if relief < FLATTEST * width:
         yield (
-            f"the ground is flat: {relief:.3g} m of relief on {width:.4g} m; does the picture hold its heights in "
-            "another band, or in its alpha channel?"
+            f"the ground is flat, {relief:.3g} m of relief on {width:.4g} m: are its heights in another "
+            "band, or in the alpha channel?"
         )
     if isinstance(world.ground, Terrain) and world.ground.no_ground is None:
         yield from _isolated_level(world.surface.z)
@@ -60,9 +60,9 @@ def unusual_figures(world: World) -> Iterator[str]:
 
 def _unusual_map(grid: OccupancyGrid) -> Iterator[str]:
     walls, free = float(grid.occupied.mean()), int(grid.free.sum())
-    causes = "occupied_thresh, free_thresh, negate, mode, and the transparency of the picture decide"
+    causes = "occupied_thresh, free_thresh, negate, mode and transparency decide"
     if walls == 0 or walls > MOST_WALLS:
-        yield f"{walls:.3g} of its cells are walls, usual are more than 0 and at most {MOST_WALLS:g}: {causes}"
+        yield f"{walls:.3g} of its cells are walls, usual are above 0 and up to {MOST_WALLS:g}: {causes}"
     if free == 0:
         yield f"none of its {grid.occupied.size} cells is free: {causes}"
 
@@ -78,7 +78,8 @@ def _isolated_level(z: Float32Array) -> Iterator[str]:
     part, rest = z[few], z[others]
     gap = max(float(rest.min() - part.max()), float(part.min() - rest.max()))
     if np.ptp(rest) > 0 and gap > ISOLATED * np.ptp(rest):
+        side = "below" if few is below else "above"
         yield (
-            f"{part.size} of {z.size} heights lie {gap:.4g} m {'below' if few is below else 'above'} all others, "
+            f"{part.size} of {z.size} heights lie {gap:.4g} m {side} all others, "
             f'which span {np.ptp(rest):.3g} m: do they mean "no height"? --nodata VALUE says so'
         )

@@ -14,7 +14,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.ground import ClosedMesh, Ground, LaserMap, Terrain
+from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.solid import solid_mesh
 
@@ -66,8 +66,8 @@ def test_every_kind_of_ground_reads_back(tmp_path: Path) -> None:
         (Terrain(surface), set(), {"surface"}),
         (Terrain(surface, gaps), set(), {"surface", "bare"}),
         (LaserMap(surface, walls, truth), {"walls", "truth"}, {"surface", "walls", "hole", "truth"}),
-        (ClosedMesh(surface, solid), {"overhangs"}, {"surface", "vertices", "faces"}),
-        (ClosedMesh(surface, solid, True, gaps), {"overhangs"}, {"bare", "surface", "vertices", "faces"}),
+        (MeshGround(surface, solid), {"overhangs"}, {"surface", "vertices", "faces"}),
+        (MeshGround(surface, solid, True, gaps), {"overhangs"}, {"bare", "surface", "vertices", "faces"}),
     )
     common = {"schema", "name", "kind", "scale", "surface", "arrays", "finish", "source"}
     common |= {"starts", "starts_for"}

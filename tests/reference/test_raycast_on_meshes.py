@@ -21,7 +21,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.ground import ClosedMesh
+from lirs_wct.ground import MeshGround
 from lirs_wct.world import World
 from tests.reference.triangle_rays import triangle_ranges
 
@@ -154,7 +154,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> World:
     solid = TriangleMesh(np.array(whole.vertices), np.array(whole.faces, dtype=np.int32))
     top = np.zeros((81, 81), np.float32)
     top[30:51, 10:71] = 2.9
-    return World("gate", ClosedMesh(HeightField.centered(top, (0.1, 0.1)), solid, overhangs=True))
+    return World("gate", MeshGround(HeightField.centered(top, (0.1, 0.1)), solid, overhangs=True))
 
 
 @needs_embree

@@ -156,11 +156,11 @@ class Construction:
             world = World.load(found.path)
             return world.ground, world.scale
         if found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
-            return read_laser_map(found, options)
+            return read_laser_map(found, options)[:2]
         if found.kind is SourceKind.CLOUD:
             return read_point_cloud(found.path, options)[:2]
         if found.kind is SourceKind.MESH:
-            return read_mesh_source(found.path, options)
+            return read_mesh_source(found.path, options)[:2]
         return self._coarse_terrain(found, options), "preview"
 
     def _coarse_terrain(self, found: Source, options: SourceOptions) -> Terrain:

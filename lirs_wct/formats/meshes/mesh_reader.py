@@ -7,7 +7,7 @@ import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -34,32 +34,33 @@ _UPRIGHT = {
 viewer. Z_UP: x is right, -y to the viewer (COLLADA 1.4.1, <up_axis>)."""
 
 
-def read_upright(path: Path) -> TriangleMesh:
+def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMesh:
     """Read a mesh with merged vertices, z up, in meters.
 
     A GLB has y up by its standard. A COLLADA file states its up axis and unit. Other formats state neither,
-    and count as z up in meters.
+    and count as z up in meters. `up` replaces the file's own axis.
 
     Raises:
         SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
     """
     if path.suffix.lower() not in MESHES:
         raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(MESHES)}")
-    return upright(path, _merge_vertices(read_mesh(path)))
+    return upright(path, _merge_vertices(read_mesh(path)), up)
 
 
-def upright(path: Path, mesh: TriangleMesh) -> TriangleMesh:
+def upright(path: Path, mesh: TriangleMesh, up: Literal["y", "z"] | None = None) -> TriangleMesh:
     """Convert the mesh of a file to z up and meters, with its normals.
 
     Raises:
         SourceError: the file's unit is not a number of meters.
     """
-    if path.suffix.lower() == ".glb":
-        return mesh.rotated_x(90.0)
+    if up == "y" or (up is None and path.suffix.lower() == ".glb"):
+        mesh = mesh.rotated_x(90.0)
     if path.suffix.lower() == ".dae":
-        up, unit = _collada_frame(path)
-        normals = None if mesh.normals is None else mesh.normals @ _UPRIGHT[up]
-        return replace(mesh, vertices=mesh.vertices @ _UPRIGHT[up] * unit, normals=normals)
+        axis, unit = _collada_frame(path)
+        turn = _UPRIGHT["Z" if up else axis]
+        normals = None if mesh.normals is None else mesh.normals @ turn
+        return replace(mesh, vertices=mesh.vertices @ turn * unit, normals=normals)
     return mesh
 
 

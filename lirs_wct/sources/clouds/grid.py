@@ -105,7 +105,7 @@ def fill_gaps(values: FloatArray) -> FloatArray:
     rim = scipy.ndimage.binary_dilation(missing, np.ones((3, 3), np.bool_)) & ~missing
     known, wanted = np.argwhere(rim), np.argwhere(missing)
     out = _nearest(values)
-    if len(known) >= 3 and min(np.ptp(known, axis=0)) > 0:
+    if np.linalg.matrix_rank(known - known[:1]) == 2:  # not all on a line
         linear = scipy.interpolate.LinearNDInterpolator(known, values[rim])(wanted)
         there = np.isfinite(linear)
         out[tuple(wanted[there].T)] = linear[there]

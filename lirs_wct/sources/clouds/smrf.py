@@ -74,9 +74,7 @@ def ground_points(xyz: FloatArray, options: Smrf) -> GroundPoints:
     allows is an object. The other cells, with filled gaps, are the provisional ground; the points near it are
     the ground (the paper's steps 1 to 4).
     """
-    extent = float(np.ptp(xyz[:, :2], axis=0).min())
-    window = min(options.window, extent / 3)
-    grid = NodeGrid.over(xyz[:, :2], max(min(options.cell, extent / 30), window / 36))
+    grid, window = node_grid(xyz, options)
     lowest = grid.lowest(xyz)
     empty = np.isnan(lowest)
     surface = fill_gaps(lowest)
@@ -92,6 +90,13 @@ def ground_points(xyz: FloatArray, options: Smrf) -> GroundPoints:
     limit = options.threshold + options.scaling * np.hypot(north, east)
     off = np.abs(xyz[:, 2] - grid.sample(provisional, xyz[:, :2]))
     return GroundPoints(off <= grid.sample(limit, xyz[:, :2]), float(mountains.mean()))
+
+
+def node_grid(xyz: FloatArray, options: Smrf) -> tuple[NodeGrid, float]:
+    """Return the grid on which objects are found, and the radius of the largest, meters."""
+    extent = float(np.ptp(xyz[:, :2], axis=0).min())
+    window = min(options.window, extent / 3)
+    return NodeGrid.over(xyz[:, :2], max(min(options.cell, extent / 30), window / 36)), window
 
 
 def _provisional(

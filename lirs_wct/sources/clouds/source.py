@@ -16,17 +16,18 @@ from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.clouds.grid import NodeGrid, fill_gaps, gap_distance
-from lirs_wct.sources.clouds.smrf import Smrf, ground_points
+from lirs_wct.sources.clouds.smrf import Smrf, ground_points, node_grid
+from lirs_wct.sources.local_origin import local_origin
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import leveled
 
-FAR = 10_000.0
-"""Distance from the origin, meters, beyond which coordinates are national; the center becomes the origin."""
 NODES = 1025
 """Limit of nodes along the longer side for the default resolution."""
 PER_NODE = 4.0
 """Points per node for the default resolution."""
 FINEST = 0.05
+NARROW, THIN = 0.003, 0.05
+"""Width in plan of a line or sheet: share of its length, and meters (or share of one below 1 m)."""
 BRIDGED = 5
 """Distance from the nearest point up to which a gap counts as ground, nodes."""
 WARNED_SHARE = 0.01
@@ -51,8 +52,7 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     xyz, middle, steps = _in_meters(path, found, options.z_scale or 1.0)
     kept = _within(path, xyz, options)
     xyz, known = xyz[kept], None if found.ground is None else found.ground[kept]
-    if not (np.ptp(xyz[:, :2], axis=0) > 0).all():
-        raise SourceError(f"{path}: a terrain needs an extent along x and y")
+    _check_plan(path, xyz)
     chosen, method = _chosen(path, xyz, known, options)
     grid = _grid(path, xyz, options)
     heights = _top(grid, xyz) if options.cloud_surface == "top" else grid.mean(xyz[chosen])
@@ -63,7 +63,7 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     if options.zero is None and middle != (0.0, 0.0):
         surface, base = leveled(surface)
     place = None
-    if found.system.form != "unknown":
+    if found.system.form != "unknown" or middle != (0.0, 0.0):
         (sx, sy), (x, y) = steps, middle
         place = Place(found.system, (1 / sx, 0.0, x, 0.0, 1 / sy, y), base)
     no_ground = far_from_points[::-1] if far_from_points.any() else None
@@ -83,15 +83,27 @@ def _in_meters(
             f"{path}: is in degrees, meters are needed; PDAL's filters.reprojection projects it"
         )
     low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
-    middle = (
-        ((low + high) / 2).round().tolist() if np.abs((low, high)).max() * system.unit > FAR else [0.0, 0.0]
-    )
-    x, y = middle
+    x, y = local_origin(path, low, high, system.unit)
     sx, sy = system.unit, system.unit
     if system.form != "unknown":
         sx, sy = georeference_raster(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
     unit = height_unit(path, system, found.height_unit) * z_scale
     return (xyz - (x, y, 0.0)) * (sx, sy, unit), (x, y), (sx, sy)
+
+
+def _check_plan(path: Path, xyz: FloatArray) -> None:
+    """Refuse a cloud without area in plan.
+
+    Raises:
+        SourceError: its points lie on a line or a vertical sheet.
+    """
+    # Sides of a uniform rectangle of these variances: a single stray point hardly changes them.
+    narrow, wide = np.sqrt(12 * np.linalg.eigvalsh(np.cov(xyz[:, :2].T)).clip(0)).tolist()
+    if narrow <= max(NARROW * wide, min(THIN, THIN * wide)):
+        raise SourceError(
+            f"{path}: a terrain needs an extent along x and y: its {len(xyz)} points, {narrow:.3g} m wide on "
+            f"{wide:.4g} m, are a line or a vertical sheet in plan"
+        )
 
 
 def _within(path: Path, xyz: FloatArray, options: BuildOptions) -> BoolArray:
@@ -120,7 +132,7 @@ def _chosen(
     filtering = Smrf()
     if options.ground_slope is not None:
         filtering = Smrf(slope=options.ground_slope, mountain=math.inf)
-    _check_extent(path, xyz, filtering.cell)
+    _check_extent(path, xyz, filtering)
     found, mountains = ground_points(xyz, filtering)
     if mountains > WARNED_SHARE:
         warnings.warn(
@@ -131,17 +143,19 @@ def _chosen(
     return found, "the ground by SMRF (Pingel 2013)"
 
 
-def _check_extent(path: Path, xyz: FloatArray, cell: float) -> None:
+def _check_extent(path: Path, xyz: FloatArray, filtering: Smrf) -> None:
     """Refuse a cloud whose stray points would make the ground filter's grid far larger than its points.
 
     Raises:
         SourceError: there are over `MOST_CELLS` cells, and over `SPARSEST` per point.
     """
     width, depth = np.ptp(xyz[:, :2], axis=0)
-    if width * depth > max(MOST_CELLS, SPARSEST * len(xyz)) * cell**2:
+    grid, _ = node_grid(xyz, filtering)
+    if math.prod(grid.shape) > max(MOST_CELLS, SPARSEST * len(xyz)):
         raise SourceError(
             f"{path}: {len(xyz)} points spread over {width:.4g} x {depth:.4g} m, at least one per "
-            f"{SPARSEST:g} cells of {cell:g} m is needed; some may be stray: keep a part by --window X,Y,SIDE"
+            f"{SPARSEST:g} cells of {grid.spacing:.3g} m is needed; some may be stray: keep a part by "
+            "--window X,Y,SIDE"
         )
 
 

@@ -8,7 +8,7 @@ import pytest
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.ground import ClosedMesh, Terrain
+from lirs_wct.ground import MeshGround, Terrain
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World
 
@@ -25,5 +25,5 @@ def test_the_largest_distance_up_or_down() -> None:
         )
         vertices = moved.vertices.copy()
         vertices[node, 2] += shift
-        bent = ClosedMesh(surface, TriangleMesh(vertices, moved.faces))
+        bent = MeshGround(surface, TriangleMesh(vertices, moved.faces))
         assert mesh_error(replace(world, ground=bent)) == pytest.approx(abs(shift), abs=1e-6)

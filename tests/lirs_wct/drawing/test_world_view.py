@@ -15,7 +15,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.ground import ClosedMesh, LaserMap, Terrain
+from lirs_wct.ground import LaserMap, MeshGround, Terrain
 from lirs_wct.world import World
 
 LONG = "a_world_whose_name_is_so_long_that_it_takes_two_lines_of_a_panel"
@@ -39,7 +39,7 @@ def tower() -> World:
     shape = trimesh.creation.cylinder(1.0, 40.0)
     solid = TriangleMesh(np.array(shape.vertices), np.array(shape.faces, np.int32))
     surface = HeightField.centered(np.full((9, 9), 20, np.float32), (0.25, 0.25))
-    return World("tower", ClosedMesh(surface, solid, False, None), (Pose2(),))
+    return World("tower", MeshGround(surface, solid, False, None), (Pose2(),))
 
 
 WORLDS: dict[str, Callable[[], World]] = {

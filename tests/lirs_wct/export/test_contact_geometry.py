@@ -24,7 +24,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.ground import ClosedMesh, LaserMap, Terrain
+from lirs_wct.ground import LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 
 RADIUS, SPHERES = 0.3, 40
@@ -54,7 +54,7 @@ def arch() -> World:
     assert solid.is_watertight
     top = np.zeros((81, 81), np.float32)
     top[30:51, 10:71] = 3.0
-    return World("arch", ClosedMesh(HeightField.centered(top, (0.1, 0.1)), solid, overhangs=True))
+    return World("arch", MeshGround(HeightField.centered(top, (0.1, 0.1)), solid, overhangs=True))
 
 
 def blocks(cells: np.ndarray, edge: float, corner: np.ndarray) -> TriangleMesh:

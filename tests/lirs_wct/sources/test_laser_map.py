@@ -97,7 +97,8 @@ def test_a_map_becomes_ground(tmp_path: Path, as_picture: bool) -> None:
     placed = {"kind": "map", "resolution": 0.5, "origin": Pose2(-4, 3)} if as_picture else {}
     path = tmp_path / ("m.pgm" if as_picture else "m.yaml")
     options = BuildOptions(wall_height=1.5, unknown="wall", speckle=2, **placed)  # type: ignore[arg-type]
-    ground, scale = read_laser_map(find_source(path, options), options)
+    ground, scale, place = read_laser_map(find_source(path, options), options)
+    assert place is None
     assert scale == "0.5 m a cell"
     assert (ground.walls.height, ground.walls.origin, ground.walls.resolution) == (1.5, Pose2(-4, 3), 0.5)
     expected = (pixels == 0) | (pixels == 205)
@@ -105,7 +106,7 @@ def test_a_map_becomes_ground(tmp_path: Path, as_picture: bool) -> None:
     np.testing.assert_array_equal(ground.walls.solid, expected[::-1])
     assert ground.surface.bounds == (-4, 3, 26, 23)
     window = replace(options, window=(6.0, 8.0, 3.9))
-    cut, _ = read_laser_map(find_source(path, options), window)
+    cut, *_ = read_laser_map(find_source(path, options), window)
     assert cut.walls.shape == (8, 8)
     assert cut.walls.origin == Pose2(4.0, 6.0)
     with pytest.raises(SourceError, match="at most 2399 are allowed"):

@@ -3,7 +3,9 @@
 import math
 import warnings
 from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -11,6 +13,7 @@ import trimesh
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.export.mesh_writer import write_mesh
+from lirs_wct.export.package import write_package
 from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
@@ -97,8 +100,141 @@ def test_an_open_sheet_is_taken_by_its_heights(hill: TriangleMesh, tmp_path: Pat
     two = np.concatenate((sheet.vertices, sheet.vertices + np.array((0, 0, 5))))
     faces = np.concatenate((sheet.faces, sheet.faces + len(sheet.vertices)))
     write_mesh(tmp_path / "two.stl", TriangleMesh(two, faces))
-    with pytest.raises(SourceError, match=r"two\.stl: has overhangs and is not closed"):
-        build_world(tmp_path / "two.stl")
+    with pytest.warns(UserWarning, match=r"two\.stl: is not closed, contact is one-sided"):
+        world = build_world(tmp_path / "two.stl")
+    assert (world.kind, world.overhangs) == ("mesh", True)
+
+
+def test_an_open_house_is_built_for_every_consumer(tmp_path: Path) -> None:
+    """A floor and four walls without thickness, one with a door, below a roof."""
+    path = open_house(tmp_path / "house.obj")
+    with pytest.warns(UserWarning, match="is not closed, contact is one-sided"):
+        world = build_world(path)
+    out = write_package(world, tmp_path, formats=("sdf", "glb", "mjcf", "stl"))
+    for mesh in ("meshes/house.glb", "meshes/house.stl"):
+        assert trimesh.load_mesh(out / mesh).area == pytest.approx(120 + 24 + 2 * 10 + 15 + 12.5)
+    assert (out / "model.sdf").exists()
+    model = mujoco.MjModel.from_xml_path(str(out / "house.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    geom = np.zeros(1, np.int32)
+    for x, expected in ((0.0, 5.0), (2.0, 4.0)):  # through the door to the border, and onto the wall
+        start = np.array((x, 6.0, 1.0))
+        found = mujoco.mj_ray(model, data, start, np.array((0.0, -1.0, 0.0)), None, 1, -1, geom)
+        assert found == pytest.approx(8.0 if x == 0 else expected, abs=0.11), x
+
+
+def open_house(path: Path) -> Path:
+    def sheet(*corners: tuple[float, float, float]) -> trimesh.Trimesh:
+        return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]])
+
+    def wall(x0: float, y0: float, x1: float, y1: float) -> trimesh.Trimesh:
+        return sheet((x0, y0, 0), (x1, y1, 0), (x1, y1, 2.5), (x0, y0, 2.5))
+
+    walls = [
+        wall(-3, -2, 3, -2),
+        wall(3, -2, 3, 2),
+        wall(-3, 2, -3, -2),
+        wall(3, 2, 0.5, 2),
+        wall(-0.5, 2, -3, 2),
+    ]
+    roof = sheet((-3, -2, 2.5), (3, -2, 2.5), (3, 2, 2.5), (-3, 2, 2.5))
+    floor = sheet((-6, -5, 0), (6, -5, 0), (6, 5, 0), (-6, 5, 0))
+    trimesh.util.concatenate([floor, roof, *walls]).export(path)
+    return path
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_mesh_far_from_its_origin_is_that_at_the_origin(
+    closed: bool, hill: TriangleMesh, tmp_path: Path
+) -> None:
+    faces = hill.faces if closed else hill.faces[: 2 * 20 * 30]
+    worlds = []
+    for name, shift in (("near", (0.0, 0.0, 0.0)), ("far", (500_000.0, 5_300_000.0, 400.0))):
+        trimesh.Trimesh(hill.vertices + shift, faces, process=False).export(
+            tmp_path / f"{name}.obj", digits=6
+        )
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            worlds.append(build_world(tmp_path / f"{name}.obj"))
+        assert sum("lies far from its origin: 500" in str(line.message) for line in told) == (name == "far")
+    near, far = worlds
+    assert far.mesh.is_watertight_as_written
+    np.testing.assert_allclose(np.ptp(far.mesh.bounds, axis=0), np.ptp(near.mesh.bounds, axis=0), atol=1e-4)
+    np.testing.assert_allclose(
+        far.surface.z - far.surface.z.min(), near.surface.z - near.surface.z.min(), atol=1e-4
+    )
+    assert far.place is not None
+    assert near.place is None
+    corner = np.add(near.surface.bounds[:2], (500_000, 5_300_000))
+    assert far.place.coordinates(*far.surface.bounds[:2]) == pytest.approx(corner, abs=1e-3)
+    assert far.place.height == pytest.approx(
+        400 + float(near.mesh.bounds[0, 2] if closed else near.surface.z.min()), abs=1e-3
+    )
+
+
+def test_a_scaled_far_mesh_keeps_its_place(hill: TriangleMesh, tmp_path: Path) -> None:
+    shifted = hill.vertices / 0.3048 + (2e6, 7e5, 300.0)
+    trimesh.Trimesh(shifted, hill.faces, process=False).export(tmp_path / "feet.obj", digits=6)
+    with pytest.warns(UserWarning, match="lies far from its origin"):
+        world = build_world(tmp_path / "feet.obj", BuildOptions(scale=(0.3048,) * 3))
+    assert world.place is not None
+    assert np.ptp(world.mesh.bounds, axis=0) == pytest.approx(np.ptp(hill.bounds, axis=0), abs=1e-4)
+    corner = world.place.coordinates(*world.mesh.bounds[0, :2])
+    assert corner == pytest.approx(shifted.min(axis=0)[:2], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "authored", "given"), [("obj", "y", "y"), ("glb", "z", "z"), ("dae", "y", "y")]
+)
+def test_the_axis_that_points_up_can_be_given(
+    suffix: str, authored: str, given: Any, hill: TriangleMesh, tmp_path: Path
+) -> None:
+    mesh = TriangleMesh(hill.vertices, hill.faces[: 2 * 20 * 30])
+    path = tmp_path / f"sheet.{suffix}"
+    turned = mesh.rotated_x(-90.0) if authored == "y" else mesh
+    trimesh.Trimesh(turned.vertices, turned.faces, process=False).export(path)
+    if suffix == "dae":
+        path.write_text(path.read_text().replace("Y_UP", "Z_UP"))
+    with pytest.warns(UserWarning, match=f"{given.upper()} up\\? --up {given}"):
+        build_world(path)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        world = build_world(path, BuildOptions(up=given))
+    assert not any("up?" in str(line.message) for line in told)
+    assert world.kind == "terrain"
+    np.testing.assert_allclose(
+        np.ptp(world.mesh.bounds[:, :2], axis=0), np.ptp(mesh.bounds[:, :2], axis=0), rtol=1e-5
+    )
+
+
+def test_upright_meshes_raise_no_question(hill: TriangleMesh, tmp_path: Path) -> None:
+    trimesh.creation.box((4, 0.2, 3)).export(tmp_path / "wall.stl")
+    trimesh.creation.box((40, 1, 30)).export(tmp_path / "slab.stl")
+    trimesh.Trimesh(hill.vertices, hill.faces).export(tmp_path / "hill.obj")
+    for name in ("wall.stl", "slab.stl", "hill.obj"):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            build_world(tmp_path / name)
+        assert not any("up?" in str(line.message) for line in told), name
+    flat = trimesh.Trimesh([[0, 1, 0], [3, 1, 0], [3, 1, 2]], [[0, 1, 2]])
+    flat.export(tmp_path / "flat.obj")
+    with pytest.raises(SourceError, match=r"an extent along x and y, this is 3 x 0 x 2 m; is y up\? --up y"):
+        build_world(tmp_path / "flat.obj")
+
+
+def test_millimeters_are_suspected_in_any_file(tmp_path: Path) -> None:
+    for suffix, size, told in (
+        ("glb", (12_000, 3000, 8000), True),
+        ("obj", (12_000, 8000, 30), True),
+        ("glb", (90_000, 2500, 80_000), False),
+    ):
+        path = tmp_path / f"house.{suffix}"
+        trimesh.creation.box(size).export(path)
+        with warnings.catch_warnings(record=True) as lines:
+            warnings.simplefilter("always")
+            build_world(path)
+        assert any("if it is the millimeter" in str(line.message) for line in lines) == told, size
 
 
 def test_where_there_is_no_ground_nothing_drives(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 import resource
 import struct
 import time
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -411,3 +413,56 @@ def test_a_stray_point_far_off_is_refused_at_once(tmp_path: Path) -> None:
     trimesh.PointCloud(xyz).export(path)
     with pytest.raises(SourceError, match=r"stray\.ply: 2000 points spread over .* --window"):
         build_world(str(path))
+
+
+@pytest.mark.parametrize("count", [3, 4, 9, 400])
+@pytest.mark.parametrize(
+    "shape",
+    [
+        lambda t, z: (t, t, z),
+        lambda t, z: (t, 0 * t, z),
+        lambda t, z: (3 * t, 1e-7 * z, z),
+        lambda t, z: (t + 1e-3 * z, t - 1e-3 * z, z),
+        lambda t, z: (t, 2 * t, 0 * t),
+    ],
+    ids=["diagonal wall", "wall along x", "thin sheet", "diagonal sheet", "line"],
+)
+def test_lines_and_sheets_are_refused_in_one_line(
+    shape: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]], count: int, tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(count)
+    xyz = np.stack(shape(np.linspace(0, 20, count), rng.uniform(0, 3, count)), axis=1)
+    trimesh.PointCloud(xyz).export(tmp_path / "sheet.ply")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(SourceError, match=r"^\S+sheet\.ply: a terrain needs an extent .*in plan$"):
+        build_world(tmp_path / "sheet.ply")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kilobytes
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4])
+@pytest.mark.parametrize("width", [0.12, 0.3, 1.0])
+def test_narrow_strips_end_soon(angle: float, width: float, tmp_path: Path) -> None:
+    """A strip of 30 m: a world, or one line, with little memory."""
+    rng = np.random.default_rng(1)
+    along, across = rng.uniform(0, 30, 3000), rng.uniform(0, width, 3000)
+    c, s = np.cos(angle), np.sin(angle)
+    xyz = np.stack((c * along - s * across, s * along + c * across, 0.1 * along), axis=1)
+    trimesh.PointCloud(xyz).export(tmp_path / "strip.ply")
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            assert build_world(tmp_path / "strip.ply").surface.relief == pytest.approx(3, abs=0.4)
+        except SourceError as error:
+            assert "have no point" in str(error)  # noqa: PT017  either end is legal
+    assert time.monotonic() - began < 10
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 500_000
+
+
+def test_an_inclined_plane_is_a_terrain(tmp_path: Path) -> None:
+    x, y = np.random.default_rng(2).uniform(0, 20, (2, 5000))
+    trimesh.PointCloud(np.stack((x, y, x + y), axis=1)).export(tmp_path / "plane.ply")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        world = build_world(tmp_path / "plane.ply", BuildOptions(cloud_surface="top"))
+    assert world.surface.relief == pytest.approx(40, abs=1)

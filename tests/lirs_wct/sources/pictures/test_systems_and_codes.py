@@ -118,7 +118,7 @@ def test_two_codes_at_once_and_a_code_that_is_given(tmp_path: Path) -> None:
 def test_heights_are_no_codes(z: np.ndarray, tmp_path: Path) -> None:
     world, told = build(raster(tmp_path / "a.tif", z, **UTM))
     assert world.surface.relief == pytest.approx(float(np.ptp(z)))
-    assert told == []
+    assert not any("no height (NaN" in line for line in told)
 
 
 def test_the_window_is_cut_before_holes_are_counted(tmp_path: Path) -> None:
@@ -156,7 +156,8 @@ def test_degrees_or_meters_without_a_system(
     world, told = build(raster(tmp_path / "a.tif", z, transform=from_origin(*corner, step, step)))
     assert world.surface.size[0] == pytest.approx(width, rel=0.02)
     assert world.surface.relief == pytest.approx(relief, rel=1e-3)
-    assert [("taken for degrees" in line) for line in told] == [True] * (width != pytest.approx(99 * step))
+    degrees = width != pytest.approx(99 * step)
+    assert any("taken for degrees" in line for line in told) == degrees
 
 
 def test_where_both_are_likely_the_pixel_is_asked_for(tmp_path: Path) -> None:
@@ -184,7 +185,7 @@ def test_feet_have_one_rule(tmp_path: Path) -> None:
         world, told = build(each)
         assert world.surface.relief == pytest.approx(20 * 1200 / 3937, rel=0.02)
         assert world.surface.size == pytest.approx((297 * 1200 / 3937, 237 * 1200 / 3937), rel=0.03)
-        assert "its heights have no unit" in told[0]
+        assert sum("its heights have no unit" in line for line in told) == 1
         assert build(each, z_scale=3937 / 1200)[0].surface.relief == pytest.approx(20, rel=0.02)
 
 

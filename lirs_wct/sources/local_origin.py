@@ -1,0 +1,32 @@
+"""Local origin of sources in coordinates of a country, whose float32 digits would not suffice."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
+
+FAR = 10_000.0
+"""Distance from the origin, meters, beyond which the center of a source becomes the world's origin."""
+
+
+def local_origin(path: Path, low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
+    """Return the coordinates that become the world's origin: 0, 0 unless the source is far from there.
+
+    Args:
+        path: source, for the warning.
+        low: smallest x and y of the source.
+        high: largest x and y.
+        unit: meters per unit of the coordinates.
+    """
+    if np.abs((low, high)).max() * unit <= FAR:
+        return 0.0, 0.0
+    x, y = ((low + high) / 2).round().tolist()
+    warnings.warn(
+        f"{path}: lies far from its origin: {x:.0f}, {y:.0f} of its coordinates are 0, 0 of the world",
+        stacklevel=4,
+    )
+    return x, y
