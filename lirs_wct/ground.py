@@ -58,7 +58,9 @@ class LaserMap:
 
 @dataclass(frozen=True)
 class MeshGround:
-    """A mesh and its heights from above; contact with an open one is on the front of its faces.
+    """A mesh and its heights from above.
+
+    Contact with an open mesh is on the front of its faces.
 
     Attributes:
         surface: heights of the mesh's highest points.

@@ -1,4 +1,4 @@
-"""Elevation data: ESRI ASCII grids, encoded map tiles; GeoTIFF, SRTM's HGT and all others through GDAL.
+"""Elevation data: ESRI ASCII grids, encoded map tiles, and the rasters of GDAL.
 
 GDAL reads a damaged number of an ASCII grid as 0, so these grids have a reader here.
 """
@@ -169,7 +169,7 @@ def _named_unit(path: Path, name: str) -> float | None:
 
 
 def height_unit(path: Path, system: CoordinateSystem, vertical: float | None) -> float:
-    """Return meters per unit of height: the vertical unit, else that of the plane; warn of feet."""
+    """Return meters per unit of height, by default that of the plane; warn of feet."""
     if vertical is None and system.unit != 1.0:
         warnings.warn(
             f"{path}: its plane is in units of {system.unit:.7g} m (feet: 0.3048), and its heights have no "
@@ -337,7 +337,7 @@ def read_ascii_grid(path: Path, max_pixels: int, *, sized: bool) -> tuple[FloatA
 
 
 def _projection(path: Path) -> tuple[CoordinateSystem | None, float | None]:
-    """Return the system of a grid's .prj file, and its unit of height; None without one."""
+    """Return the system and unit of height of a grid's .prj file; None without one."""
     projection = path.with_suffix(".prj")
     wkt = projection.read_text(encoding="utf-8", errors="replace").strip() if projection.is_file() else ""
     if wkt and "[" not in wkt:  # keywords of ArcInfo, which GDAL knows

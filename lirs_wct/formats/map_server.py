@@ -93,7 +93,7 @@ def read_metadata(path: Path) -> MapMetadata:
         SourceError: missing, no YAML of a map, or a value that is not legal.
     """
     try:
-        entry = _entries(path)
+        entry = map_entries(path, path.read_bytes())
         missing = [key for key in ("image", "resolution", "origin") if key not in entry]
         if missing:
             raise ValueError(f"a map needs image, resolution and origin, this has no {', '.join(missing)}")
@@ -203,12 +203,14 @@ def _check_metadata(metadata: MapMetadata) -> MapMetadata:
     return metadata
 
 
-def _entries(path: Path) -> dict[str, Entry]:
+def map_entries(path: Path, content: bytes) -> dict[str, Entry]:
     """Return the entries of a map's YAML; the first of two keys counts.
 
     Scalars are text: `1e-2` can become a number and a date can be a file name.
+
+    Raises:
+        ValueError: no YAML, or no entries of a map.
     """
-    content = path.read_bytes()
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         text = content.decode("utf-16" if wide else "utf-8")

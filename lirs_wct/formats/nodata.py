@@ -39,7 +39,7 @@ def missing_heights(
 
 
 def _isolated_code(known: NDArray[Any]) -> float | None:
-    """Return the lowest or highest of some heights if it is a code far from all others."""
+    """Return the lowest or highest height if it is a code far from all others."""
     for edge in (float(known.min()), float(known.max())) if known.size else ():
         if any(abs(abs(edge) - code) <= 1e-6 * code for code in CODES):
             rest = known[known != edge]

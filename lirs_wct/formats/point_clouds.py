@@ -77,7 +77,7 @@ def _read_ply(path: Path) -> PointFile:
 
 
 def _read_limited(path: Path) -> PointFile:
-    """Read a LAS, LAZ or PCD file in a process with limits: its header does not bound its points."""
+    """Read a LAS, LAZ or PCD file, whose header does not bound its points."""
     with path.open("rb") as file:
         begin = file.read(4)
     las = begin == LAS

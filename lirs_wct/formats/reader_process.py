@@ -1,4 +1,4 @@
-"""Readers of rasters and point clouds by compiled libraries: the program of a process with limits.
+"""Readers of rasters and point clouds: the program of a process with limits.
 
 It imports nothing of this package. Its answer on stdout is a line of JSON, then the arrays that it announces.
 """
@@ -91,7 +91,7 @@ def _open_raster(path: str) -> Any:
 
 
 def _pixels(dataset: Any) -> NDArray[Any]:
-    """Return colors as (rows, cols, 3 or 4) blue, green, red, alpha; else the first band."""
+    """Return colors as (rows, cols, 3 or 4) BGR(A), else the first band."""
     kinds = [kind.name for kind in dataset.colorinterp]
     if kinds[:1] == ["palette"]:
         table = dataset.colormap(1)
@@ -114,7 +114,7 @@ def _pixels(dataset: Any) -> NDArray[Any]:
 
 
 def read_points(path: str, _: int) -> Answer:
-    """Return the points (n, 3) of a LAS, LAZ or PCD file; of LAS also its ground and its system."""
+    """Return the points (n, 3) of a file; of LAS also its ground and its system."""
     with open(path, "rb") as file:  # noqa: PTH123  this program imports little
         las = file.read(4) == b"LASF"
     return _las_points(path) if las else _pcd_points(path)

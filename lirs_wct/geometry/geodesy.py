@@ -136,7 +136,7 @@ def _transformer(name: str) -> Transformer:
 
 
 def system_of_wkt(text: str) -> tuple[CoordinateSystem, float | None]:
-    """Return the coordinate system of a WKT text, and the meters per unit of height if it has one."""
+    """Return the coordinate system of a WKT text, and its meters per unit of height."""
     from pyproj import CRS
     from pyproj.exceptions import CRSError
 

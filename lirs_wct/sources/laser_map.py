@@ -22,7 +22,7 @@ from lirs_wct.sources.window import cut_map
 
 
 def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str, Place | None]:
-    """Return a ROS map, or a map's picture, as ground, the origin of its meters as text, and its place.
+    """Return a map as ground, the origin of its meters as text, and its place.
 
     Raises:
         SourceError: a file cannot be used.

@@ -14,7 +14,7 @@ FAR = 10_000.0
 
 
 def local_origin(path: Path, low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
-    """Return the coordinates that become the world's origin: 0, 0 unless the source is far from there.
+    """Return the coordinates of the world's origin: 0, 0 of a source near there.
 
     Args:
         path: source, for the warning.

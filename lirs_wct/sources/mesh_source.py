@@ -84,7 +84,7 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
 
 
 def _near_origin(path: Path, mesh: TriangleMesh, factor: FloatArray) -> tuple[TriangleMesh, Place | None]:
-    """Return a far mesh at a local origin with its lowest point at z = 0, and its place."""
+    """Return a far mesh at a local origin, lowest at z = 0, and its place."""
     low, high = mesh.bounds
     x, y = local_origin(path, low[:2], high[:2])
     if (x, y) == (0.0, 0.0):
@@ -111,7 +111,7 @@ def _warn_of_y_up(path: Path, mesh: TriangleMesh) -> None:
 
 
 def _warn_millimeters(path: Path, low: FloatArray, high: FloatArray) -> None:
-    """Warn of a large mesh from a file without a unit, and of one that is high, too, from any file."""
+    """Warn of a large mesh without a unit in its file, or as high as no terrain."""
     side, height = float((high - low)[:2].max()), float((high - low)[2])
     unitless = path.suffix.lower() in UNITLESS
     if side < LARGE or not (unitless or height > max(LARGE, TALL * side)):
@@ -178,7 +178,7 @@ def _extent(mesh: TriangleMesh, window: Window | None) -> tuple[tuple[float, flo
 
 
 def _scale(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[TriangleMesh, FloatArray]:
-    """Scale the mesh to the options' meters about its own origin; return also the three factors."""
+    """Return the mesh scaled to the options' meters, and the three factors."""
     if options.pixel_size is not None:
         raise ConfigError(f"{path}: a mesh has no pixels; give --size or --scale instead of --pixel-size")
     extent = np.ptp(mesh.bounds, axis=0)

@@ -32,7 +32,7 @@ def warn_of_result(source: Source, world: World) -> None:
 
 
 def unusual_figures(world: World) -> Iterator[str]:
-    """Yield a line for each unusual figure of a world: the figure, then its likely cause."""
+    """Yield each unusual figure of a world with its likely cause."""
     width = max(world.surface.size)
     if not NARROWEST <= width <= WIDEST:
         yield (

@@ -18,8 +18,8 @@ from lirs_wct.errors import SourceError
 from lirs_wct.field_validators import require_above
 from lirs_wct.files import remove_orphans
 from lirs_wct.formats.images.picture import MAX_PIXELS
+from lirs_wct.formats.map_server import map_entries
 from lirs_wct.formats.suffixes import BAGS, CLOUDS, LOGS, MAPS, MESHES, RASTERS, ZSTD
-from lirs_wct.formats.yaml_text import load_yaml
 
 PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".gif", ".bmp")
 SUFFIXES = (*PICTURES, *RASTERS, *MAPS, *MESHES, *CLOUDS, *LOGS, ".gz", *BAGS, ZSTD)
@@ -155,8 +155,8 @@ def harmless(name: str) -> str:
 def _beside(name: str, content: bytes) -> bytes:
     """Return a map's YAML whose picture is the uploaded file of that name."""
     try:
-        entry = load_yaml(content.decode("utf-8"))
+        entry = map_entries(Path(name), content)
         entry["image"] = harmless(str(entry["image"]))
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError) as error:
         raise SourceError(f"{name}: is no YAML of a map, which names its image") from error
     return yaml.safe_dump(entry).encode()

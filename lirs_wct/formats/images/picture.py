@@ -44,7 +44,7 @@ class DecodedPicture:
 
 
 def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = False) -> DecodedPicture:
-    """Decode the first page of a picture file; warn of more pages and of transparency that is left out.
+    """Decode the first page of a picture file; warn of all that is left out.
 
     With `alpha` a transparent picture keeps its fourth channel, and EXIF orientation is not applied.
 

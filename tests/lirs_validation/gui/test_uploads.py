@@ -85,7 +85,10 @@ def test_a_compressed_bag_is_kept_unless_it_unpacks_without_end(uploads: Uploads
 @pytest.mark.parametrize("image", ["/etc/passwd.pgm", "../../secret.pgm", "floor.pgm", "a/b/c.pgm"])
 def test_a_map_names_uploaded_pictures_only(uploads: Uploads, image: str) -> None:
     path = uploads.add("map.yaml", yaml.safe_dump({"image": image, "resolution": 0.05}).encode())
-    assert yaml.safe_load(path.read_text()) == {"image": Path(image).name, "resolution": 0.05}
+    assert yaml.safe_load(path.read_text()) == {"image": Path(image).name, "resolution": "0.05"}
+    windows = "# für Gänge\nimage:\troom.pgm\nmode: Trinary\nlayer: {a: 1}\n".encode("cp1252")
+    path = uploads.add("map.yaml", windows)
+    assert yaml.safe_load(path.read_text()) == {"image": "room.pgm", "mode": "Trinary"}
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe", b"- 1\n- 2", b"a: [", b"", b"resolution: 1"])
