@@ -11,7 +11,7 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.formats.limited import read_limited
-from lirs_wct.formats.meshes.mesh_reader import ply_elements, require_positions
+from lirs_wct.formats.meshes.mesh_reader import FARTHEST, ply_elements, require_positions
 from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_wkt
 
 VERTICAL_UNITS = "4099"
@@ -63,6 +63,8 @@ def read_points(path: Path) -> PointFile:
     kept = np.isfinite(found.xyz).all(axis=1)
     if kept.sum() < 3:
         raise SourceError(f"{path}: holds {int(kept.sum())} points, a ground needs at least 3")
+    if not (np.abs(found.xyz[kept]) <= FARTHEST).all():
+        raise SourceError(f"{path}: has points farther than {FARTHEST:g} units")
     ground = None if found.ground is None else found.ground[kept]
     return replace(found, xyz=found.xyz[kept], ground=ground)
 

@@ -1,12 +1,13 @@
 """Readers of rasters and point clouds: the program of a process with limits.
 
-It imports nothing of this package. Its answer on stdout is a line of JSON, then the arrays that it announces.
+Its answer on stdout is a line of JSON, then the arrays that it announces.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 import warnings
 from collections.abc import Callable
@@ -15,6 +16,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lirs_wct.errors import reason_of
 
 Answer = tuple[dict[str, Any], list[NDArray[Any]]]
 DRIVERS = (
@@ -43,6 +46,8 @@ FOLLOWERS = "VRT DERIVED GTI WMS WMTS WCS TMS DAAS EEDA EEDAI PLMOSAIC HTTP STAC
 UNREAD = "is neither a picture nor elevation data that is read; legal: PNG, PGM/PNM, GIF, JPEG, TIFF, BMP, \
 WebP, ESRI ASCII grid, and the rasters of GDAL"
 UNKNOWN_FORMAT = "not recognized as being in a supported file format"
+CODECS = re.compile(r"libjpeg: |TIFF\w+[:(][ )]*")
+"""Names of codecs and their functions in messages of GDAL."""
 NOISE = (7, 18)
 """Classes of the ASPRS LAS specification 1.4, table 17."""
 GROUND = 2
@@ -115,7 +120,7 @@ def _pixels(dataset: Any) -> NDArray[Any]:
 
 def read_points(path: str, _: int) -> Answer:
     """Return the points (n, 3) of a file; of LAS also its ground and its system."""
-    with open(path, "rb") as file:  # noqa: PTH123  this program imports little
+    with open(path, "rb") as file:  # noqa: PTH123  few imports
         las = file.read(4) == b"LASF"
     return _las_points(path) if las else _pcd_points(path)
 
@@ -174,8 +179,7 @@ def main(kind: str, path: str, max_pixels: str, memory: str, seconds: str) -> No
         except MemoryError:
             found = {"error": f"needs more than {int(memory) >> 20} MiB of memory"}
         except BaseException as error:  # a reader in Rust panics with an exception that is none of Python's
-            text = " ".join(str(error.__cause__ or error).split())
-            found = {"error": text.rpartition("libjpeg: ")[2] or "is damaged"}
+            found = {"error": CODECS.sub("", reason_of(error.__cause__ or error))}
         arrays = [np.ascontiguousarray(array) for array in arrays]
         found["arrays"] = [(array.dtype.str, array.shape) for array in arrays]
         out.write(json.dumps(found).encode() + b"\n")

@@ -15,7 +15,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap
-from lirs_wct.sources.local_origin import local_origin
+from lirs_wct.sources.local_origin import local_origin, warn_of_origin
 from lirs_wct.sources.options import UNKNOWN, BuildOptions, SourceKind, Unknown
 from lirs_wct.sources.source import Source
 from lirs_wct.sources.window import cut_map
@@ -36,13 +36,14 @@ def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str
         truth = read_map_picture(source.path, options.resolution, options.origin, options.max_pixels)
     size = truth.resolution * np.array(truth.shape[::-1])
     corners = truth.origin.apply(size * ((0, 0), (0, 1), (1, 0), (1, 1)))
-    x, y = local_origin(source.path, corners.min(axis=0), corners.max(axis=0))
+    x, y = local_origin(corners.min(axis=0), corners.max(axis=0))
     origin = truth.origin
     truth = replace(truth, origin=Pose2(origin.x - x, origin.y - y, origin.yaw))
     if options.window is not None:
         truth = cut_map(truth, options.window)
     truth = without_small_walls(truth, options.speckle)
     walls = walls_of(truth, options.wall_height, options.unknown)
+    warn_of_origin(source.path, (x, y))
     place = Place(CoordinateSystem(), (1.0, 0.0, x, 0.0, 1.0, y)) if (x, y) != (0.0, 0.0) else None
     return LaserMap(level_floor(walls), walls, truth), f"{truth.resolution:g} m a cell", place
 

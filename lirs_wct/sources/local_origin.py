@@ -13,11 +13,10 @@ FAR = 10_000.0
 """Distance from the origin, meters, beyond which the center of a source becomes the world's origin."""
 
 
-def local_origin(path: Path, low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
+def local_origin(low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
     """Return the coordinates of the world's origin: 0, 0 of a source near there.
 
     Args:
-        path: source, for the warning.
         low: smallest x and y of the source.
         high: largest x and y.
         unit: meters per unit of the coordinates.
@@ -25,8 +24,14 @@ def local_origin(path: Path, low: FloatArray, high: FloatArray, unit: float = 1.
     if np.abs((low, high)).max() * unit <= FAR:
         return 0.0, 0.0
     x, y = ((low + high) / 2).round().tolist()
-    warnings.warn(
-        f"{path}: lies far from its origin: {x:.0f}, {y:.0f} of its coordinates are 0, 0 of the world",
-        stacklevel=4,
-    )
     return x, y
+
+
+def warn_of_origin(path: Path, origin: tuple[float, float]) -> None:
+    """Say which coordinates of a far source are the world's origin."""
+    if origin != (0.0, 0.0):
+        x, y = origin
+        warnings.warn(
+            f"{path}: lies far from its origin: {x:.0f}, {y:.0f} of its coordinates are 0, 0 of the world",
+            stacklevel=4,
+        )

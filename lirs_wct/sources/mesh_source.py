@@ -15,7 +15,7 @@ from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.ground import MeshGround, Terrain
-from lirs_wct.sources.local_origin import local_origin
+from lirs_wct.sources.local_origin import local_origin, warn_of_origin
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.rasterize import layers, rasterize_heights
 from lirs_wct.sources.window import Window
@@ -86,9 +86,10 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
 def _near_origin(path: Path, mesh: TriangleMesh, factor: FloatArray) -> tuple[TriangleMesh, Place | None]:
     """Return a far mesh at a local origin, lowest at z = 0, and its place."""
     low, high = mesh.bounds
-    x, y = local_origin(path, low[:2], high[:2])
+    x, y = local_origin(low[:2], high[:2])
     if (x, y) == (0.0, 0.0):
         return mesh, None
+    warn_of_origin(path, (x, y))
     sx, sy, sz = factor.tolist()
     place = Place(CoordinateSystem(), (1 / sx, 0.0, x / sx, 0.0, 1 / sy, y / sy), float(low[2]) / sz)
     return replace(mesh, vertices=mesh.vertices - (x, y, low[2])), place

@@ -119,7 +119,7 @@ def _check_complete(path: Path, picture: Image.Image) -> None:
 
 def _decode(path: Path, picture: ImageFile.ImageFile, *, oriented: bool) -> tuple[NDArray[Any], float | None]:
     """Return pixels, and the value of white where the type does not tell it."""
-    codec, _, offset, arguments = picture.tile[0]
+    codec, _, offset, arguments = picture.tile[0] if picture.tile else ("", None, 0, None)
     several = len(picture.getbands()) > 1
     if several and "16" in str(arguments):  # Pillow would keep 8 of the 16 bits
         pixels = read_gdal(path, picture.width * picture.height).pixels

@@ -10,6 +10,7 @@ and ridges of mountains count as objects. Here the slope limit follows the terra
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import require_above
 from lirs_wct.sources.clouds.grid import SMOOTH, NodeGrid, fill_gaps
 
+MOST_CELLS, SPARSEST = 1e7, 1000.0
+"""Cells of the grid, and cells per point, one of which may be exceeded."""
 STEEPEST = 5.0
 """Slope limit for low outliers, rise over run (section 2.2)."""
 
@@ -94,9 +97,11 @@ def ground_points(xyz: FloatArray, options: Smrf) -> GroundPoints:
 
 def node_grid(xyz: FloatArray, options: Smrf) -> tuple[NodeGrid, float]:
     """Return the grid on which objects are found, and the radius of the largest, meters."""
-    extent = float(np.ptp(xyz[:, :2], axis=0).min())
+    sides = np.ptp(xyz[:, :2], axis=0)
+    extent = float(sides.min())
     window = min(options.window, extent / 3)
-    return NodeGrid.over(xyz[:, :2], max(min(options.cell, extent / 30), window / 36)), window
+    coarsest = math.sqrt(float(sides.prod()) / max(MOST_CELLS, SPARSEST * len(xyz)))
+    return NodeGrid.over(xyz[:, :2], max(min(options.cell, extent / 30), window / 36, coarsest)), window
 
 
 def _provisional(

@@ -16,8 +16,8 @@ from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.clouds.grid import NodeGrid, fill_gaps, gap_distance
-from lirs_wct.sources.clouds.smrf import Smrf, ground_points, node_grid
-from lirs_wct.sources.local_origin import local_origin
+from lirs_wct.sources.clouds.smrf import Smrf, ground_points
+from lirs_wct.sources.local_origin import local_origin, warn_of_origin
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.window import leveled
 
@@ -32,8 +32,6 @@ BRIDGED = 5
 """Distance from the nearest point up to which a gap counts as ground, nodes."""
 WARNED_SHARE = 0.01
 """Share of mountain area above which a warning appears."""
-MOST_CELLS, SPARSEST = 1e7, 1000.0
-"""Cells of the ground filter, and cells per point, one of which may be exceeded."""
 EMPTY = 0.9
 """Share of nodes without a point above which a cloud is refused."""
 
@@ -53,8 +51,10 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     kept = _within(path, xyz, options)
     xyz, known = xyz[kept], None if found.ground is None else found.ground[kept]
     _check_plan(path, xyz)
-    chosen, method = _chosen(path, xyz, known, options)
     grid = _grid(path, xyz, options)
+    count = np.bincount(grid.node_of(xyz), minlength=math.prod(grid.shape))
+    _require_points(path, count == 0, grid.spacing)  # the ground filter takes long on empty ground
+    chosen, method = _chosen(path, xyz, known, options)
     heights = _top(grid, xyz) if options.cloud_surface == "top" else grid.mean(xyz[chosen])
     far_from_points = _warn_gaps(path, np.isnan(heights), grid.spacing)
     base = options.zero or 0.0
@@ -66,6 +66,7 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     if found.system.form != "unknown" or middle != (0.0, 0.0):
         (sx, sy), (x, y) = steps, middle
         place = Place(found.system, (1 / sx, 0.0, x, 0.0, 1 / sy, y), base)
+    warn_of_origin(path, middle)
     no_ground = far_from_points[::-1] if far_from_points.any() else None
     return Terrain(surface, no_ground), f"the file's own, {grid.spacing:.3g} m a node, {method}", place
 
@@ -83,7 +84,7 @@ def _in_meters(
             f"{path}: is in degrees, meters are needed; PDAL's filters.reprojection projects it"
         )
     low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
-    x, y = local_origin(path, low, high, system.unit)
+    x, y = local_origin(low, high, system.unit)
     sx, sy = system.unit, system.unit
     if system.form != "unknown":
         sx, sy = georeference_raster(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
@@ -132,7 +133,6 @@ def _chosen(
     filtering = Smrf()
     if options.ground_slope is not None:
         filtering = Smrf(slope=options.ground_slope, mountain=math.inf)
-    _check_extent(path, xyz, filtering)
     found, mountains = ground_points(xyz, filtering)
     if mountains > WARNED_SHARE:
         warnings.warn(
@@ -141,22 +141,6 @@ def _chosen(
             stacklevel=4,
         )
     return found, "the ground by SMRF (Pingel 2013)"
-
-
-def _check_extent(path: Path, xyz: FloatArray, filtering: Smrf) -> None:
-    """Refuse a cloud whose stray points would make the ground filter's grid far larger than its points.
-
-    Raises:
-        SourceError: there are over `MOST_CELLS` cells, and over `SPARSEST` per point.
-    """
-    width, depth = np.ptp(xyz[:, :2], axis=0)
-    grid, _ = node_grid(xyz, filtering)
-    if math.prod(grid.shape) > max(MOST_CELLS, SPARSEST * len(xyz)):
-        raise SourceError(
-            f"{path}: {len(xyz)} points spread over {width:.4g} x {depth:.4g} m, at least one per "
-            f"{SPARSEST:g} cells of {grid.spacing:.3g} m is needed; some may be stray: keep a part by "
-            "--window X,Y,SIDE"
-        )
 
 
 def _grid(path: Path, xyz: FloatArray, options: BuildOptions) -> NodeGrid:
@@ -185,11 +169,7 @@ def _warn_gaps(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
     Raises:
         SourceError: too many nodes have no point.
     """
-    share = float(missing.mean())
-    if share > EMPTY:
-        raise SourceError(
-            f"{path}: {share:.1%} of the nodes at {spacing:.3g} m have no point; give a coarser --resolution"
-        )
+    _require_points(path, missing, spacing)
     distance = gap_distance(missing, spacing)
     far: BoolArray = distance > BRIDGED * spacing
     if missing.any():
@@ -201,3 +181,11 @@ def _warn_gaps(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
             stacklevel=4,
         )
     return far
+
+
+def _require_points(path: Path, missing: BoolArray, spacing: float) -> None:
+    if (share := float(missing.mean())) > EMPTY:
+        raise SourceError(
+            f"{path}: {share:.1%} of the nodes at {spacing:.3g} m have no point: give a coarser --resolution, "
+            "or --window X,Y,SIDE where some points are stray"
+        )

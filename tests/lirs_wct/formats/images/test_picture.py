@@ -95,6 +95,15 @@ def test_a_pnm_keeps_its_values_and_states_its_white(tmp_path: Path, maximum: in
     assert found.full == maximum
 
 
+@pytest.mark.parametrize("suffix", ["png", "pgm", "gif", "bmp", "webp", "tif"])
+def test_every_format_gives_its_pixels(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a.{suffix}"
+    Image.fromarray(COLOR[..., 0]).save(path, **({"lossless": True} if suffix == "webp" else {}))
+    pixels = read_picture(path).pixels
+    gray = pixels if pixels.ndim == 2 else pixels[..., 1]
+    np.testing.assert_array_equal(gray, COLOR[..., 0])
+
+
 def test_deep_colors_keep_their_depth(tmp_path: Path) -> None:
     path = tmp_path / "a.png"
     deep = COLOR.astype(np.uint16) * 257 - 3
