@@ -186,6 +186,6 @@ def _warn_gaps(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
 def _require_points(path: Path, missing: BoolArray, spacing: float) -> None:
     if (share := float(missing.mean())) > EMPTY:
         raise SourceError(
-            f"{path}: {share:.1%} of the nodes at {spacing:.3g} m have no point: give a coarser --resolution, "
-            "or --window X,Y,SIDE where some points are stray"
+            f"{path}: {share:.1%} of the nodes at {spacing:.3g} m have no point: give a coarser "
+            "--resolution, or --window X,Y,SIDE where some points are stray"
         )
