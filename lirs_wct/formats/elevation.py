@@ -116,6 +116,10 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS, *, sized: bool = False
     return Raster(pixels, replace(info, georeference=georeference))
 
 
+HINTS = {
+    ".hgt": ". An HGT file is named by its south-west corner, like N40W074.hgt.",
+    ".xyz": ". Scattered points are read from .las, .pcd or .ply: pdal translate IN.xyz OUT.las",
+}
 _ASCII_GRID = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:ncols|nrows|[xy]llc\w+|cellsize|d[xy])\s", re.I)
 _PICTURE = re.compile(rb"\x89PNG|P[1-6fF]\s|GIF8|\xff\xd8\xff|BM|RIFF....WEBP", re.DOTALL)
 
@@ -135,8 +139,7 @@ def _read_by_gdal(path: Path, max_pixels: int, sized: bool) -> tuple[NDArray[Any
     try:
         found = read_gdal(path, max_pixels)
     except SourceError as error:
-        hint = ". An HGT file is named by its south-west corner, like N40W074.hgt."
-        raise SourceError(f"{error}{hint}" if path.suffix.lower() == ".hgt" else str(error)) from error
+        raise SourceError(f"{error}{HINTS.get(path.suffix.lower(), '')}") from error
     check_size(path, found.width, found.height, max_pixels)
     pixels = without_alpha(path, pixels_of(path, found))
     return pixels, _info(path, found, pixels, sized)

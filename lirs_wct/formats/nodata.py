@@ -14,6 +14,8 @@ USUAL = (-9999.0, -32768.0)
 HUGE = 1e30
 CODES = (999, 9999, 9999.9, 10_000, 32_767, 65_535, 99_999, 1e5, 999_999, 1e6, 2.0**31 - 1, 2.0**32 - 1)
 """Magnitudes of further values that mean "no height" where they are far outside all others."""
+HIGHEST = 1e7
+"""Magnitude of heights in any unit; isolated values above it mean "no height" as well."""
 ISOLATED = 0.1
 """Distance of such a code from all other heights, share of their range."""
 
@@ -41,7 +43,7 @@ def missing_heights(
 def _isolated_code(known: NDArray[Any]) -> float | None:
     """Return the lowest or highest height if it is a code far from all others."""
     for edge in (float(known.min()), float(known.max())) if known.size else ():
-        if any(abs(abs(edge) - code) <= 1e-6 * code for code in CODES):
+        if abs(edge) > HIGHEST or any(abs(abs(edge) - code) <= 1e-6 * code for code in CODES):
             rest = known[known != edge]
             if rest.size and np.abs(rest - edge).min() > ISOLATED * np.ptp(rest):
                 return edge

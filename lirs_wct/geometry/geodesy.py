@@ -150,6 +150,8 @@ def system_of_wkt(text: str) -> tuple[CoordinateSystem, float | None]:
         plane = plane.source_crs
     unit = 1.0 if plane.is_geographic else _unit(plane)
     height_unit = _unit(vertical[0]) if vertical else None
+    if len(plane.axis_info) > 2:
+        height_unit = float(plane.axis_info[2].unit_conversion_factor)
     code = plane.to_epsg()
     if code is not None:
         return CoordinateSystem.of_code(code, unit), height_unit

@@ -73,7 +73,7 @@ def test_the_content_decides_and_not_the_suffix(suffix: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("kind", ["float32", "float64"])
-@pytest.mark.parametrize("code", [-32767, 9999, -99999, -999, -10000, 65535, 32767, -9999.9])
+@pytest.mark.parametrize("code", [-32767, 9999, -99999, -999, -10000, 65535, 32767, -9999.9, 1e20, -1e10])
 @pytest.mark.parametrize("place", [np.s_[30:40, 30:40], np.s_[:1, :], np.s_[5, 5]])
 def test_an_isolated_code_is_no_height(code: float, place: Any, kind: str) -> None:
     z = (HILLS + 400).astype(kind)
@@ -211,3 +211,25 @@ def test_bands_and_transparency_that_are_left_out_are_named(tmp_path: Path) -> N
     world, told = build(tmp_path / "a.png")
     assert world.surface.relief == 6
     assert f"{int((gray > 0).sum())} of 8000 pixels are transparent; the alpha channel is left out" in told[0]
+
+
+@pytest.mark.parametrize(("kind", "code"), [("int16", -32767), ("uint16", 65535), ("int32", -99999)])
+def test_codes_of_whole_numbers(kind: str, code: int, tmp_path: Path) -> None:
+    z = (np.rint(HILLS) + 400).astype(kind)
+    z[:, 90:] = code
+    world, told = build(raster(tmp_path / "a.tif", z, **UTM))
+    assert world.surface.relief == 20
+    assert f"800 of 8000 pixels have no height (NaN or nodata), {code} among them" in told[0]
+
+
+def test_points_as_text(tmp_path: Path) -> None:
+    path = tmp_path / "a.xyz"
+    rows, cols = np.indices((9, 12))
+    text = [f"{10 + x},{20 + y},{x + y}" for y, x in zip(rows.ravel(), cols.ravel(), strict=True)]
+    path.write_text("\n".join(["x,y,z", *text]))
+    assert build(path)[0].surface.size == pytest.approx((11, 8))
+    path.write_text(
+        "".join(f"{x:.3f} {y:.3f} 1\n" for x, y in np.random.default_rng(1).uniform(0, 9, (50, 2)))
+    )
+    with pytest.raises(SourceError, match=r"a\.xyz: .*Scattered points are read from \.las"):
+        build(path)
