@@ -1,8 +1,7 @@
 """Open bags: also split, compressed, without index, or cut off.
 
 The files of a folder are opened one by one, without the metadata. A recorder writes these last and may die
-before. Complete messages of a cut-off bag are salvaged into a new bag; a ROS 1 bag's records are read without
-its index (http://wiki.ros.org/Bags/Format/2.0).
+before. Complete messages of a cut-off MCAP file are salvaged into a new bag.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from io import BytesIO
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, NamedTuple, NoReturn, TypeAlias
+from typing import Any, NamedTuple, NoReturn, TypeAlias
 
 import yaml
 from mcap.data_stream import ReadDataStream
@@ -195,18 +194,16 @@ def _reason(error: Exception) -> str:
 
 
 MAGIC = b"#ROSBAG V2.0\n"
-MESSAGE, HEADER, CHUNK, CONNECTION = 2, 3, 5, 7
-"""Kinds of records, their field `op`."""
-Fields = dict[str, bytes]
+INDEX = b"index_pos="
+"""Field of a bag's first record: position of the index, 0 = unwritten."""
 
 
 class Topic(NamedTuple):
-    """A topic: name, type, and the type's definition and digest (empty = unknown)."""
+    """A topic: name, type, and the type's definition (empty = unknown)."""
 
     name: str
     kind: str
     definition: str = ""
-    digest: str = ""
 
 
 class SalvagedMessage(NamedTuple):
@@ -217,86 +214,19 @@ class SalvagedMessage(NamedTuple):
     data: bytes
 
 
-def index_of(path: Path) -> int | None:
-    """Return the position of a bag's index (0 = unwritten); None without entry."""
-    with path.open("rb") as file:
-        file.seek(len(MAGIC))
-        fields, _ = next(_records(file), ({}, b""))
-    found = fields.get("index_pos", b"")
-    return int.from_bytes(found, "little") if len(found) == 8 else None
-
-
-def ros1_messages(path: Path) -> Iterator[SalvagedMessage]:
-    """Yield the messages of complete records, and of the rest of the last chunk."""
-    with path.open("rb") as file:
-        file.seek(len(MAGIC))
-        yield from _messages_of(file, {})
-
-
-def _messages_of(stream: BinaryIO, topics: dict[bytes, Topic]) -> Iterator[SalvagedMessage]:
-    for fields, data in _records(stream):
-        kind = int.from_bytes(fields.get("op", b"\0"), "little")
-        if kind == CHUNK:
-            compression = fields.get("compression", b"none").decode()
-            yield from _messages_of(BytesIO(decompress_chunk(data, compression)), topics)
-        elif kind == CONNECTION:
-            topics.setdefault(fields["conn"], _topic(fields["topic"].decode(), data))
-        elif kind == MESSAGE and fields.get("conn") in topics:
-            seconds, rest = struct.unpack("<II", fields["time"])
-            yield SalvagedMessage(topics[fields["conn"]], seconds * 1_000_000_000 + rest, data)
-
-
-def _topic(name: str, data: bytes) -> Topic:
-    held = _fields(data)
-    package, _, kind = held["type"].decode().partition("/")
-    return Topic(name, f"{package}/msg/{kind}", held["message_definition"].decode(), held["md5sum"].decode())
-
-
-def _records(stream: BinaryIO) -> Iterator[tuple[Fields, bytes]]:
-    """Yield fields and data of the records; also of a cut-off last chunk."""
-    while True:
-        header = _read_sized(stream)
-        if header is None:
-            return
-        fields = _fields(header)
-        length = stream.read(4)
-        if len(length) < 4:
-            return
-        data = stream.read(int.from_bytes(length, "little"))
-        whole = len(data) == int.from_bytes(length, "little")
-        if whole or fields.get("op") == bytes([CHUNK]):
-            yield fields, data
-        if not whole:
-            return
-
-
-def _read_sized(stream: BinaryIO) -> bytes | None:
-    """Read a length and that many bytes; None if some are missing."""
-    length = stream.read(4)
-    if len(length) < 4:
-        return None
-    data = stream.read(int.from_bytes(length, "little"))
-    return data if len(data) == int.from_bytes(length, "little") else None
-
-
-def _fields(header: bytes) -> Fields:
-    stream, fields = BytesIO(header), Fields()
-    while (field := _read_sized(stream)) is not None:
-        name, _, value = field.partition(b"=")
-        fields[name.decode()] = value
-    return fields
-
-
 CUT = "its end is missing"
 MCAP = b"\x89MCAP0\r\n"
+_HEAD = 4096
+"""Bytes of a ROS 1 bag that hold its first record."""
 FOOTER = 37
 """Bytes of an MCAP file's last record and the magic bytes after it."""
 
 
 def fault_of(path: Path) -> str | None:
-    """Return the fault of an MCAP file or a ROS 1 bag.
+    """Return the fault of an MCAP file: "" for a missing index, None for a sound file or another one.
 
-    The fault is "" for a missing index, and None for a sound file or no bag.
+    Raises:
+        ValueError: a ROS 1 bag without index.
     """
     with path.open("rb") as file:
         begin, size = file.read(len(MAGIC)), file.seek(0, 2)
@@ -307,13 +237,15 @@ def fault_of(path: Path) -> str | None:
             return CUT
         return "" if not any(end[9:17]) else None
     if begin == MAGIC:
-        index = index_of(path)
-        return CUT if index is not None and not 0 < index < size else None
+        with path.open("rb") as file:
+            _, found, rest = file.read(_HEAD).partition(INDEX)
+        if found and not 0 < int.from_bytes(rest[:8], "little") < size:
+            raise ValueError(f"{path.name}: {CUT}; rosbag reindex {path.name} makes it readable")
     return None
 
 
 def salvage_file(path: Path, target: Path) -> Path:
-    """Write the complete messages of an MCAP file or ROS 1 bag as a bag, and return its file.
+    """Write the complete messages of an MCAP file as a bag, and return its file.
 
     Args:
         path: file of the bag.
@@ -322,13 +254,8 @@ def salvage_file(path: Path, target: Path) -> Path:
     Raises:
         Exception: any exception of the parsers for damaged data.
     """
-    if path.suffix == ".bag":
-        target.mkdir()
-        with rosbag1.Writer(target / path.name) as writer:
-            _write_ros1(writer, ros1_messages(path))
-        return target / path.name
-    with rosbag2.Writer(target, version=8, storage_plugin=StoragePlugin.MCAP) as writer2:
-        _write_ros2(writer2, mcap_messages(path))
+    with rosbag2.Writer(target, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        _write_ros2(writer, mcap_messages(path))
     return target / f"{target.name}.mcap"
 
 
@@ -378,15 +305,5 @@ def _write_ros2(writer: rosbag2.Writer, messages: Iterable[SalvagedMessage]) -> 
             definition = topic.definition or store.generate_msgdef(topic.kind, ros_version=2)[0]
             connections[topic] = writer.add_connection(
                 topic.name, topic.kind, msgdef=definition, rihs01="unknown"
-            )
-        writer.write(connections[topic], stamp, data)
-
-
-def _write_ros1(writer: rosbag1.Writer, messages: Iterable[SalvagedMessage]) -> None:
-    connections = {}
-    for topic, stamp, data in messages:
-        if topic not in connections:
-            connections[topic] = writer.add_connection(
-                topic.name, topic.kind, msgdef=topic.definition, md5sum=topic.digest
             )
         writer.write(connections[topic], stamp, data)

@@ -225,7 +225,7 @@ MESSAGES = {
     "only_services.mcap": r"/add_two_ints/_service_event \(example_interfaces/srv/AddTwoInts_Event\)",
     "topics_and_services.db3": r"/rosout \(rcl_interfaces/msg/Log\)",
     "topics_and_services.mcap": r"/rosout \(rcl_interfaces/msg/Log\)",
-    "truncated.bag": "damaged: truncated.bag: its end is missing",
+    "truncated.bag": "truncated.bag: its end is missing; rosbag reindex truncated.bag makes it readable",
 }
 
 
