@@ -268,6 +268,7 @@ def test_counts_are_checked_against_the_size(name: str, content: bytes, reason: 
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kilobytes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_random_bytes_that_begin_like_a_las_file_end_soon(seed: int, tmp_path: Path) -> None:
     path = tmp_path / "a.laz"

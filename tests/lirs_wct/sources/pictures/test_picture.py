@@ -293,10 +293,10 @@ def test_unsigned_levels_are_never_nodata_unless_the_file_says_so(tmp_path: Path
 
 
 def test_heights_just_above_nodata_are_heights(tmp_path: Path) -> None:
-    heights = np.array([[-0.9e30, 0.0], [-9998.0, -32767.0]], np.float32)
+    heights = np.array([[-9998.0, 0.0], [-9990.0, 9.0e6]], np.float32)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert read(tiff(tmp_path / "a.tif", heights, scale=(1.0, 1.0, 0.0))).z.max() == np.float32(0.9e30)
+        assert read(tiff(tmp_path / "a.tif", heights, scale=(1.0, 1.0, 0.0))).z.max() == 9_009_998
 
 
 @pytest.mark.parametrize(
