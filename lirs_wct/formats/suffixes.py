@@ -35,6 +35,28 @@ MAPS = (".yaml", ".yml")
 ZSTD = ".zstd"
 """Ends the names of a ROS 2 bag's files that were compressed as a whole."""
 
+UNREAD = {
+    ".gltf": ("a glTF scene in several files", "save it as .glb"),
+    ".fbx .blend .3ds .skp .x3d .wrl .off .3mf .usd .usda .usdc .usdz": (
+        "a scene of another 3D program",
+        "export it as .glb, .dae, .obj, .ply or .stl, by Blender for example",
+    ),
+    ".step .stp .iges .igs .ifc .dxf .dwg": ("a CAD model", "export it as .stl, by FreeCAD for example"),
+    ".e57 .pts .ptx": ("a point cloud", "convert it to .las, .ply or .pcd, by CloudCompare for example"),
+    ".bt .ot": ("an OctoMap", "octree2pointcloud IN OUT.pcd makes a point cloud of it"),
+    ".world .sdf .urdf .xacro": ("a description in XML", "give the mesh or the heightmap that it names"),
+    ".svg .pdf .heic": ("a drawing", "export it as .png"),
+    ".npy .npz .mat": ("an array", "save it as .tif or .png"),
+    ".zip .7z .rar .tar .tgz": ("an archive", "unpack it"),
+}
+"""Kinds of files that are not read, by suffixes, and the way to one that is."""
+
+
+def way_to_read(path: Path) -> str | None:
+    """Return the kind of a file that is not read and the way to one that is; None of others."""
+    known = (text for suffixes, text in UNREAD.items() if path.suffix.lower() in suffixes.split())
+    return next((f"is {kind}, which is not read: {way}" for kind, way in known), None)
+
 
 def is_bag_file(path: Path) -> bool:
     """Return whether a file is, by its name, a ROS bag or part of one."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from lirs_wct.errors import ConfigError, SourceError, did_you_mean
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.formats.point_clouds import is_cloud_ply
-from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file
+from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file, way_to_read
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions, SourceKind, without_effect
 
@@ -137,6 +137,8 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         return SourceKind.MESH
     if is_log(path):
         return SourceKind.LOG
+    if way := way_to_read(path):
+        raise SourceError(f"{path}: {way}")
     return SourceKind.MAP_PICTURE if options.kind == "map" else SourceKind.PICTURE
 
 

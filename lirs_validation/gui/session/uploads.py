@@ -19,7 +19,7 @@ from lirs_wct.field_validators import require_above
 from lirs_wct.files import remove_orphans
 from lirs_wct.formats.images.picture import MAX_PIXELS
 from lirs_wct.formats.map_server import map_entries
-from lirs_wct.formats.suffixes import BAGS, CLOUDS, LOGS, MAPS, MESHES, RASTERS, ZSTD
+from lirs_wct.formats.suffixes import BAGS, CLOUDS, LOGS, MAPS, MESHES, RASTERS, ZSTD, way_to_read
 
 PICTURES = (".png", ".jpg", ".jpeg", ".pgm", ".ppm", ".tif", ".tiff", ".gif", ".bmp")
 SUFFIXES = (*PICTURES, *RASTERS, *MAPS, *MESHES, *CLOUDS, *LOGS, ".gz", *BAGS, ZSTD)
@@ -74,7 +74,8 @@ class Uploads:
         safe = harmless(name)
         suffix = Path(safe).suffix.lower()
         if suffix not in SUFFIXES:
-            raise SourceError(f"{safe}: not a file that is read; legal: {', '.join(SUFFIXES)}")
+            way = way_to_read(Path(safe)) or f"not a file that is read; legal: {', '.join(SUFFIXES)}"
+            raise SourceError(f"{safe}: {way}")
         self.check_room(safe, len(content))
         if suffix in (".gz", ZSTD):
             self._check_unpacked(safe, content)

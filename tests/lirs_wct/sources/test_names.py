@@ -51,3 +51,20 @@ def test_every_file_of_a_world_of_any_name_and_folder_loads(tmp_path: Path) -> N
 def test_a_similar_bundled_name_is_suggested() -> None:
     with pytest.raises(SourceError, match=r"simpel: no such file .*; did you mean simple\?$"):
         find_source("simpel", BuildOptions())
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("scene.gltf", "is a glTF scene in several files, which is not read: save it as .glb"),
+        ("scene.FBX", "is a scene of another 3D program, which is not read: export it as .glb"),
+        ("part.step", "is a CAD model, which is not read: export it as .stl"),
+        ("scan.e57", "is a point cloud, which is not read: convert it to .las"),
+        ("map.bt", "is an OctoMap, which is not read: octree2pointcloud"),
+        ("house.world", "is a description in XML, which is not read: give the mesh"),
+    ],
+)
+def test_the_way_to_a_file_that_is_read(name: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(b"\0")
+    with pytest.raises(SourceError, match=rf"^{tmp_path / name}: {words}"):
+        find_source(tmp_path / name, BuildOptions())
