@@ -55,6 +55,13 @@ class TriangleMesh:
         return unit
 
     @property
+    def face_areas(self) -> FloatArray:
+        """(m,) areas, square meters."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        areas: FloatArray = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        return areas
+
+    @property
     def volume(self) -> float:
         """Enclosed volume, cubic meters (signed sum of tetrahedra; meaningful where closed)."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))

@@ -50,7 +50,7 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
     mesh, factor = _scale(path, _outward(read_upright(path, options.up)), options)
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
-        hint = "" if options.up else "; is y up? --up y"
+        hint = "; is y up? --up y" if options.up is None and high[2] > low[2] else ""
         raise SourceError(
             f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m{hint}"
         )
@@ -98,9 +98,7 @@ def _near_origin(path: Path, mesh: TriangleMesh, factor: FloatArray) -> tuple[Tr
 def _warn_of_y_up(path: Path, mesh: TriangleMesh) -> None:
     """Warn of a low and wide relief along y, which is upright with y up."""
     width, depth, height = np.ptp(mesh.bounds, axis=0).tolist()
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    along = np.abs(mesh.face_normals[:, 1])
+    area, along = mesh.face_areas, np.abs(mesh.face_normals[:, 1])
     sloped = area[(along > SLOPED) & (along < LEVEL)].sum()
     if depth < LOW * min(width, height) and sloped > RELIEF_SHARE * area.sum():
         up = "z" if path.suffix.lower() == ".glb" else "y"  # y is up in a GLB

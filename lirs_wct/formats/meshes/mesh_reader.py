@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import logging
-import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from lirs_wct.errors import SourceError, reason_of
+from lirs_wct.formats.meshes.collada_tree import collada_frame, read_collada
+from lirs_wct.formats.meshes.document import Document
+from lirs_wct.formats.meshes.glb import read_glb
+from lirs_wct.formats.meshes.obj_text import read_obj
+from lirs_wct.formats.meshes.ply_faces import read_ply
+from lirs_wct.formats.meshes.stl_bytes import read_stl
 from lirs_wct.formats.references import referenced_file
-from lirs_wct.formats.suffixes import MESHES
+from lirs_wct.formats.suffixes import MESHES, way_to_read
 from lirs_wct.geometry.mesh import TriangleMesh, weld
 
-if TYPE_CHECKING:
-    import trimesh
-
-logging.getLogger("trimesh").addHandler(logging.NullHandler())
-"""Without a handler, trimesh prints a traceback for each texture that it cannot read."""
 FARTHEST = 1e9
 """Largest coordinate of a vertex, in the file's unit."""
-_HEAD = 1 << 16
-"""Bytes of a COLLADA file that contain its <asset>."""
 _UPRIGHT = {
     "X": np.array(((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))),
     "Y": np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))),
@@ -44,7 +41,8 @@ def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMes
         SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
     """
     if path.suffix.lower() not in MESHES:
-        raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(MESHES)}")
+        reason = way_to_read(path) or "not a mesh that is read"
+        raise SourceError(f"{path}: {reason}; legal: {', '.join(MESHES)}")
     return upright(path, _merge_vertices(read_mesh(path)), up)
 
 
@@ -72,86 +70,64 @@ def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
 
 
 def _collada_frame(path: Path) -> tuple[str, float]:
-    """Return the up axis and meters per unit; the standard's defaults are Y and 1."""
-    with path.open("rb") as file:
-        head = file.read(_HEAD).decode("utf-8", errors="replace")
-    up = re.search(r"<up_axis>\s*([XYZ])_UP", head)
-    unit = re.search(r"<unit\b[^>]*\bmeter\s*=\s*[\"']([^\"']+)", head)
+    """Return the up axis and meters per unit."""
+    up, unit = collada_frame(path)
     try:
-        meters = float(unit[1]) if unit else 1.0
+        meters = float(unit)
     except ValueError:
         raise SourceError(f"{path}: its unit is not a number of meters") from None
+    if up not in _UPRIGHT:
+        raise SourceError(f"{path}: its up axis must be X_UP, Y_UP or Z_UP")
     if not 0 < meters < float("inf"):
         raise SourceError(f"{path}: its unit must be above 0 m, got {meters:g}")
-    return (up[1] if up else "Y"), meters
+    return up, meters
 
 
 def read_mesh(path: Path) -> TriangleMesh:
-    """Read a mesh in any format of trimesh, equal vertices merged, in the file's frame.
+    """Read a mesh file in its own frame, equal vertices merged; warn of parts that are left out.
 
     Raises:
         SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
     """
-    loaded = load_mesh(path)
-    return TriangleMesh(np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int32))
+    document = read_document(path)
+    for note in dict.fromkeys(document.notes):
+        warnings.warn(f"{path}: {note}", stacklevel=3)
+    whole = document.whole
+    used, faces = np.unique(whole.faces, return_inverse=True)
+    return weld(TriangleMesh(whole.vertices[used], faces.reshape(-1, 3).astype(np.int32)))
 
 
-def load_mesh(path: Path) -> trimesh.Trimesh:
-    """Load a mesh by trimesh; warn of references outside its folder or Gazebo package.
+@np.errstate(invalid="ignore", over="ignore")  # such numbers are refused
+def read_document(path: Path) -> Document:
+    """Read the shapes of a mesh file as it states them.
 
     Raises:
         SourceError: as `read_mesh` says.
     """
-    import trimesh
-
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
-    if path.suffix.lower() == ".ply":
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
         require_positions(path)
-    files = _referenced_files(path)
     try:
-        # Processing drops vertices that are not finite.
-        loaded = trimesh.load_mesh(path, resolver=files, process=False)
+        data = path.read_bytes()
+        if suffix == ".glb":
+            document = read_glb(data, lambda name: referenced_file(path, name).read_bytes())
+        else:
+            document = _READERS[suffix](data)
+        whole = document.whole
     except SourceError:
         raise
-    except Exception as error:  # every loader of trimesh raises different errors
+    except Exception as error:  # damaged bytes raise different errors
         raise SourceError(f"{path}: cannot be read as a mesh: {reason_of(error)}") from error
-    if len(getattr(loaded, "faces", ())) == 0:
+    if len(whole.faces) == 0:
         raise SourceError(f"{path}: holds no triangles, at least one is needed")
-    if not (np.abs(loaded.vertices) <= FARTHEST).all():
+    if not (np.abs(whole.vertices[whole.faces]) <= FARTHEST).all():
         raise SourceError(f"{path}: has vertices that are not finite, or farther than {FARTHEST:g} units")
-    if loaded.faces.min() < 0 or loaded.faces.max() >= len(loaded.vertices):
-        raise SourceError(f"{path}: is damaged: a triangle has a corner that is not in the file")
-    for reason in files.refused:
-        warnings.warn(f"{reason}; left out", stacklevel=3)
-    return loaded.process()
+    return document
 
 
-def _referenced_files(path: Path) -> Any:
-    """Return a trimesh resolver of referenced files with messages in the list `refused`."""
-    from trimesh.resolvers import Resolver
-
-    class References(Resolver):  # type: ignore[misc,unused-ignore]  # trimesh is loaded late
-        def __init__(self) -> None:
-            self.refused: list[str] = []
-
-        def get(self, name: str) -> bytes:
-            try:
-                return referenced_file(path, name).read_bytes()
-            except SourceError as error:
-                self.refused += [] if str(error) in self.refused else [str(error)]
-                raise
-
-        def keys(self) -> list[str]:
-            return []
-
-        def write(self, name: str, data: bytes) -> None:
-            raise NotImplementedError
-
-        def namespaced(self, namespace: str) -> Resolver:
-            raise NotImplementedError
-
-    return References()
+_READERS = {".obj": read_obj, ".stl": read_stl, ".dae": read_collada, ".ply": read_ply}
 
 
 _HEADER = 1 << 16

@@ -87,10 +87,18 @@ def test_a_unit_that_is_none(tmp_path: Path, asset: str, told: str) -> None:
         read_upright(dae(tmp_path / "a.dae", asset))
 
 
-def test_the_asset_is_looked_for_in_the_first_64_kib(tmp_path: Path) -> None:
-    for padding, up in ((60_000, "Z"), (70_000, "Y")):
-        mesh = read_upright(dae(tmp_path / "a.dae", "<up_axis>Z_UP</up_axis>", padding))
-        assert triangles(mesh) == triangles(TriangleMesh(UP[up], np.array([[0, 1, 2]], np.int32)))
+def test_the_asset_is_an_element_and_no_text(tmp_path: Path) -> None:
+    """The axis was looked for as text in the first 64 KiB: comments and prefixes hid it."""
+    expected = triangles(TriangleMesh(UP["Z"] * 0.5, np.array([[0, 1, 2]], np.int32)))
+    asset = "<!-- <up_axis>X_UP</up_axis><unit meter='9'/> --><unit meter='.5'/><up_axis>Z_UP</up_axis>"
+    path = dae(tmp_path / "a.dae", asset, padding=70_000)
+    assert triangles(read_upright(path)) == expected
+    text = re.sub(r"<(/?)(?=\w)", r"<\1c:", path.read_text()).replace("xmlns=", "xmlns:c=")
+    path.write_text(text)
+    assert "<c:up_axis>" in text
+    assert triangles(read_upright(path)) == expected
+    path.write_text(re.sub(r"c:|xmlns:c=\S+", "", text))
+    assert triangles(read_upright(path)) == expected
 
 
 def test_a_glb_has_y_up_and_the_others_z(tmp_path: Path) -> None:

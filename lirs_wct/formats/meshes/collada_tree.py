@@ -1,0 +1,209 @@
+"""Shapes and instances of a COLLADA document, from its XML tree."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.formats.meshes.document import MOST_NODES, Document, numbers, placed
+from lirs_wct.formats.meshes.polygons import cut_polygons, strip_triangles
+
+_MOST_CONTROLLERS = 10
+_NO_MOVE = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
+_MOVES = {"matrix", "translate", "rotate", "scale", "lookat", "skew"}
+_INSTANCES = {"instance_node", "instance_geometry", "instance_controller"}
+_PRIMITIVES = {"triangles", "polylist", "polygons", "tristrips", "trifans"}
+
+
+def collada_frame(path: Path) -> tuple[str, str]:
+    """Return the up axis and the meters per unit as written; the standard's defaults are Y and 1."""
+    depth = 0
+    for event, element in ElementTree.iterparse(path, ("start", "end")):
+        depth += 1 if event == "start" else -1
+        if (depth, event, _local(element)) == (1, "end", "asset"):
+            found = {_local(child): child for child in element}
+            up = (found["up_axis"].text or "").strip() if "up_axis" in found else "Y_UP"
+            return up[:1], found["unit"].get("meter", "1") if "unit" in found else "1"
+    return "Y", "1"
+
+
+def read_collada(data: bytes) -> Document:
+    """Read the instances of the scene, with polygons cut and skins in their bind pose.
+
+    Raises:
+        ValueError: the document is damaged, or names a node or a geometry that it lacks.
+    """
+    tree = _Tree(data)
+    found = list(tree.instances())
+    parts = [placed(points, faces, matrix) for name, matrix in found for points, faces in tree.shape(name)]
+    if tree.left:
+        named = ", ".join(dict.fromkeys(tree.left))
+        tree.notes.append(f"{len(tree.left)} of {len(found) + len(tree.left)} instances left out: {named}")
+    looks = tree.root.find(".//instance_material") is not None
+    return Document([part for part in parts if len(part.faces)], looks, tree.notes)
+
+
+def _local(element: Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+class _Tree:
+    """The tree of a document.
+
+    Attributes:
+        root: of the tree; tags are without namespaces.
+        notes: simplified parts, a line each.
+        left: instances that are not read.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        if b"<!DOCTYPE" in data.replace(b"\0", b""):
+            raise ValueError("has a DOCTYPE, which is not read; remove it")
+        self.root = ElementTree.fromstring(data)
+        for element in self.root.iter():
+            element.tag = _local(element)
+        self.notes, self.left = list[str](), list[str]()
+        self._ids = {(e.tag, e.get("id", "")): e for e in self.root.iter() if "id" in e.attrib}
+        self._shapes: dict[str, list[tuple[FloatArray, IntArray]]] = {}
+        self._visits = 0
+
+    def _target(self, element: Element, tag: str) -> Element:
+        """Return the element that another one names."""
+        key = element.get("url", "").removeprefix("#")
+        if (tag, key) not in self._ids:
+            raise ValueError(f"names the {tag} `{key}`, which is not in the file")
+        return self._ids[tag, key]
+
+    def instances(self) -> Iterator[tuple[str, FloatArray]]:
+        """Yield the geometry and the place of each instance in the scene."""
+        named = self.root.find("scene/instance_visual_scene")
+        scene = self.root.find(".//visual_scene") if named is None else self._target(named, "visual_scene")
+        if scene is not None:
+            yield from self._below(scene, np.eye(4))
+
+    def _below(self, node: Element, matrix: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield the instances in a node and below it."""
+        self._visits += 1
+        if self._visits > MOST_NODES:
+            raise ValueError(f"has more than {MOST_NODES} nodes; nodes may contain themselves")
+        for element in node:
+            if element.tag in _MOVES:
+                matrix = matrix @ _move(element.tag, numbers(element.text or "", np.float64))
+        for element in node:
+            url = element.get("url", "")
+            if element.tag == "node":
+                yield from self._below(element, matrix)
+            elif element.tag in _INSTANCES and not url.startswith("#"):
+                self.left.append(f"`{url}` is in another file")
+            elif element.tag == "instance_node":
+                yield from self._below(self._target(element, "node"), matrix)
+            elif element.tag == "instance_controller":
+                yield self._bound(url, matrix)
+            elif element.tag == "instance_geometry":
+                if self._target(element, "geometry").find("mesh") is None:
+                    self.left.append(f"geometry `{url[1:]}` is no mesh")
+                else:
+                    yield url[1:], matrix
+
+    def _bound(self, url: str, matrix: FloatArray) -> tuple[str, FloatArray]:
+        """Return the geometry of a skin or morph, and its place in the bind pose."""
+        for _ in range(_MOST_CONTROLLERS):
+            if ("geometry", url[1:]) in self._ids:
+                break
+            inner = self._target(Element("", url=url), "controller")[0]
+            shape = numbers(inner.findtext("bind_shape_matrix") or _NO_MOVE, np.float64)
+            matrix = matrix @ shape.reshape(4, 4)
+            self.notes.append(
+                f"{inner.tag} `{url[1:]}` is read as its plain shape, without joints and weights"
+            )
+            url = inner.get("source", "")
+        return url[1:], matrix
+
+    def shape(self, name: str) -> list[tuple[FloatArray, IntArray]]:
+        """Return the points and triangles of each primitive of a geometry."""
+        if name not in self._shapes:
+            mesh = self._ids["geometry", name].find("mesh")
+            assert mesh is not None
+            self._shapes[name] = [self._faces(mesh, p) for p in mesh if p.tag in _PRIMITIVES]
+        return self._shapes[name]
+
+    def _faces(self, mesh: Element, primitive: Element) -> tuple[FloatArray, IntArray]:
+        """Return the points and triangles of a primitive."""
+        inputs = primitive.findall("input")
+        width = 1 + max(int(i.get("offset", 0)) for i in inputs)
+        vertex = next(i for i in inputs if i.get("semantic") == "VERTEX")
+        rows, counts, rings = _polygons(primitive, width)
+        points, corners = _points(mesh, vertex), rows[:, int(vertex.get("offset", 0))]
+        return points, corners[cut_polygons(points, corners, counts, rings)]
+
+
+def _points(mesh: Element, vertex: Element) -> FloatArray:
+    """Return the positions that the vertices of a primitive name."""
+    ids = {e.get("id"): e for e in mesh if "id" in e.attrib}
+    source = ids[vertex.get("source", "")[1:]]
+    for position in source.findall("input"):
+        if position.get("semantic") == "POSITION":
+            source = ids[position.get("source", "")[1:]]
+    values = numbers(source.findtext("float_array") or "", np.float64)
+    accessor = source.find("technique_common/accessor")
+    if accessor is None:
+        return values.reshape(-1, 3)
+    first, stride = int(accessor.get("offset", 0)), int(accessor.get("stride", 1))
+    names = [param.get("name") for param in accessor.findall("param")]
+    axes = [names.index(axis) for axis in "XYZ"] if {*"XYZ"} <= {*names} else [0, 1, 2]
+    rows = (len(values) - first) // stride
+    points: FloatArray = values[first : first + rows * stride].reshape(rows, stride)[:, axes]
+    return points
+
+
+def _polygons(primitive: Element, width: int) -> tuple[IntArray, IntArray, dict[int, list[int]]]:
+    """Return the indices of all corners, the corners of each polygon, and the rings of those with holes."""
+
+    def rows(*elements: Element) -> IntArray:
+        return numbers(" ".join(e.text or "" for e in elements), np.int64).reshape(-1, width)
+
+    lists = [rows(e) for e in primitive.findall("p")]
+    rings: dict[int, list[int]] = {}
+    if primitive.tag == "polylist":
+        counts = numbers(primitive.findtext("vcount") or "", np.int64)
+        return np.concatenate(lists)[: counts.sum()], counts, rings
+    if primitive.tag == "polygons":
+        for ring in primitive.findall("ph"):
+            each = [rows(e) for e in ring if e.tag in ("p", "h")]
+            rings[len(lists)] = np.cumsum([len(r) for r in each]).tolist()
+            lists.append(np.concatenate(each))
+        return np.concatenate(lists), np.array([len(e) for e in lists], np.int64), rings
+    if primitive.tag != "triangles":  # strips and fans
+        lists = [
+            each[strip_triangles(len(each), is_fan=primitive.tag == "trifans").ravel()] for each in lists
+        ]
+    table = np.concatenate([np.empty((0, width), np.int64), *lists])
+    return table, np.full(len(table) // 3, 3), rings
+
+
+def _move(kind: str, values: FloatArray) -> FloatArray:
+    """Return the 4x4 matrix of a node's transform."""
+    moved = np.eye(4)
+    if kind == "matrix":
+        return values.reshape(4, 4)
+    if kind == "translate":
+        moved[:3, 3] = values
+    elif kind == "scale":
+        moved[:3, :3] = np.diag(values)
+    elif kind == "rotate":
+        axis, angle = values[:3] / (np.linalg.norm(values[:3]) or 1.0), np.radians(values[3])
+        turn = np.cross(axis, np.eye(3)).T
+        moved[:3, :3] += np.sin(angle) * turn + (1 - np.cos(angle)) * turn @ turn
+    elif kind == "lookat":
+        eye, interest, up = values.reshape(3, 3)
+        back = (eye - interest) / np.linalg.norm(eye - interest)
+        side = np.cross(up, back) / np.linalg.norm(np.cross(up, back))
+        moved[:3] = np.column_stack((side, np.cross(back, side), back, eye))
+    else:
+        raise ValueError("has a node with <skew>, which is not read; apply the transforms before the export")
+    return moved
