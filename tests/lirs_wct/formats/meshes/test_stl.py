@@ -54,3 +54,45 @@ def test_unwritable(tmp_path: Path) -> None:
 def test_real_files(shared_data: Path, name: str) -> None:
     path = shared_data / "stl" / name
     assert len(read_mesh(path).faces) == (path.stat().st_size - 84) // 50
+
+
+def cube() -> trimesh.Trimesh:
+    return trimesh.creation.box((2, 3, 1))
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("solid", "SOLID"),
+        ("endsolid", "endsolid box\nsolid second\nendsolid second"),
+        ("solid ", "solid vertex_of_a_normal "),
+        ("endsolid", ""),
+        ("\n", "\r"),
+        ("\n", " "),
+        ("vertex", "\tVERTEX"),
+        ("endfacet", "endfacet\nendsolid\nsolid next"),
+    ],
+)
+def test_text_however_it_is_written(tmp_path: Path, old: str, new: str) -> None:
+    text = str(trimesh.exchange.stl.export_stl_ascii(cube()))
+    assert old in text
+    (tmp_path / "a.stl").write_text(text.replace(old, new), newline="")
+    mesh = read_mesh(tmp_path / "a.stl")
+    assert len(mesh.faces) == 12
+    np.testing.assert_allclose(np.ptp(mesh.bounds, axis=0), (2, 3, 1))
+
+
+@pytest.mark.parametrize(
+    "header", [bytes(80), b"solid made by a program".ljust(80), b"solid".ljust(80, b"\0")]
+)
+@pytest.mark.parametrize("behind", [b"", b"\0", b"PROPERTIES".ljust(64)])
+def test_bytes_behind_the_triangles(tmp_path: Path, header: bytes, behind: bytes) -> None:
+    (tmp_path / "a.stl").write_bytes(header + cube().export(file_type="stl")[80:] + behind)
+    assert len(read_mesh(tmp_path / "a.stl").faces) == 12
+
+
+@pytest.mark.parametrize("header", [bytes(80), b"solid made by a program".ljust(80)])
+def test_a_binary_file_that_is_cut_off(tmp_path: Path, header: bytes) -> None:
+    (tmp_path / "a.stl").write_bytes(header + cube().export(file_type="stl")[80:-60])
+    with pytest.raises(SourceError, match="is cut off: 12 triangles need 684 bytes, it has 624"):
+        read_mesh(tmp_path / "a.stl")
