@@ -45,7 +45,7 @@ def read_collada(data: bytes) -> Document:
         named = ", ".join(dict.fromkeys(tree.left))
         tree.notes.append(f"{len(tree.left)} of {len(found) + len(tree.left)} instances left out: {named}")
     looks = tree.root.find(".//instance_material") is not None
-    return Document([part for part in parts if len(part.faces)], looks, tree.notes)
+    return Document([part for part in parts if len(part.faces)], looks, notes=tree.notes)
 
 
 def _local(element: Element) -> str:

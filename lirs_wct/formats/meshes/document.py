@@ -26,11 +26,13 @@ class Document:
     Attributes:
         parts: shapes, one for each instance, in the file's frame.
         looks: whether it has materials, texture coordinates or colors.
+        odd_looks: whether trimesh would misread them.
         notes: parts that are left out or simplified, a line each.
     """
 
     parts: Sequence[TriangleMesh]
     looks: bool = False
+    odd_looks: bool = False
     notes: Sequence[str] = field(default_factory=list)
 
     @property

@@ -41,7 +41,14 @@ def read_glb(data: bytes, referenced: Callable[[str], bytes]) -> Document:
     """
     scene = _Scene(data, referenced)
     parts = [part for part in scene.instances() if len(part.faces)]
-    return Document(parts, "materials" in scene.tree, scene.notes)
+    attributes = [p["attributes"] for mesh in scene.tree.get("meshes", []) for p in mesh["primitives"]]
+    odd = any(
+        {"sparse", "normalized"} & {*scene.entry("accessors", index)}
+        for each in attributes
+        for name, index in each.items()
+        if not name.startswith("COLOR")
+    )
+    return Document(parts, "materials" in scene.tree, odd, scene.notes)
 
 
 class _Scene:
@@ -60,7 +67,7 @@ class _Scene:
         if named := ", ".join(sorted(extensions)):
             raise ValueError(f"needs the extension {named}, which is not read; export without it")
 
-    def _entry(self, kind: str, index: int) -> Any:
+    def entry(self, kind: str, index: int) -> Any:
         """Return an entry of a list in the JSON."""
         entries = self.tree.get(kind, [])
         if not 0 <= index < len(entries):
@@ -70,7 +77,7 @@ class _Scene:
     def instances(self) -> Iterator[TriangleMesh]:
         """Yield each primitive at each place in the scene."""
         if "scenes" in self.tree:
-            for root in self._entry("scenes", self.tree.get("scene", 0)).get("nodes", []):
+            for root in self.entry("scenes", self.tree.get("scene", 0)).get("nodes", []):
                 yield from self._below(root, np.eye(4))
 
     def _below(self, index: int, matrix: FloatArray) -> Iterator[TriangleMesh]:
@@ -78,10 +85,10 @@ class _Scene:
         self._visits += 1
         if self._visits > MOST_NODES:
             raise ValueError(f"has more than {MOST_NODES} nodes; nodes may contain themselves")
-        node = self._entry("nodes", index)
+        node = self.entry("nodes", index)
         matrix = matrix @ _place(node)
         if "mesh" in node:
-            mesh = self._entry("meshes", node["mesh"])
+            mesh = self.entry("meshes", node["mesh"])
             name = f"mesh `{mesh.get('name', node['mesh'])}`"
             if "skin" in node or any(p.get("targets") for p in mesh["primitives"]):
                 self.notes.append(f"{name} is read as its plain shape, without skin and morph targets")
@@ -107,7 +114,7 @@ class _Scene:
 
     def _accessor(self, index: int) -> NDArray[Any]:
         """Return the (count, width) numbers of an accessor, sparse and normalized ones as they count."""
-        entry = self._entry("accessors", index)
+        entry = self.entry("accessors", index)
         kind, count, width = np.dtype(_KINDS[entry["componentType"]]), entry["count"], _WIDTHS[entry["type"]]
         if count > sum(map(len, self._buffers)):
             raise ValueError(f"is cut off: it lacks {count} numbers")
@@ -128,7 +135,7 @@ class _Scene:
 
     def _view(self, entry: dict[str, Any], count: int, kind: np.dtype[Any], width: int = 1) -> NDArray[Any]:
         """Return numbers of a buffer view."""
-        view = self._entry("bufferViews", entry["bufferView"])
+        view = self.entry("bufferViews", entry["bufferView"])
         buffer, size = self._buffers[view["buffer"]], kind.itemsize
         if not buffer:
             self._refuse(_PACKED & {*view.get("extensions", {})})

@@ -62,7 +62,7 @@ def read_textured(path: Path) -> TexturedMesh:
             None if uv is None else np.asarray(uv, np.float64)[:, :2],
             np.asarray(loaded.vertex_normals, np.float64),
         )
-    if loaded is None or not is_same(document.whole, mesh):
+    if loaded is None or document.odd_looks or not is_same(document.whole, mesh):
         if document.looks:
             warnings.warn(f"{path}: its materials and colors cannot be read and are left out", stacklevel=3)
         return TexturedMesh(document.whole, None, vertex_colors=False)

@@ -84,6 +84,11 @@ WORLDS: dict[str, tuple[dict[str, Any], Check, tuple[str, ...]]] = {
         ("have no ground",),
     ),
     "mat_partial.dae": ({}, lambda w: extent(w) == near(12, 3, 1), ("have no ground",)),
+    "ctl.dae": (
+        {},
+        lambda w: extent(w) == near(12, 3, 1) and len(w.mesh.faces) == 24,
+        ("skin `c` is read as its plain shape", "have no ground"),
+    ),
     "tab.obj": ({}, lambda w: len(w.mesh.faces) == 12, ()),
     "trail.stl": ({}, lambda w: len(w.mesh.faces) == 12, ()),
     "yaml_swapped.yaml": (

@@ -4,11 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.meshes.mesh_reader import read_upright
-from lirs_wct.formats.meshes.textured import read_textured
 from lirs_wct.geometry.mesh import TriangleMesh
 
 BOX = "0 2 3 1 4 5 7 6 0 1 5 4 2 6 7 3 0 4 6 2 1 3 7 5"
@@ -22,7 +20,8 @@ def source(name: str, numbers: str, axes: str) -> str:
     n = len(numbers.split())
     return (
         f'<source id="{name}"><float_array id="{name}-a" count="{n}">{numbers}</float_array>'
-        f'<technique_common><accessor source="#{name}-a" count="{n // len(axes)}" stride="{len(axes)}">{params}</accessor>'
+        f'<technique_common><accessor source="#{name}-a" count="{n // len(axes)}" stride="{len(axes)}">'
+        f"{params}</accessor>"
         "</technique_common></source>"
     )
 
@@ -122,10 +121,15 @@ def test_instances(tmp_path: Path, nodes: str, libraries: str, expected: list[fl
     assert mesh.volume > 0
 
 
+def test_a_missing_material_harms_nothing(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    mesh = read_upright(document(tmp_path / "a.dae", moved(0) + moved(10, BOUND)))
+    assert size(mesh) == [12, 3, 1]
+    assert not recwarn
+
+
 @pytest.mark.parametrize(
     ("nodes", "libraries", "expected", "line"),
     [
-        (moved(0) + moved(10, BOUND), "", [12, 3, 1], "material `none` is left out, it is not in the file"),
         (
             moved(0) + moved(5, SKINNED),
             SKIN,
@@ -184,30 +188,3 @@ def test_the_scene_that_is_named_counts(tmp_path: Path) -> None:
     other = f'<visual_scene id="other">{moved(40)}{moved(90)}</visual_scene><visual_scene id="s">'
     path.write_text(path.read_text().replace('<visual_scene id="s">', other))
     assert size(read_upright(path)) == [2, 3, 1]
-
-
-def test_a_concave_polygon_keeps_its_texture(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
-    Image.new("RGB", (2, 2), "red").save(tmp_path / "t.png")
-    flat = [float(n) for n in DOOR.split()]
-    uv = " ".join(f"{x / 4:g} {z / 3:g}" for x, z in zip(flat[::3], flat[2::3], strict=True))
-    faces = (
-        f'<polylist material="M" count="1">{VERTEX}<input semantic="TEXCOORD" source="#uv" offset="1"/>'
-        f"<vcount>8</vcount><p>{' '.join(f'{i} {i}' for i in range(8))}</p></polylist>"
-    )
-    looks = (
-        '<library_images><image id="i"><init_from>t.png</init_from></image></library_images>'
-        '<library_effects><effect id="e"><profile_COMMON><newparam sid="f"><surface type="2D">'
-        '<init_from>i</init_from></surface></newparam><newparam sid="n"><sampler2D><source>f</source>'
-        '</sampler2D></newparam><technique sid="t"><lambert><diffuse><texture texture="n" texcoord="UV"/>'
-        "</diffuse></lambert></technique></profile_COMMON></effect></library_effects>"
-        '<library_materials><material id="m"><instance_effect url="#e"/></material>'
-        "</library_materials>"
-    )
-    nodes = moved(0, BOUND.replace("#none", "#m"))
-    shapes = geometry(faces, DOOR, source("uv", uv, "ST"))
-    found = read_textured(document(tmp_path / "a.dae", nodes, looks, shapes))
-    assert found.picture is not None
-    assert found.mesh.uv is not None
-    np.testing.assert_allclose(found.mesh.uv * (4, 3), found.mesh.vertices[:, [0, 2]], atol=1e-5)
-    assert area(found.mesh) == pytest.approx(10)
-    assert not recwarn

@@ -1,6 +1,5 @@
 """Meshes of other programs have the extent, area and triangles that they state, also by Assimp."""
 
-import re
 import shutil
 import subprocess
 import warnings
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.meshes.mesh_reader import other_kind, read_mesh, read_upright
+from lirs_wct.formats.meshes.mesh_reader import read_mesh, read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
 
@@ -89,15 +88,3 @@ def test_assimp_reads_the_same(shared_data: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(*sizes, rtol=1e-5, atol=1e-4, err_msg=path.name)
         assert len(mesh.faces) == len(other.faces), path.name
         assert area(mesh) == pytest.approx(area(other), rel=1e-4), path.name
-
-
-@pytest.mark.parametrize(
-    "suffix", [".gltf", ".FBX", ".blend", ".stp", ".igs", ".usdz", ".x3d", ".3mf", ".off"]
-)
-def test_another_kind_names_the_way(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"a{suffix}"
-    path.touch()
-    assert re.fullmatch("is .+, which is not read; .+", other_kind(path) or "")
-    with pytest.raises(SourceError, match=r"a\.\w+: is .*, which is not read; .*; legal: \.stl, "):
-        read_upright(path)
-    assert other_kind(tmp_path / "a.txt") is None
