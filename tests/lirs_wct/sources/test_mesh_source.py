@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from lirs_envs.lidar.ray_casting import MeshCaster
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.export.mesh_writer import write_mesh
@@ -306,3 +307,37 @@ def test_real_meshes(shared_data: Path) -> None:
         "mujoco__pyramid": "mesh",
         "unitree_mujoco__terrain": "mesh",
     }
+
+
+DOOR = [(0, 0), (1.5, 0), (1.5, 2), (2.5, 2), (2.5, 0), (4, 0), (4, 3), (0, 3)]
+
+
+def test_rays_pass_a_door_in_every_file(tmp_path: Path) -> None:
+    """A wall of two concave polygons, as modeling programs write it."""
+    rows = [f"v {x} {y} {z}" for y in (0, 0.2) for x, z in DOOR]
+    rows += ["f 1 2 3 4 5 6 7 8", "f 16 15 14 13 12 11 10 9"]
+    rows += [f"f {(i + 1) % 8 + 1} {i + 1} {i + 9} {(i + 1) % 8 + 9}" for i in range(8)]
+    (tmp_path / "door.obj").write_text("\n".join(rows))
+    world = build_world(tmp_path / "door.obj")
+    assert world.mesh.is_watertight
+    out = write_package(world, tmp_path / "out", formats=("stl", "dae", "glb", "mjcf"))
+    starts = np.array([(x, -1.0, z) for x in (0.7, 2.0, 3.2) for z in (0.5, 1.5, 2.5)])
+    blocked = np.array([not (1.5 < x < 2.5 and z < 2) for x, _, z in starts])
+    for name in ("meshes/door.stl", "meshes/door.dae", "meshes/door.glb"):
+        mesh = trimesh.load_mesh(out / name)
+        if name.endswith("glb"):
+            mesh.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
+        hits = mesh.ray.intersects_any(starts, np.tile((0.0, 1.0, 0.0), (9, 1)))
+        np.testing.assert_array_equal(hits, blocked, err_msg=name)
+    model = mujoco.MjModel.from_xml_path(str(out / "door.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    hit = [
+        mujoco.mj_ray(model, data, start, np.array((0.0, 1.0, 0.0)), None, 1, -1, np.zeros(1, np.int32))
+        for start in starts
+    ]
+    np.testing.assert_array_equal(np.array(hit) >= 0, blocked)
+    assert world.overhangs
+    pytest.importorskip("embreex")
+    seen = MeshCaster(world.mesh).ranges(starts, np.tile((0.0, 1.0, 0.0), (9, 1)), 30.0)
+    np.testing.assert_array_equal(np.isfinite(seen), blocked)
