@@ -17,7 +17,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.ground import MeshGround, Terrain
 from lirs_wct.sources.local_origin import local_origin, warn_of_origin
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.rasterize import layers, rasterize_heights
+from lirs_wct.sources.rasterize import Grid, layers, rasterize_heights
 from lirs_wct.sources.window import Window
 
 NODES = 1025
@@ -26,6 +26,8 @@ FINEST = 0.02
 """Smallest default node spacing, meters; finer detail does not affect a wheel."""
 UNITLESS = (".stl", ".obj", ".ply")
 """Files that do not state their unit; those of this program name meters in their first bytes."""
+RAISED = 0.25
+"""Step of a mesh's underside that rays and robots pass below, share of its height."""
 TALL = 0.1
 """Height of a large mesh from a file with a unit, share of its width, from which millimeters are likely."""
 LOW, SLOPED, LEVEL, RELIEF_SHARE = 0.5, 0.5, 0.9999, 0.35
@@ -146,7 +148,18 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
         top -= top.min()
     z = np.ascontiguousarray(top[::-1].astype(np.float32))
     overhangs = bool((layers(mesh, grid, (rows, cols)) > (2 if mesh.is_watertight else 1)).any())
-    return HeightField(z, grid[2:], grid[:2]), overhangs and not _is_stacked(mesh), no_ground[::-1]
+    overhangs = (overhangs and not _is_stacked(mesh)) or _is_raised(mesh, grid, (rows, cols))
+    return HeightField(z, grid[2:], grid[:2]), overhangs, no_ground[::-1]
+
+
+def _is_raised(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> bool:
+    """Whether the underside of a closed mesh steps up far, as in a door or below a table."""
+    if not mesh.is_watertight:
+        return False
+    low, high = mesh.bounds[:, 2]
+    underside = rasterize_heights(TriangleMesh(mesh.vertices * (1.0, 1.0, -1.0), mesh.faces), grid, shape)
+    steps = (np.abs(np.diff(underside, axis=axis)) > RAISED * (high - low) for axis in (0, 1))
+    return any(bool(step.any()) for step in steps)
 
 
 def _is_stacked(mesh: TriangleMesh) -> bool:
