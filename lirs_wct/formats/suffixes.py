@@ -53,7 +53,7 @@ UNREAD = {
 
 
 def way_to_read(path: Path) -> str | None:
-    """Return the kind of a file that is not read and the way to one that is; None of others."""
+    """Return the kind of a file that is not read, and the way to one that is."""
     known = (text for suffixes, text in UNREAD.items() if path.suffix.lower() in suffixes.split())
     return next((f"is {kind}, which is not read: {way}" for kind, way in known), None)
 

@@ -86,7 +86,7 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
 
 
 def _near_origin(path: Path, mesh: TriangleMesh, factor: FloatArray) -> tuple[TriangleMesh, Place | None]:
-    """Return a far mesh at a local origin, lowest at z = 0, and its place."""
+    """Return a far mesh at a local origin, and its place."""
     low, high = mesh.bounds
     x, y = local_origin(low[:2], high[:2])
     if (x, y) == (0.0, 0.0):
@@ -112,7 +112,7 @@ def _warn_of_y_up(path: Path, mesh: TriangleMesh) -> None:
 
 
 def _warn_millimeters(path: Path, low: FloatArray, high: FloatArray) -> None:
-    """Warn of a large mesh without a unit in its file, or as high as no terrain."""
+    """Warn of a mesh that is large or high enough for millimeters."""
     side, height = float((high - low)[:2].max()), float((high - low)[2])
     unitless = path.suffix.lower() in UNITLESS
     if side < LARGE or not (unitless or height > max(LARGE, TALL * side)):
@@ -153,7 +153,7 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
 
 
 def _is_raised(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> bool:
-    """Whether the underside of a closed mesh steps up far, as in a door or below a table."""
+    """Whether the underside of a closed mesh steps up far, as in a door."""
     if not mesh.is_watertight:
         return False
     low, high = mesh.bounds[:, 2]

@@ -21,7 +21,7 @@ _PRIMITIVES = {"triangles", "polylist", "polygons", "tristrips", "trifans"}
 
 
 def collada_frame(path: Path) -> tuple[str, str]:
-    """Return the up axis and the meters per unit as written; the standard's defaults are Y and 1."""
+    """Return the up axis and the meters per unit as written, by default Y and 1."""
     depth = 0
     for event, element in ElementTree.iterparse(path, ("start", "end")):
         depth += 1 if event == "start" else -1
@@ -38,7 +38,7 @@ def read_collada(data: bytes) -> Document:
     Raises:
         ValueError: the document is damaged, or names a node or a geometry that it lacks.
     """
-    tree = _Tree(data)
+    tree = _Shapes(data)
     found = list(tree.instances())
     parts = [placed(points, faces, matrix) for name, matrix in found for points, faces in tree.shape(name)]
     if tree.left:
@@ -52,7 +52,7 @@ def _local(element: Element) -> str:
     return element.tag.rpartition("}")[2]
 
 
-class _Tree:
+class _Shapes:
     """The tree of a document.
 
     Attributes:
@@ -162,7 +162,7 @@ def _points(mesh: Element, vertex: Element) -> FloatArray:
 
 
 def _polygons(primitive: Element, width: int) -> tuple[IntArray, IntArray, dict[int, list[int]]]:
-    """Return the indices of all corners, the corners of each polygon, and the rings of those with holes."""
+    """Return indices of all corners, counts of the polygons, and rings of those with holes."""
 
     def rows(*elements: Element) -> IntArray:
         return numbers(" ".join(e.text or "" for e in elements), np.int64).reshape(-1, width)

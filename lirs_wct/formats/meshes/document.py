@@ -49,7 +49,7 @@ class Document:
 
 
 def is_same(mesh: TriangleMesh, other: TriangleMesh) -> bool:
-    """Return whether two readings of a file have as many triangles, one extent and one area."""
+    """Return whether two readings of a file agree on triangles, extent and area."""
     if len(mesh.faces) != len(other.faces):
         return False
     corners, others = mesh.vertices[mesh.faces], other.vertices[other.faces]

@@ -13,9 +13,9 @@ from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.formats.meshes.collada_tree import collada_frame, read_collada
 from lirs_wct.formats.meshes.document import Document
 from lirs_wct.formats.meshes.glb import read_glb
-from lirs_wct.formats.meshes.obj_text import read_obj
+from lirs_wct.formats.meshes.obj import read_obj
 from lirs_wct.formats.meshes.ply_faces import read_ply
-from lirs_wct.formats.meshes.stl_bytes import read_stl
+from lirs_wct.formats.meshes.stl import read_stl
 from lirs_wct.formats.references import referenced_file
 from lirs_wct.formats.suffixes import MESHES, way_to_read
 from lirs_wct.geometry.mesh import TriangleMesh, weld
@@ -84,7 +84,9 @@ def _collada_frame(path: Path) -> tuple[str, float]:
 
 
 def read_mesh(path: Path) -> TriangleMesh:
-    """Read a mesh file in its own frame, equal vertices merged; warn of parts that are left out.
+    """Read a mesh file in its own frame, equal vertices merged.
+
+    Warns of parts that are left out or simplified.
 
     Raises:
         SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.

@@ -1,4 +1,4 @@
-"""Vertices and faces of a PLY, text or binary, with faces of any number of corners."""
+"""Vertices and faces of a PLY, text or binary."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LOOKS = {"red", "texcoord", "u", "s", "texture_u"}
 
 @dataclass
 class _Element:
-    """Rows of a PLY; a property has a name, a type and, as a list, the type of its length."""
+    """Rows of a PLY; a property has a name, a type and a list's type of length."""
 
     name: str
     rows: int
@@ -75,7 +75,7 @@ def _header(text: str) -> tuple[bool, list[_Element]]:
 
 
 def _lists(body: bytes, begin: int, element: _Element) -> tuple[IntArray, IntArray, int]:
-    """Return the vertex indices of all rows, the count of each row, and the end of the rows."""
+    """Return the vertex indices of rows, their counts, and the end of the rows."""
     starts, counts, kind, at, rows = list[int](), list[int](), np.dtype("i4"), begin, element.rows
     lengths = list[tuple[int, np.dtype[Any], int]]()
     for row in range(rows):

@@ -70,7 +70,7 @@ def read_textured(path: Path) -> TexturedMesh:
 
 
 def _load(path: Path) -> trimesh.Trimesh | None:
-    """Load a mesh by trimesh, without references outside its folder or Gazebo package; None if it cannot."""
+    """Load a mesh by trimesh, None if it cannot; no reference leads out of its package."""
     import trimesh
 
     files = _referenced_files(path)
