@@ -11,13 +11,16 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.formats.limited import read_limited
-from lirs_wct.formats.meshes.mesh_reader import FARTHEST, ply_elements, require_positions
+from lirs_wct.formats.meshes.mesh_reader import FARTHEST
+from lirs_wct.formats.meshes.ply_faces import ply_header, read_ply
 from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_wkt
 
 VERTICAL_UNITS = "4099"
 """GeoKey of the vertical unit."""
 METERS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Meters in a unit of length (EPSG): meter, foot, US survey foot."""
+HEADER = 1 << 16
+"""Bytes of a PLY file that contain its header."""
 LAS = b"LASF"
 """The first bytes of a LAS or LAZ file."""
 EXTRA = "pip install '.[clouds]'"
@@ -42,8 +45,12 @@ class PointFile:
 
 def is_cloud_ply(path: Path) -> bool:
     """Return whether a PLY file holds points and no faces."""
-    elements = ply_elements(path)
-    return elements is not None and elements.get("face", (0, ()))[0] == 0
+    try:
+        with path.open("rb") as file:
+            _, elements = ply_header(file.read(HEADER))
+    except (OSError, ValueError, LookupError):  # the reader of meshes reports the fault
+        return False
+    return not any(element.rows for element in elements if element.name == "face")
 
 
 def read_points(path: Path) -> PointFile:
@@ -55,7 +62,10 @@ def read_points(path: Path) -> PointFile:
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
     try:
-        found = _read_ply(path) if path.suffix.lower() == ".ply" else _read_limited(path)
+        if path.suffix.lower() == ".ply":
+            found = PointFile(read_ply(path.read_bytes()).whole.vertices)
+        else:
+            found = _read_limited(path)
     except SourceError:
         raise
     except Exception as error:  # every reader raises different errors
@@ -67,15 +77,6 @@ def read_points(path: Path) -> PointFile:
         raise SourceError(f"{path}: has points farther than {FARTHEST:g} units")
     ground = None if found.ground is None else found.ground[kept]
     return replace(found, xyz=found.xyz[kept], ground=ground)
-
-
-def _read_ply(path: Path) -> PointFile:
-    import trimesh  # imported here to keep the start of logs fast
-
-    require_positions(path)
-    # Points have no texture.
-    loaded = trimesh.load(path, process=False, skip_materials=True)
-    return PointFile(np.asarray(loaded.vertices, np.float64).reshape(-1, 3))
 
 
 def _read_limited(path: Path) -> PointFile:

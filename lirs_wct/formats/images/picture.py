@@ -53,7 +53,7 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
             `max_pixels`.
     """
     full = None
-    if first_bytes(path).startswith(TIFF):
+    if first_bytes(path).startswith(TIFF) or _is_huge(path):
         found = read_gdal(path, max_pixels)
         check_size(path, found.width, found.height, max_pixels)
         pixels = pixels_of(path, found)
@@ -84,23 +84,29 @@ def first_bytes(path: Path, count: int = 64) -> bytes:
     return head
 
 
+def _is_huge(path: Path) -> bool:
+    """Whether a picture is larger than any that Pillow opens; GDAL reads it, if the caller allows."""
+    try:
+        with _open_picture(path):
+            return False
+    except Image.DecompressionBombError:
+        return True
+
+
 @contextmanager
 def _open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
     """Open a picture by its header; faults of decoding become one line."""
-    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # the caller checks the size
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with Image.open(path, formats=FORMATS) as picture:
                 yield picture
-    except SourceError:
+    except (SourceError, Image.DecompressionBombError):
         raise
     except UnidentifiedImageError as error:
         raise SourceError(f"{path}: is damaged, or not a picture; legal: {LEGAL}") from error
     except Exception as error:  # each decoder raises different errors
         raise SourceError(f"{path}: is damaged: {reason_of(error)}") from error
-    finally:
-        Image.MAX_IMAGE_PIXELS = limit
 
 
 def _check_complete(path: Path, picture: Image.Image) -> None:

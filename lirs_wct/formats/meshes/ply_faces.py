@@ -22,7 +22,7 @@ _LOOKS = {"red", "texcoord", "u", "s", "texture_u"}
 
 
 @dataclass
-class _Element:
+class PlyElement:
     """Rows of a PLY; a property has a name, a type and a list's type of length."""
 
     name: str
@@ -31,13 +31,17 @@ class _Element:
 
 
 def read_ply(data: bytes) -> Document:
-    """Read the faces of a PLY.
+    """Read the points and faces of a PLY.
 
     Raises:
-        ValueError: the header is damaged, or the data is cut off.
+        ValueError: the header is damaged, lacks x, y or z, or announces more than there is.
     """
-    head, _, body = data.partition(b"end_header")
-    body, (is_text, elements) = body[body.index(b"\n") + 1 :], _header(head.decode("ascii", errors="replace"))
+    is_text, elements = ply_header(data)
+    body = data[data.index(b"\n", data.index(b"end_header")) + 1 :]
+    names = next((tuple(n for n, _, _ in e.properties) for e in elements if e.name == "vertex"), ())
+    if missing := [axis for axis in "xyz" if axis not in names]:
+        got = ", ".join(names) or "none"
+        raise ValueError(f"points need x, y and z; missing: {', '.join(missing)}; got: {got}")
     if is_text:
         body = numbers(body, np.float64).tobytes()
     points, at = np.empty((0, 3)), 0
@@ -48,6 +52,8 @@ def read_ply(data: bytes) -> Document:
             corners, counts = (found, sizes) if element.name == "face" else (corners, counts)
             continue
         kind = np.dtype([(name, kind) for name, kind, _ in element.properties])
+        if at + element.rows * kind.itemsize > len(body):
+            raise ValueError(f"is damaged or cut off: {element.rows} of {element.name} are not in it")
         table = np.ndarray(element.rows, kind, body, at)
         at += table.nbytes
         if element.name == "vertex":
@@ -57,15 +63,22 @@ def read_ply(data: bytes) -> Document:
     return Document([TriangleMesh(points, corners[triangles].astype(np.int32))], looks)
 
 
-def _header(text: str) -> tuple[bool, list[_Element]]:
-    """Return whether the data is text, which is read as float64, and the elements."""
-    order, elements = "<", list[_Element]()
-    for line in text.splitlines():
+def ply_header(data: bytes) -> tuple[bool, list[PlyElement]]:
+    """Return whether the data is text, which is read as float64, and the elements.
+
+    Raises:
+        ValueError: it is no PLY.
+    """
+    head, end, _ = data.partition(b"end_header")
+    if not (head.startswith(b"ply") and end):
+        raise ValueError("has no header of a PLY")
+    order, elements = "<", list[PlyElement]()
+    for line in head.decode("ascii", errors="replace").splitlines():
         match line.split():
             case ["format", kind, *_]:
                 order = {"ascii": "", "binary_big_endian": ">"}.get(kind, "<")
             case ["element", name, rows]:
-                elements.append(_Element(name, int(rows)))
+                elements.append(PlyElement(name, int(rows)))
             case ["property", *kinds, name]:
                 each, *length = [
                     np.dtype(order + _KINDS[k] if order else "f8") for k in kinds[::-1] if k != "list"
@@ -74,7 +87,7 @@ def _header(text: str) -> tuple[bool, list[_Element]]:
     return not order, elements
 
 
-def _lists(body: bytes, begin: int, element: _Element) -> tuple[IntArray, IntArray, int]:
+def _lists(body: bytes, begin: int, element: PlyElement) -> tuple[IntArray, IntArray, int]:
     """Return the vertex indices of rows, their counts, and the end of the rows."""
     starts, counts, kind, at, rows = list[int](), list[int](), np.dtype("i4"), begin, element.rows
     lengths = list[tuple[int, np.dtype[Any], int]]()

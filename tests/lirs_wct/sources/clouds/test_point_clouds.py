@@ -253,7 +253,7 @@ MANY = 4_000_000_000
             "a.ply",
             b"ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nproperty float y\n"
             b"property float z\nend_header\n",
-            "is damaged or cut off: 4000000000 of vertex need 12000000000 bytes or more, it has",
+            "cannot be read as a point cloud: is damaged or cut off: 4000000000 of vertex are not in it",
         ),
     ],
 )
@@ -332,7 +332,7 @@ ROWS = "end_header\n1 2 3\n4 5 6\n7 8 8\n"
     [
         (PLY.format("vertex", "red") + ROWS, "points need x, y and z; missing: z; got: x, y, red"),
         (PLY.format("vertex", "Z") + FACES + ROWS + "3 0 1 2\n", "missing: z; got: x, y, Z"),
-        (PLY.format("point", "z") + ROWS, "an element 'vertex' with x, y and z; its elements are: point"),
+        (PLY.format("point", "z") + ROWS, "points need x, y and z; missing: x, y, z; got: none"),
     ],
 )
 def test_a_ply_without_positions_says_what_it_has(text: str, reason: str, tmp_path: Path) -> None:
