@@ -76,5 +76,5 @@ def numbers(text: str | bytes, kind: type[np.number[Any]]) -> NDArray[Any]:
         warnings.simplefilter("error", DeprecationWarning)
         try:
             return np.fromstring(text, kind, sep=" ")
-        except DeprecationWarning as error:
+        except (DeprecationWarning, ValueError) as error:  # by the version of NumPy
             raise ValueError("is damaged: a number is expected") from error

@@ -45,7 +45,7 @@ OUTCOMES: dict[str, tuple[tuple[int, int], str] | str] = {
     "height/vrc_driving_heightmap.png": ((129, 129), ""),
     "broken/Pillow__broken.png": "is damaged, or not a picture",
     "broken/Pillow__broken_exif_dpi.jpg": COLOR,
-    "broken/Pillow__decompression_bomb.gif": "pixels, at most 25000000 are allowed",
+    "broken/Pillow__decompression_bomb.gif": "cannot be read by GDAL",
     "broken/Pillow__hopper_bw_500.png": ((500, 500), LIKE_MAP),
     "broken/Pillow__pil_sample_cmyk.jpg": COLOR,
     "broken/gen_1x1.png": "image is 1x1 px, a terrain needs at least 2x2",
