@@ -269,16 +269,6 @@ class RunConfig(Options):
         slider=Slider(low=0, high=100, step=1, neutral=0),
         shown="{} walkers",
     )
-    threads: int = option(
-        1,
-        "Threads of a drive. With 2 the mapper runs in its own process: the same results sooner.",
-        axis=read_numbers,
-        metavar="1|2|1,2",
-        panel=AXES,
-        check=within("[1, 2]"),
-        slider=Slider(low=1, high=2, step=1, neutral=1),
-        shown="threads: {}",
-    )
     scan_time: ScanTime | None = option(
         None,
         "Beams of a scan: all at its stamp, or one after the other while the robot goes on; default: rolling "
@@ -376,11 +366,6 @@ class RunConfig(Options):
         object.__setattr__(self, "build", SourceOptions.of(self.build))
         if self.stand is not None:
             object.__setattr__(self, "stand", float(self.stand))
-        if self.threads > 1 and driver_parts(self.driver)[0] == FRONTIER:
-            raise ConfigError(
-                f"driver {FRONTIER} waits for the mapper's map and pose: it needs --threads 1, "
-                f"got {self.threads}"
-            )
         if self.sensors_only and self.bag is None:
             raise ConfigError("--sensors-only is an option of bags: give --bag")
 

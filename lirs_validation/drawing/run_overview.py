@@ -160,7 +160,6 @@ def _headline(record: RunRecord) -> str:
     driver = "" if c.driver == TOUR else f", driver {driver_parts(c.driver)[0]}"
     actors = f", {c.actors} walkers" if c.actors else ""
     text = f"{record.world['name']}: {c.robot} maps with {method}{driver}{actors}, seed {c.seed}"
-    text += f", {c.threads} threads" if c.threads > 1 else ""
     if worse_than_odometry(asdict(record)):
         text += f" ({WORSE})"
     if record.status == "ok":

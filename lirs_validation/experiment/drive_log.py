@@ -7,7 +7,7 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import Literal, TypeVar, overload
+from typing import TypeVar, overload
 
 import numpy as np
 
@@ -20,8 +20,6 @@ from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory
 from slam_baselines.motion.spatial import spatial_odometry
 
 T = TypeVar("T")
-Place = Literal["drive", "process"]
-"""Location of a mapper: the drive's own process or another one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,12 +141,10 @@ class DriveLog:
         estimates: `T_map_base`, the mapper's online answers, in the plane or in space.
         final: the mapper's trajectory in the map frame after the drive; None while it lasts.
         walls: wall-clock seconds of each tick.
-        mapper_seconds: seconds of the mapper's updates, within the ticks or parallel to them.
-        waiting: seconds of each tick in which the drive waited for the mapper.
+        mapper_seconds: seconds of the mapper's updates.
         status: at the drive's end; `reason` explains it.
         concurrent: whether something else of ours ran at the same time.
         commands: of the driver, one per tick: the commands after the first observation, the second, ...
-        mapper_in: where it worked.
     """
 
     start: Pose2 = field(default_factory=Pose2)
@@ -164,11 +160,9 @@ class DriveLog:
     final: Trajectory | None = None
     walls: list[float] = field(default_factory=list)
     mapper_seconds: list[float] = field(default_factory=list)
-    waiting: list[float] = field(default_factory=list)
     status: Status = "ok"
     reason: str = ""
     concurrent: bool = False
-    mapper_in: Place = "drive"
 
     def add(self, tick: Tick, estimate: Pose2 | Pose3) -> None:
         """Append a tick's observation and true pose, and the mapper's estimate."""

@@ -199,7 +199,6 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True
     return {
         **factor,
         "parts": _parts(log, simulation),
-        "mapper_in": log.mapper_in,
         "physics_reference": reference_rtf(simulation) if replayed and not log.concurrent else None,
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
@@ -211,19 +210,11 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True
 
 
 def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
-    """Return wall seconds per simulated second of each part, which add up to the whole.
-
-    Where the mapper works beside the others, `waiting`, in which the drive waited for it, stands in its place
-    in the sum.
-    """
-    beside = log.mapper_in != "drive"
+    """Return wall seconds per simulated second of each part, which add up to the whole."""
     timing, driven = simulation.timing, len(log.walls) * simulation.period
     spent = {"physics": timing.physics, "sensors": timing.sensors, "mapper": log.mapper_seconds}
-    if beside:
-        spent["waiting"] = log.waiting
     parts = {name: sum(seconds) / driven for name, seconds in spent.items()}
-    summed = sum(parts.values()) - (parts["mapper"] if beside else 0.0)
-    return parts | {"rest": sum(log.walls) / driven - summed}
+    return parts | {"rest": sum(log.walls) / driven - sum(parts.values())}
 
 
 def reference_rtf(simulation: Simulation) -> float | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
@@ -20,20 +20,13 @@ Recorder = Callable[[Observation, Pose3, Pose2], None]
 """Receives the observation with its cloud, the true pose `T_world_base` and the mapper's answer
 `T_map_base`, in the plane."""
 
-MOST_AHEAD = 64
-"""Ticks by which a simulation is driven ahead of its mapper at most."""
-
 
 class Drive:
     """Drive in single ticks, until time is over, a failure, or the driver ends.
 
-    A mapper in another process may drive the simulation ahead of the log, except where a tick may be the
-    last or the driver waits for the mapper's pose. So the log does not depend on the process.
-
     Attributes:
         log: of what has happened so far, with the status at the drive's end.
         over: whether it has ended.
-        look_ahead: whether the simulation may be driven ahead of the log.
 
     Args:
         simulation: that is driven, from the driver's start on.
@@ -62,8 +55,7 @@ class Drive:
         self._ticks = max(1, math.ceil(seconds / simulation.period - 1e-9))
         self._tracking = LostRule()
         self._spent = 0.0
-        self.log = DriveLog(driver.start, mapper.reads_clouds, mapper_in=mapper.place)
-        self.over, self.look_ahead = False, True
+        self.log, self.over = DriveLog(driver.start, mapper.reads_clouds), False
         # The first scan comes before anything moves: no simulated time passes.
         first = self._sense(simulation.reset(driver.start))
         self._record(first, mapper.observe(first.observation))
@@ -74,18 +66,17 @@ class Drive:
         Raises:
             MapperError: the mapper failed.
         """
-        log, begun = self.log, time.perf_counter()
+        log = self.log
         try:
-            for tick, estimate in self._mapper.follow(self._simulate(), self._may_go_ahead):
+            while not self.over:
+                begun = time.perf_counter()
+                tick = self._simulate()
+                estimate = self._mapper.observe(tick.observation)
                 self._record(tick, estimate)
                 log.mapper_seconds.append(estimate.seconds)
-                log.waiting.append(estimate.waited)
                 log.walls.append(time.perf_counter() - begun)
                 self._judge(tick, estimate)
                 yield self.time
-                if self.over:
-                    return
-                begun = time.perf_counter()
         except SimulationError as error:
             self._end("diverged", str(error))
 
@@ -94,23 +85,17 @@ class Drive:
         """Simulated seconds since the start, as far as the log goes."""
         return len(self.log.walls) * self._simulation.period
 
-    @property
-    def caught_up(self) -> bool:
-        """Whether the log is where the simulation is; the mapper then is at rest."""
-        return len(self.log.commands) == len(self.log.walls)
-
-    def _simulate(self) -> Iterator[Tick]:
-        """Drive the simulation, and sense, tick by tick.
+    def _simulate(self) -> Tick:
+        """Drive the simulation by a tick, and sense.
 
         Raises:
             SimulationError: the simulation diverged.
         """
         log, simulation, driver = self.log, self._simulation, self._driver
-        while True:
-            pose = planar(simulation.T_world_base if driver.frame == "world" else log.estimates[-1])
-            command = driver.command(pose, len(log.commands) * simulation.period)
-            log.commands.append(command)
-            yield self._sense(simulation.advance(command))
+        pose = planar(simulation.T_world_base if driver.frame == "world" else log.estimates[-1])
+        command = driver.command(pose, len(log.commands) * simulation.period)
+        log.commands.append(command)
+        return self._sense(simulation.advance(command))
 
     def _sense(self, observation: Observation) -> Tick:
         """Return the state of the simulation with an observation.
@@ -136,29 +121,12 @@ class Drive:
         if self._recorder is not None:
             self._recorder(tick.observation, tick.T_world_base, self.log.in_plane(estimate.pose))
 
-    def _may_go_ahead(self, pending: Sequence[Tick]) -> bool:
-        """Return whether the drive certainly goes on after the pending ticks, whatever the estimates."""
-        first, last = pending[0].observation.scan.stamp, pending[-1]
-        return (
-            self.look_ahead
-            and self._driver.frame == "world"
-            and last.failure is None
-            and not last.finished
-            and len(pending) < MOST_AHEAD
-            and len(self.log.commands) < self._ticks
-            and not self._late
-            and not self._tracking.may_end(first, last.observation.scan.stamp, len(pending))
-        )
-
     @property
     def _late(self) -> bool:
         return self._wall_limit is not None and self._spent >= self._wall_limit
 
     def _judge(self, tick: Tick, estimate: Estimate) -> None:
-        """End the drive if a tick requires it.
-
-        Ticks that are already driven are evaluated first.
-        """
+        """End the drive if a tick requires it."""
         self._tracking.observe(tick.observation.scan.stamp, estimate.lost)
         self._spent += self.log.walls[-1]
         before_its_time = self.time < self._seconds
@@ -168,7 +136,7 @@ class Drive:
             self._end("lost", self._tracking.too_long)
         elif tick.finished and before_its_time:
             self._finish("ok", f"{tick.finished} at {tick.time:.1f} s")
-        elif self._late and before_its_time and self.caught_up:
+        elif self._late and before_its_time:
             self._finish("wall limit", _over(self._spent, tick.time, self._seconds))
         elif len(self.log.walls) >= self._ticks:
             self._finish(self.log.status, self.log.reason)

@@ -10,12 +10,8 @@ import pickle
 import signal
 import subprocess
 import sys
-import time
 import traceback
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from multiprocessing import Pipe
 from pathlib import Path
@@ -26,7 +22,7 @@ from weakref import finalize
 from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
 from lirs_validation.experiment.mapper_loading import MapperSpec, interpreter_of, mapper_named, warm_up_mapper
 from lirs_validation.experiment.mapper_under_test import METHODS, Estimate, MapperUnderTest, SensorReadings
-from lirs_validation.interrupts import end_with, is_interrupt
+from lirs_validation.interrupts import end_with
 from lirs_wct.errors import MapperError, WctError
 from slam_baselines.mapper import CLOUD_MAPPERS
 
@@ -38,11 +34,8 @@ else:
 if TYPE_CHECKING:
     from lirs_envs.sensing.sensors import Observation
     from lirs_validation.config import RunConfig
-    from lirs_validation.experiment.drive_log import Place, Tick
     from lirs_validation.map_config import MapConfig
 
-BATCH = 8
-"""Observations that are sent together; a message takes as long as a tenth of a tick."""
 IDLE_END = 0.3
 """Seconds within which an idle process ends when its pipe is closed."""
 PATIENCE = 1.0
@@ -65,9 +58,6 @@ sys.meta_path.insert(0, Ours)
 """
 """Of a process with another interpreter, which takes our packages from here and all others from there."""
 
-ATTENTION, NAP = 0.1, 2e-4
-"""Seconds for which a message is looked out for, and between two looks."""
-
 
 def needs_process(mapper: str) -> bool:
     """Whether a mapper is foreign code: `module:name`, or an adapter of a compiled system."""
@@ -77,14 +67,14 @@ def needs_process(mapper: str) -> bool:
 def start_mapper(config: RunConfig) -> MapperUnderTest:
     """Return the mapper of a run.
 
-    It has its own process if it is foreign code or a second thread is used.
+    It has its own process if it is foreign code.
 
     Raises:
         ConfigError: the mapper cannot be made.
         MapperError: the process cannot be started.
     """
-    if config.threads > 1 or needs_process(config.mapper):
-        return MapperProcess(config, look_ahead=config.threads > 1)
+    if needs_process(config.mapper):
+        return MapperProcess(config)
     make = partial(mapper_named, config.mapper, config.seed, config.parameters)
     return MapperUnderTest(make, config.mapper, config.attitude)
 
@@ -92,24 +82,21 @@ def start_mapper(config: RunConfig) -> MapperUnderTest:
 class MapperProcess(MapperUnderTest):
     """A mapper in another process, which ends with this object.
 
-    Its parts may be read only while every observation is answered.
-
     Attributes:
         compile_seconds: time of the compiler there, once the process is ready.
 
     Args:
         config: mapper, seed and attitude of a run or of a log's map.
-        look_ahead: whether a drive goes on while the mapper works.
 
     Raises:
         ConfigError: the mapper cannot be made.
         MapperError: the process cannot be started, or ended.
     """
 
-    place: Place = "process"
+    in_process = True
 
-    def __init__(self, config: RunConfig | MapConfig, *, look_ahead: bool = False) -> None:
-        self.name, self._look_ahead, self.compile_seconds = config.mapper, look_ahead, 0.0
+    def __init__(self, config: RunConfig | MapConfig) -> None:
+        self.name, self.compile_seconds = config.mapper, 0.0
         self._pipe, far = Pipe()
         third_party = config.mapper in CLOUD_MAPPERS
         self._errors = TemporaryFile() if third_party else None  # noqa: SIM115 (it outlives this method)
@@ -121,9 +108,6 @@ class MapperProcess(MapperUnderTest):
         finally:
             far.close()
         self._end = finalize(self, _end, self._process, self._pipe)
-        self._given: list[SensorReadings] = []
-        self._answers: deque[Estimate | Exception] = deque()
-        self._sent = 0
         try:
             self._send("make", MapperSpec(config.mapper, config.seed, config.attitude, config.parameters))
             self.reads_clouds, self.requires_odometry, self.reads_inertial = self._reply()
@@ -142,35 +126,13 @@ class MapperProcess(MapperUnderTest):
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Give the mapper an observation; wait for its estimate (see `MapperUnderTest`)."""
-        self._give(observation)
-        return self._answer()
-
-    def follow(
-        self, ticks: Iterator[Tick], may_go_ahead: Callable[[Sequence[Tick]], bool]
-    ) -> Iterator[tuple[Tick, Estimate]]:
-        """Yield each tick with its estimate; drive the simulation ahead while the mapper works."""
-        if not self._look_ahead:
-            yield from super().follow(ticks, may_go_ahead)
-            return
-        pending: deque[Tick] = deque()
-        failure: Exception | None = None
-        while True:
-            if not pending and failure is not None:
-                raise failure
-            if not pending:
-                pending.append(next(ticks))
-                self._give(pending[-1].observation)
-            while failure is None and not self._answered and may_go_ahead(pending):
-                try:
-                    pending.append(next(ticks))
-                    self._give(pending[-1].observation)
-                except Exception as error:
-                    if is_interrupt(error):
-                        raise
-                    failure = error  # is raised when its turn comes
-            begun = time.perf_counter()
-            estimate = self._answer()
-            yield pending.popleft(), replace(estimate, waited=time.perf_counter() - begun)
+        o = observation
+        scan, cloud = (None, o.cloud) if self.reads_clouds else (o.scan, None)
+        inertial = o.inertial if self.reads_inertial else None
+        estimate: Estimate = self._request(
+            "observe", SensorReadings(scan, o.odometry, o.imu, cloud, inertial)
+        )
+        return estimate
 
     def restart(self) -> None:
         """Make a new mapper; its cost counts from now on."""
@@ -185,52 +147,12 @@ class MapperProcess(MapperUnderTest):
         """End the process; a mapper that is at work is interrupted."""
         self._end()
 
-    @property
-    def _answered(self) -> bool:
-        """Whether the next answer is there, or none will come."""
-        return bool(self._answers) or self._pipe.closed or (self._sent > 0 and self._pipe.poll())
-
     def _ask(self, part: str) -> Any:
         return self._request("ask", part)
 
     def _request(self, name: str, *arguments: Any) -> Any:
-        at_work = self._given or self._sent or self._answers
-        assert not at_work, "a mapper at work is asked nothing"
         self._send(name, *arguments)
         return self._reply()
-
-    def _give(self, observation: Observation | SensorReadings) -> None:
-        """Queue the readings that the mapper takes; send a full batch."""
-        o = observation
-        scan, cloud = (None, o.cloud) if self.reads_clouds else (o.scan, None)
-        inertial = o.inertial if self.reads_inertial else None
-        self._given.append(SensorReadings(scan, o.odometry, o.imu, cloud, inertial))
-        if len(self._given) >= BATCH:
-            self._flush()
-
-    def _flush(self) -> None:
-        """Send the queued readings."""
-        self._send("observe", self._given)
-        self._sent += 1
-        self._given.clear()
-
-    def _answer(self) -> Estimate:
-        """Wait for the mapper's next answer.
-
-        Raises:
-            MapperError: the mapper failed, or its process ended.
-        """
-        if not self._answers:
-            if not self._sent:
-                self._flush()
-            estimates, error = self._reply()
-            self._sent -= 1
-            self._answers.extend(estimates if error is None else [*estimates, error])
-        found = self._answers[0]
-        if isinstance(found, Exception):  # which it stays
-            raise found
-        self._answers.popleft()
-        return found
 
     def _send(self, name: str, *arguments: Any) -> None:
         try:
@@ -313,7 +235,6 @@ def serve(handle: int, parent: int) -> None:
         end_with(parent)
         pipe, server = Connection(handle), _Server()
         while True:
-            _await(pipe)
             name, *arguments = pickle.loads(pipe.recv_bytes())
             value, failure = None, None
             try:
@@ -325,17 +246,6 @@ def serve(handle: int, parent: int) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(0)  # taking the interpreter down in order takes long
-
-
-def _await(pipe: Connection) -> None:
-    """Look out for a message for a moment.
-
-    Waiting for it instead has Linux wake this process on the sender's core, where it takes the sender's
-    place, although the other core is free.
-    """
-    until = time.monotonic() + ATTENTION
-    while not pipe.poll() and time.monotonic() < until:
-        time.sleep(NAP)
 
 
 class _Server:
@@ -360,15 +270,9 @@ class _Server:
         self._mapper.restart()
         self._meter = CostMeter()
 
-    def observe(self, batch: Sequence[SensorReadings]) -> tuple[list[Estimate], Exception | None]:
-        """Give the mapper some readings; return its estimates and the error that stopped it."""
-        estimates: list[Estimate] = []
-        for readings in batch:
-            try:
-                estimates.append(self._mapper.observe(readings))
-            except Exception as error:
-                return estimates, _sendable(error)
-        return estimates, None
+    def observe(self, readings: SensorReadings) -> Estimate:
+        """Give the mapper some readings; return its estimate."""
+        return self._mapper.observe(readings)
 
     def ask(self, part: str) -> Any:
         """Return a part of the mapper (see `MapperUnderTest`)."""

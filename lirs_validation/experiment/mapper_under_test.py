@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import FrozenInstanceError, dataclass
 from operator import attrgetter
@@ -41,7 +41,6 @@ from slam_baselines.mapper import (
 if TYPE_CHECKING:  # mapping a log does not load the simulator, another interpreter no options
     from lirs_envs.sensing.sensors import Observation
     from lirs_validation.config import Attitude, RunConfig
-    from lirs_validation.experiment.drive_log import Place, Tick
 
 READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
 """Matches messages of NumPy and Numba about a write into a read-only array."""
@@ -77,13 +76,11 @@ class Estimate:
         pose: `T_map_base`, in the plane or in space.
         lost: whether the mapper does not know its place.
         seconds: wall-clock time of its update.
-        waited: wall-clock time for which the drive waited for a mapper in another process.
     """
 
     pose: Pose2 | Pose3
     lost: bool
     seconds: float
-    waited: float = 0.0
 
 
 class MapperUnderTest:
@@ -99,7 +96,7 @@ class MapperUnderTest:
         requires_odometry: whether it needs odometry.
         reads_inertial: whether it takes all inertial readings.
         reads_odometry: whether it takes the odometry, if it reads point clouds.
-        place: location of the mapper.
+        in_process: whether it has a process of its own.
 
     Args:
         make: creates the mapper.
@@ -107,7 +104,7 @@ class MapperUnderTest:
         attitude: `imu`, or `none` for a mapper without inertial readings.
     """
 
-    place: Place = "drive"
+    in_process = False
 
     def __init__(
         self, make: Callable[[], Mapper | CloudMapper], name: str, attitude: Attitude = "imu"
@@ -145,21 +142,6 @@ class MapperUnderTest:
         check_pose(pose, Pose3 if self.reads_clouds else Pose2, sensed.stamp)
         seconds = time.perf_counter() - begun
         return Estimate(pose, self.lost, seconds)
-
-    def follow(
-        self, ticks: Iterator[Tick], may_go_ahead: Callable[[Sequence[Tick]], bool]
-    ) -> Iterator[tuple[Tick, Estimate]]:
-        """Yield each tick of a drive with the mapper's estimate.
-
-        Args:
-            ticks: of the simulation, which each one drives on.
-            may_go_ahead: whether the simulation may be driven further, given the ticks without an estimate.
-
-        Raises:
-            MapperError: the mapper failed.
-        """
-        for tick in ticks:
-            yield tick, self.observe(tick.observation)
 
     def map(self) -> OccupancyGrid:
         """Return the mapper's map.

@@ -106,7 +106,7 @@ def validate(
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
         **run_options: fields of `RunConfig`: robot, mapper, lidar, terrain, rays, attitude, driver, actors,
-            threads, seed, seconds, wall_limit, bag, sensors_only.
+            seed, seconds, wall_limit, bag, sensors_only.
 
     Raises:
         WctError: the source, a name or an option cannot be used, or results cannot be written.
@@ -271,7 +271,7 @@ def warm_up(scenario: Scenario, simulation: Simulation, mapper: MapperUnderTest)
     driven = driver_parts(c.driver)[0]
     where = (scenario.world.kind, c.terrain, c.rays, "walkers" if c.actors else "")
     kind = (*where, c.robot, c.lidar, c.mapper, c.attitude, driven)
-    if mapper.place == "drive":
+    if not mapper.in_process:
         if kind in _WARM:
             return
         warm_up_mapper(c.mapper)
@@ -280,7 +280,7 @@ def warm_up(scenario: Scenario, simulation: Simulation, mapper: MapperUnderTest)
     driver = make_driver(scenario.world, simulation.robot, config, mapper.map)
     drive(simulation, driver, mapper, config.seconds)
     mapper.restart()
-    if mapper.place == "drive":
+    if not mapper.in_process:
         _WARM.add(kind)
 
 

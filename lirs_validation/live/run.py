@@ -218,8 +218,6 @@ def _check(config: RunConfig, options: LiveOptions) -> None:
         raise ConfigError(f"driver {FRONTIER} plans on the map of one of our mappers: give --mapper")
     if config.driver != CLIENT:
         check_driver(config)
-    if config.threads > 1:
-        raise ConfigError(f"a live drive has one thread, got --threads {config.threads}")
 
 
 def _topics(config: RunConfig, options: LiveOptions) -> tuple[LiveTopic, ...]:

@@ -54,17 +54,6 @@ class LostRule:
         if self._in_a_row >= LOST_SCANS and seconds >= max(LOST_SECONDS, longest):
             self._too_long = seconds, self._begun
 
-    def may_end(self, first: float, last: float, scans: int) -> bool:
-        """Return whether losing all next scans would mean that the mapper is lost.
-
-        Args:
-            first: stamp of the first of them, seconds.
-            last: of the last.
-            scans: their number.
-        """
-        begun = self._begun if self._in_a_row else first
-        return self._in_a_row + scans >= LOST_SCANS and last - begun >= LOST_SECONDS
-
     @property
     def too_long(self) -> str | None:
         """Message about the longest loss, with start and duration.

@@ -101,7 +101,6 @@ METRICS: tuple[Metric, ...] = (
     Metric("rtf.parts.sensors", "sensors", "rtf", "ms/s", None, MS, "less"),
     Metric("rtf.parts.mapper", "mapper", "rtf", "ms/s", None, MS, "less"),
     Metric("rtf.parts.rest", "rest", "rtf", "ms/s", None, MS, "less"),
-    Metric("rtf.parts.waiting", "waiting for the mapper", "rtf", "ms/s", None, MS, "less", detail=True),
     Metric("rtf.physics_reference", "reference physics", "rtf", digits=None, better="more"),
     Metric("trajectory.length", "driven", "trajectory", "m", 1,
            selections=("picture", "runs", "summary"), title="distance driven"),

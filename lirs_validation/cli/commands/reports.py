@@ -22,7 +22,7 @@ Across = Annotated[
     typer.Option(
         metavar="FIELD,...",
         help="Pair runs that differ in these: world, robot, mapper, terrain, rays, lidar, "
-        "seconds, attitude, driver, actors, threads.",
+        "seconds, attitude, driver, actors.",
     ),
 ]
 OnlyA = Annotated[

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 FEW = 10
 """Folders that are listed one by one."""
-OF_A_SUITE = ("seed", "threads")
+OF_A_SUITE = ("seed",)
 """Axes that a suite leaves open."""
 
 Sources = Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP, autocompletion=complete_source)]

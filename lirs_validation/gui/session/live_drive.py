@@ -146,7 +146,6 @@ class LiveDrive(Playback):
         """
         if self.over:
             return
-        self._drive.look_ahead = not self.driver.by_hand  # a person's commands take effect at once
         log, waited = self._drive.log, time.monotonic() - self._drawn_at
         try:
             next(self._steps, None)
@@ -229,7 +228,6 @@ class LiveDrive(Playback):
         Raises:
             WctError: nothing was driven yet, or the folder cannot be written.
         """
-        self._catch_up()
         log = self._drive.log
         status, reason, concurrent = log.status, log.reason, log.concurrent
         if not self.over:
@@ -245,19 +243,12 @@ class LiveDrive(Playback):
         finally:
             log.status, log.reason, log.concurrent, log.final = status, reason, concurrent, None
 
-    def _catch_up(self) -> None:
-        """Let the log come to where the simulation is."""
-        self._drive.look_ahead = False
-        while not self._drive.caught_up and next(self._steps, None) is not None:
-            pass
-
     def _take_stock(self) -> None:
         """Keep the map, mark events and judge; the mapper rests meanwhile.
 
         Raises:
             MapperError: the mapper failed.
         """
-        self._catch_up()
         mapper, log, scores = self._ready.mapper, self._drive.log, dict[str, Any]()
         if not mapper.reads_clouds:  # these have no occupancy map
             grid = mapper.map()
