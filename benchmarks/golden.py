@@ -82,7 +82,7 @@ def commands(part: str, data: Path, quick: bool) -> list[list[str]]:
             ["validate", "simple", "--robot", "jackal,turtlebot3_burger,quadrotor", *short],
             ["validate", depot, "--actors", "3", "--attitude", "none", "--driver", "frontier", *short],
             ["validate", "medium", "--window", "0,0,16", "--lidar", "lds01", "--rays", "mujoco", *short],
-            ["validate", "medium", "--terrain", "mesh", "--threads", "2", *short],
+            ["validate", "medium", "--terrain", "mesh", *short],
         ],
         "originals": [["validate", source, "--mapper", originals, *short] for source in ("medium", depot)],
         "clouds": [["validate", "medium", depot, "--mapper", "kiss-icp", "--lidar", "vlp16", *short]],

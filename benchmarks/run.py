@@ -1,6 +1,6 @@
 """The whole run: how fast, how right, on the bundled worlds or any source, all seeds reported.
 
-    python benchmarks/run.py [SOURCE ...] [--seeds 1-5] [--seconds 120] [--threads 2] [--quick] [--json FILE]
+    python benchmarks/run.py [SOURCE ...] [--seeds 1-5] [--seconds 120] [--quick] [--json FILE]
 
 The peer is the paper: Gazebo, Husky, the same SLAM method on solid worlds (its Tables III and IV);
 its figure for the simple world is lost with its Table II, its abstract says 0.42 to 0.73.
@@ -49,13 +49,12 @@ def main() -> None:
     parser.add_argument("--seeds", default="1-5", help="such as 1-5 or 1,3")
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--mapper", default="hector")
-    parser.add_argument("--threads", type=int, choices=(1, 2), default=1, help="of each drive")
     parser.add_argument("--quick", action="store_true", help="one seed, 20 s")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     seconds = 20.0 if given.quick else given.seconds
     rows = [
-        row(RunConfig(source=source, mapper=given.mapper, seconds=seconds, seed=seed, threads=given.threads))
+        row(RunConfig(source=source, mapper=given.mapper, seconds=seconds, seed=seed))
         for source in given.sources
         for seed in read_numbers("1" if given.quick else given.seeds, "--seeds")
     ]

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import csv
 import gzip
+import hashlib
 import json
 import os
 import re
 import secrets
 import shutil
-import sys
 import tempfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -21,17 +21,13 @@ from pathlib import Path
 from typing import Any
 
 from lirs_wct.errors import OutputError, SourceError
-from lirs_wct.foreign_files import exchange, link_foreign, move_foreign, write_manifest
-
-if sys.platform != "win32":
-    import fcntl
 
 GZIP = b"\x1f\x8b"
 """First bytes of a gzipped file."""
 GZIP_LEVEL = 1
 """Level of gzip: higher ones hardly shrink sensor noise further and take many times as long."""
-_TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(~?)(|\.[^.]*)")
-"""Stem, process, mark and suffix of a temporary name. The mark ~: the folder may hold the user's files."""
+_TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(|\.[^.]*)")
+"""Stem, process and suffix of a temporary name."""
 _STAGED = ".staged-"
 _WRITING: set[str] = set()
 """Temporary names that this process is using."""
@@ -129,14 +125,14 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], without_rows: Seque
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Yield a new empty folder; it replaces the folder at `path` when the block succeeds.
+    """Yield a new empty folder; its files move into the folder at `path` when the block succeeds.
 
-    The files that the manifest of the older folder names are removed, if unchanged. All other files are the
-    user's and stay (see `lirs_wct.foreign_files`). When the block raises, Ctrl-C included, the temporary
-    folder is removed and the older one stays unchanged. A link to a folder stays a link.
+    Files that the manifest of an older folder names are replaced or removed, all others are the user's and
+    stay. `MARKERS` are removed first and written last: a folder without its marker is incomplete, and the
+    next write completes it. When the block raises, Ctrl-C included, the older folder stays unchanged.
 
     Raises:
-        OutputError: the folder cannot be written, or a file has its name.
+        OutputError: the folder cannot be written, or the user has a file of the name of a new one.
     """
     target = path.resolve() if path.is_symlink() else path
     temporary = _temporary(target)
@@ -149,13 +145,98 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         yield temporary
         write_manifest(temporary)
         _flush(temporary)
-        with _lock(target.parent):
-            _replace_folder(target, temporary, shown=path)
+        if target.exists():
+            _replace_files(target, temporary, shown=path)
+        else:
+            temporary.rename(target)
     except (OSError, OutputError) as error:
         raise _cannot_write(path, error, hidden=temporary) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         _WRITING.discard(temporary.name)
+
+
+def _replace_files(folder: Path, new: Path, shown: Path) -> None:
+    """Replace our files in a folder by new ones.
+
+    Raises:
+        OutputError: the user has a file of the name of a new one; nothing is changed.
+    """
+    fresh, ours = read_manifest(new), read_manifest(folder)
+    for name, digests in fresh.items():
+        _check_free(folder, name, digests | ours.get(name, set()), shown)
+    with atomic_write(folder / MANIFEST) as manifest:  # of both, in case this write is broken off
+        manifest.write_text(_lines(ours) + _lines(fresh), encoding="utf-8")
+    for name in ours.keys() & set(MARKERS):
+        (folder / name).unlink(missing_ok=True)
+    for name in sorted(fresh.keys() - set(MARKERS)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (new / name).replace(folder / name)
+    for name in ours.keys() - fresh.keys():
+        _remove_ours(folder, name, ours[name])
+    for name in (MANIFEST, *(name for name in MARKERS if name in fresh)):
+        (new / name).replace(folder / name)
+
+
+def _check_free(folder: Path, name: str, digests: set[str], shown: Path) -> None:
+    """Raise OutputError if the user has a file of this name, or changed ours."""
+    for part in (*Path(name).parents[-2::-1], Path(name)):
+        path, is_last = folder / part, part == Path(name)
+        legal = _is_ours(path, digests) if is_last else path.is_dir() and not path.is_symlink()
+        if os.path.lexists(path) and not legal:
+            raise OutputError(
+                f"{shown / part}: was not written by this program, or was changed since: move it away, or "
+                "write to another folder"
+            )
+
+
+def _is_ours(path: Path, digests: set[str]) -> bool:
+    return path.is_file() and not path.is_symlink() and digest(path) in digests
+
+
+def _remove_ours(folder: Path, name: str, digests: set[str]) -> None:
+    """Remove an unchanged file of ours, and the folders that are then empty."""
+    if _is_ours(folder / name, digests):
+        (folder / name).unlink()
+        for parent in Path(name).parents[:-1]:
+            with suppress(OSError):
+                (folder / parent).rmdir()
+
+
+MARKERS = ("world.json", "record.json")
+"""Files without which a folder is incomplete."""
+MANIFEST = "manifest-sha256.txt"
+"""Digests of the files that this program wrote, as `sha256sum` writes and checks them."""
+
+
+def write_manifest(folder: Path) -> None:
+    """List every file that a folder holds now."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST)
+    listed = {path.relative_to(folder).as_posix(): {digest(path)} for path in files}
+    (folder / MANIFEST).write_text(_lines(listed), encoding="utf-8")
+
+
+def _lines(listed: dict[str, set[str]]) -> str:
+    return "".join(f"{value}  {name}\n" for name, digests in listed.items() for value in sorted(digests))
+
+
+def read_manifest(folder: Path) -> dict[str, set[str]]:
+    """Return the digests by file name; none if the manifest is missing or damaged.
+
+    A write that was broken off leaves those of its old and new files.
+    """
+    found: dict[str, set[str]] = {}
+    with suppress(OSError, UnicodeDecodeError):
+        for line in (folder / MANIFEST).read_text(encoding="utf-8").splitlines():
+            value, _, name = line.partition("  ")
+            found.setdefault(name, set()).add(value)
+    return found
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 digest of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_writable(folder: Path | None) -> None:
@@ -207,68 +288,6 @@ def _merge(new: Path, old: Path) -> None:
         _merge(path, target) if target.is_dir() else path.replace(target)
 
 
-@contextmanager
-def _lock(folder: Path) -> Iterator[None]:
-    """Let one process at a time exchange folders below a folder; the system frees a dead process's lock."""
-    if sys.platform == "win32":  # it has no locks of folders
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        # Some network file systems have no locks. One writer at a time is safe there, too.
-        with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        # A child process may have inherited the descriptor: closing it here would not unlock.
-        with suppress(OSError):
-            fcntl.flock(descriptor, fcntl.LOCK_UN)
-        os.close(descriptor)
-
-
-def _replace_folder(path: Path, new: Path, shown: Path) -> None:
-    """Replace a folder by a new one, and move the user's files; requires the lock."""
-    for leftover, _, found in _leftovers([path]):
-        if found[3]:
-            _recover(leftover, path)
-    if not path.exists():
-        new.rename(path)
-        return
-    replaced = _temporary(path, mark="~")
-    link_foreign(path, new, later=replaced.name)
-    new.rename(replaced)
-    try:
-        _exchange(replaced, path)
-    except OSError:
-        replaced.rename(new)
-        raise
-    move_foreign(replaced, path, shown)
-
-
-def _exchange(new: Path, path: Path) -> None:
-    """Exchange two folders; without support by the file system, `path` is missing for a moment."""
-    if exchange(new, path):
-        return
-    old = _temporary(path, mark="~")
-    path.rename(old)
-    try:
-        new.rename(path)
-    except OSError:
-        old.rename(path)
-        raise
-    old.rename(new)
-
-
-def _recover(leftover: Path, path: Path) -> None:
-    """Complete an exchange of folders that a killed process began; requires the lock."""
-    if not leftover.is_dir():
-        return
-    if path.exists():
-        move_foreign(leftover, path, shown=path)
-    else:
-        leftover.rename(path)
-
-
 def _flush(folder: Path) -> None:
     """Wait until the disk has every file: otherwise a power cut after the rename leaves empty files."""
     for path in folder.rglob("*"):
@@ -278,28 +297,20 @@ def _flush(folder: Path) -> None:
 
 
 def remove_leftovers(paths: Iterable[Path]) -> None:
-    """Remove the temporary files of killed processes that were writing these paths.
-
-    Files of a running process stay. A folder that may hold the user's files is merged into its path.
-    """
-    for leftover, path, found in _leftovers(paths):
-        if found[3]:
-            # The next write of this path tries again, and reports the error.
-            with suppress(OSError), _lock(path.parent):
-                _recover(leftover, path)
-        elif not _in_use(leftover.name, int(found[2])):
+    """Remove the temporary files of killed processes that were writing these paths."""
+    for leftover, pid in _leftovers(paths):
+        if not _in_use(leftover.name, pid):
             _remove(leftover)
 
 
-def _leftovers(paths: Iterable[Path]) -> Iterator[tuple[Path, Path, re.Match[str]]]:
-    """Yield each temporary file or folder of these paths, its path and the parts of its name."""
-    wanted = {(path.parent, f".{path.stem[:80]}", path.suffix): path for path in paths}
+def _leftovers(paths: Iterable[Path]) -> Iterator[tuple[Path, int]]:
+    """Yield each temporary file or folder of these paths, and the process that made it."""
+    wanted = {(path.parent, f".{path.stem[:80]}", path.suffix) for path in paths}
     for folder in {parent for parent, _, _ in wanted}:
         for name in _hidden(folder):
             found = _TEMPORARY.fullmatch(name)
-            path = wanted.get((folder, found[1], found[4])) if found else None
-            if found is not None and path is not None:
-                yield folder / name, path, found
+            if found is not None and (folder, found[1], found[3]) in wanted:
+                yield folder / name, int(found[2])
 
 
 def remove_orphans(folder: Path, prefix: str) -> None:
@@ -340,10 +351,10 @@ def lives(pid: int) -> bool:
         return True
 
 
-def _temporary(path: Path, mark: str = "") -> Path:
+def _temporary(path: Path) -> Path:
     """Return an unused hidden name in the same folder, so that the rename stays on one file system."""
     number = f"{os.getpid()}-{secrets.token_hex(4)}"
-    return path.with_name(f".{path.stem[:80]}.{number}{mark}{path.suffix}")
+    return path.with_name(f".{path.stem[:80]}.{number}{path.suffix}")
 
 
 def _cannot_write(path: Path, error: OSError | OutputError, hidden: Path | None = None) -> OutputError:

@@ -18,7 +18,7 @@ from lirs_envs.generators.terrain import KINDS, generate
 from lirs_wct import BuildOptions, ConfigError, HeightField, SourceError, World, build_world, unknown_name
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_seed
-from lirs_wct.foreign_files import digest
+from lirs_wct.files import digest
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import RECIPES
 

@@ -60,7 +60,7 @@ def test_every_axis_distinguishes_groups_of_runs() -> None:
         "rays": "mujoco",
         "lidar": "utm30lx",
     }
-    changed |= {"attitude": "none", "driver": "frontier", "actors": 3, "threads": 2, "odometry_noise": 0.5}
+    changed |= {"attitude": "none", "driver": "frontier", "actors": 3, "odometry_noise": 0.5}
     changed |= {"scan_time": "rolling", "noise": "datasheet", "parameters": "map_resolution=0.1"}
     changed |= {"speed": 0.5, "turn_rate": 0.5, "reversing": 0.5}
     assert set(changed) == set(RUN_AXES) - {"seed"}

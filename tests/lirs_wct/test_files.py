@@ -3,14 +3,20 @@
 import os
 import subprocess
 import sys
-import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from lirs_wct.errors import OutputError
-from lirs_wct.files import atomic_folder, atomic_write, check_writable, remove_orphans, staged_files
-from lirs_wct.foreign_files import MANIFEST
+from lirs_wct import files
+from lirs_wct.errors import OutputError, SourceError
+from lirs_wct.files import MANIFEST, atomic_folder, atomic_write, check_writable, remove_orphans, staged_files
+from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import find_source
 
 
 def listing(folder: Path) -> list[str]:
@@ -195,34 +201,98 @@ def test_what_the_user_put_into_a_folder_stays(tmp_path: Path) -> None:
     assert (target / "urdf/robot.urdf").read_text() == "mine"
 
 
-def test_a_file_of_ours_that_was_changed_is_kept_beside_the_new_one(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("mine", "shown"),
+    [("model", "model"), ("meshes", "meshes"), ("meshes/a/b", "meshes/a"), ("link", "link")],
+)
+def test_a_name_that_the_user_took_is_refused_before_anything_changes(
+    mine: str, shown: str, tmp_path: Path
+) -> None:
     target = tmp_path / "world"
     write_folder(target, model="1", old="1")
-    for number in (2, 3):
-        (target / "model").write_text(f"edited {number}")
-        (target / "old").write_text("edited")
-        with pytest.warns(UserWarning, match=r"world: kept what was not written by .*: model as model~"):
-            write_folder(target, model=str(number))
-    read = {path.name: path.read_text() for path in target.iterdir() if path.name != MANIFEST}
-    assert read == {"model": "3", "model~": "edited 2", "model~2": "edited 3", "old": "edited"}
+    if mine == "link":
+        (target / mine).symlink_to("model")
+    else:
+        (target / mine).parent.mkdir(parents=True, exist_ok=True)
+        (target / mine).write_text("mine")
+    before = {path: path.read_text() for path in target.rglob("*") if path.is_file()}
+    with pytest.raises(OutputError, match=rf"^{target / shown}: was not written by this program, or was"):
+        write_new_names(target)
+    assert {path: path.read_text() for path in target.rglob("*") if path.is_file()} == before
 
 
-def test_a_folder_without_manifest_belongs_to_the_user_unless_an_older_version_wrote_it(
-    tmp_path: Path,
-) -> None:
-    mine, former = tmp_path / "mine", tmp_path / "former"
-    for folder in (mine, former):
-        folder.mkdir()
-        (folder / "model").write_text("before")
-        (folder / "notes").write_text("before")
-    (former / "world.json").write_text("{}")
-    with pytest.warns(UserWarning, match=r"mine: kept .*: model as model~$"):
-        write_folder(mine, model="new")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_folder(former, model="new")
-    assert (mine / "model~").read_text() == (mine / "notes").read_text() == "before"
-    assert [p for p in listing(former) if p != MANIFEST] == ["model", "notes", "world.json"]
+def write_new_names(target: Path) -> None:
+    with atomic_folder(target) as new:
+        write_files(new, dict.fromkeys(("model", "link", "meshes/a"), "new"))
+
+
+def test_an_old_file_that_the_user_changed_stays(tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    write_folder(target, model="1", old="1", older="1")
+    (target / "old").write_text("mine")
+    write_folder(target, model="2")
+    assert {p.name: p.read_text() for p in target.iterdir() if p.name != MANIFEST} == {
+        "model": "2",
+        "old": "mine",
+    }
+
+
+OLD = {"world.json": "old", "a": "old", "meshes/b": "old", "same": "same"}
+NEW = {"world.json": "new", "a": "new", "meshes/c": "new", "same": "same"}
+
+
+def write_files(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+@given(
+    st.dictionaries(st.sampled_from(["notes", "meshes/mine", "b/c", "meshes/deep/x"]), st.text("xyz")),
+    st.integers(0, 14),
+)
+def test_a_write_that_is_killed_at_any_step_loses_nothing(mine: dict[str, str], step: int) -> None:
+    with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
+        folder = Path(name) / "world"
+        with atomic_folder(folder) as first:
+            write_files(first, OLD)
+        write_files(folder, mine)
+        left = iter(range(step))
+        for call in ("replace", "unlink", "rmdir"):
+            patch.setattr(Path, call, die_after(left, getattr(Path, call)))
+        try:
+            with atomic_folder(folder) as second:
+                write_files(second, NEW)
+        except KeyboardInterrupt:
+            patch.undo()
+            files._WRITING.clear()  # names of a process that has died
+            held = {n: (folder / n).read_text() for n in OLD.keys() | NEW.keys() if (folder / n).exists()}
+            if "world.json" in held:
+                assert held in (OLD, NEW)
+            with atomic_folder(folder) as again:
+                write_files(again, NEW)
+        found = {
+            path.relative_to(folder).as_posix(): path.read_text()
+            for path in folder.rglob("*")
+            if path.is_file() and path.name != MANIFEST
+        }
+        assert found == NEW | mine
+        assert [path.name for path in Path(name).iterdir()] == ["world"]
+
+
+def die_after(left: Iterator[int], call: Callable[..., Any]) -> Callable[..., Any]:
+    def mortal(*arguments: Any, **more: Any) -> Any:
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return call(*arguments, **more)
+
+    return mortal
+
+
+def test_a_folder_without_its_marker_is_incomplete(tmp_path: Path) -> None:
+    write_folder(tmp_path / "world", model="1")
+    with pytest.raises(SourceError, match=r"world: is incomplete, its build was broken off: build it again"):
+        find_source(tmp_path / "world", BuildOptions())
 
 
 def test_the_manifest_is_what_sha256sum_checks(tmp_path: Path) -> None:
@@ -248,7 +318,7 @@ def test_a_user_s_file_that_cannot_be_kept_leaves_the_folder_as_it_was(tmp_path:
     write_folder(target, model="1")
     (target / "meshes").mkdir()
     (target / "meshes" / "mine.stl").write_text("mine")
-    with pytest.raises(OutputError, match=r"world: cannot be written: "):
+    with pytest.raises(OutputError, match=r"world/meshes: was not written by this program"):
         write_folder(target, meshes="a file where the user has a folder")
     assert listing(tmp_path) == [
         "world",

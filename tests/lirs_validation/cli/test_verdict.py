@@ -32,7 +32,6 @@ def test_what_is_no_duration_is_refused(text: str) -> None:
         (("simple", "--seed", "1-3"), "--seed is the first seed of the drives: one number, got 3"),
         (("simple", "--robot", "huksy"), "unknown robot 'huksy'"),
         (("nowhere.png",), "nowhere.png: no such file"),
-        (("simple", "--driver", "frontier,tour", "--threads", "2"), "needs --threads 1"),
     ],
 )
 def test_bad_input_is_one_line_and_code_2(

@@ -16,16 +16,20 @@ import pytest
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, validate
-from lirs_validation.experiment.drive_log import Tick
+from lirs_validation.experiment.evaluation import evaluate_rtf
+from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_loading import mapper_named
-from lirs_validation.experiment.mapper_process import BATCH, MapperProcess
+from lirs_validation.experiment.mapper_process import MapperProcess
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
+from lirs_validation.experiment.run import prepare
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_validation.experiment.mapper_processes import mapper_processes
 
 MADE = """
 from types import SimpleNamespace
+from lirs_validation.experiment.evaluation import evaluate_rtf
+from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_process import MapperProcess
 def made(mapper):
     usual = {"seed": 1, "attitude": "imu", "parameters": "", "mapper_python": None}
@@ -111,43 +115,30 @@ def test_a_process_that_fails_is_told_in_a_line(
         assert "in act\n    raise ValueError" in raised.value.__notes__[0]
 
 
-def test_a_process_that_dies_before_a_batch_is_sent_keeps_nobody_waiting(
-    observations: list[Observation],
-) -> None:
-    process = MapperProcess(config("own_mappers:Own"), look_ahead=True)
+def test_a_process_that_dies_keeps_nobody_waiting(observations: list[Observation]) -> None:
+    process = MapperProcess(config("own_mappers:Own"))
     process.wait_until_ready()
     process._process.kill()
     process._process.wait()
-    for _ in range(BATCH - 1):
-        process._give(observations[0])
-    with pytest.raises(MapperError, match="its process ended"):
-        process._give(observations[0])
-    assert process._answered
-    with pytest.raises(MapperError, match="its process ended"):
-        process._answer()
+    for _ in range(2):
+        with pytest.raises(MapperError, match="its process ended"):
+            process.observe(observations[0])
 
 
-def test_an_interrupted_kernel_does_not_wait_for_the_mapper(observations: list[Observation]) -> None:
-    process = MapperProcess(config("own_mappers:Own"), look_ahead=True)
-    process.wait_until_ready()
-    os.kill(process._process.pid, signal.SIGSTOP)
-    late = threading.Timer(5.0, process._process.kill)
-    late.start()
-
-    def ticks() -> Iterator[Tick]:
-        yield Tick(observations[0], Pose3(), 0.0)
-        # As a compiled kernel raises it.
-        raise SystemError("CPUDispatcher returned a result with an exception set") from KeyboardInterrupt()
-
-    with pytest.raises(SystemError), closing(process):
-        list(process.follow(ticks(), lambda pending: True))
-    late.cancel()
+def test_the_parts_of_the_time_add_up() -> None:
+    ready = prepare(config("own_mappers:Own"))
+    with closing(ready.mapper):
+        log = drive(ready.simulation, ready.driver, ready.mapper, 2.0)
+    rtf = evaluate_rtf(log, ready.simulation)
+    assert set(rtf["parts"]) == {"physics", "sensors", "mapper", "rest"}
+    assert min(rtf["parts"].values()) > 0
+    assert sum(rtf["parts"].values()) == pytest.approx(1 / rtf["mean"])
 
 
 def test_a_process_that_cannot_be_started_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    with pytest.raises(MapperError, match="mapper 'hector': its process cannot be started"):
-        validate("simple", seconds=1, threads=2)
+    with pytest.raises(MapperError, match="mapper 'own_mappers:Own': its process cannot be started"):
+        validate("simple", seconds=1, mapper="own_mappers:Own")
 
 
 def test_nothing_is_left_of_a_mapper_that_cannot_be_made() -> None:

@@ -71,25 +71,18 @@ def driven(config: RunConfig, scenarios: ScenarioCache, ticks: int | None = None
 
 
 @pytest.mark.parametrize(
-    ("mapper", "driver", "threads"),
+    ("mapper", "driver"),
     [
-        ("hector", "tour", 1),
-        pytest.param("cartographer", "tour", 2, marks=pytest.mark.slow),
-        pytest.param("hector", "frontier", 1, marks=pytest.mark.slow),
+        ("hector", "tour"),
+        pytest.param("cartographer", "tour", marks=pytest.mark.slow),
+        pytest.param("hector", "frontier", marks=pytest.mark.slow),
     ],
 )
 def test_a_saved_drive_is_validates_run(
-    tmp_path: Path,
-    scenarios: ScenarioCache,
-    mapper: str,
-    driver: str,
-    threads: int,
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, scenarios: ScenarioCache, mapper: str, driver: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lirs_validation.gui.session.live_drive.MAP_WALL_SECONDS", 0.0)
-    config = RunConfig(
-        source="simple", build=SMALL, mapper=mapper, driver=driver, seconds=1.0, seed=2, threads=threads
-    )
+    config = RunConfig(source="simple", build=SMALL, mapper=mapper, driver=driver, seconds=1.0, seed=2)
     by_validate = run(config, out=tmp_path / "validate", scenarios=scenarios).folder
     drive = driven(config, scenarios)
     by_page = drive.save(tmp_path / "page").folder

@@ -41,7 +41,6 @@ def test_colors_tell_small_from_large_errors() -> None:
 @pytest.mark.parametrize(
     ("message", "shown"),
     [
-        ("needs --threads 1, got 2", "needs threads 1, got 2"),
         ("give one of --size, --pixel-size", "give one of size, pixel size"),
         ("/tmp/lirs-wct-gui-1-x/hill.png: not a picture", "hill.png: not a picture"),
         ("see /var/a b", "see a b"),

@@ -217,7 +217,6 @@ def test_ctrl_c_ends_a_drive_and_evaluates_it(monkeypatch, tmp_path):
         ({"mapper": "hectr"}, {}, "unknown mapper 'hectr'"),
         ({"mapper": "kiss-icp"}, {}, "live publishes the map of hector"),
         ({"driver": "frontier"}, {}, "give --mapper"),
-        ({"threads": 2}, {}, "one thread"),
         ({"driver": "pretrained", "reversing": 0.5}, {}, "reversing must be 0"),
     ],
 )

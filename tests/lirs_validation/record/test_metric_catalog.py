@@ -69,8 +69,7 @@ def test_records_hold_the_metrics() -> None:
     missing = {m.key for m in METRICS if m.of(run) is None}
     without_input_map = {"map.f1_input", "map.precision_input", "map.recall_input"}
     of_clouds = {m.key for m in METRICS if "_3d" in m.key or "elevation" in m.key}
-    of_two_threads = {"rtf.parts.waiting"}
-    assert missing == without_input_map | of_clouds | of_two_threads
+    assert missing == without_input_map | of_clouds
 
 
 def shown(table: Table) -> str:

@@ -33,7 +33,6 @@ def test_the_default_of_an_axis_changes_no_digest() -> None:
     for name, values in {
         "driver": ("tour", "frontier", "replay:out/a"),
         "actors": (0, 5, 20),
-        "threads": (1, 2),
         "attitude": ("imu", "none"),
         "rays": ("builtin", "mujoco"),
         "seconds": (120, 60.0),
@@ -52,10 +51,9 @@ def test_a_name_tells_the_driver() -> None:
 
 
 def test_the_papers_suite_has_every_run_of_its_tables_once() -> None:
-    experiments = make_suite("paper", seed=(1, 2), threads=(2,))
+    experiments = make_suite("paper", seed=(1, 2))
     runs = [experiment for experiment in experiments if isinstance(experiment, SlamExperiment)]
     assert len({experiment.name for experiment in experiments}) == len(experiments)
-    assert {run.config.threads for run in runs} == {2}
     for table in ("II", "III", "IV"):
         of_table = [experiment.config for experiment in runs if table in experiment.tables]
         assert {c.robot for c in of_table} == {"husky"}
