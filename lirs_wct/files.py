@@ -164,6 +164,8 @@ def _replace_files(folder: Path, new: Path, shown: Path) -> None:
     """
     fresh, ours = read_manifest(new), read_manifest(folder)
     for name, digests in fresh.items():
+        if name in MARKERS and name in ours:
+            continue  # an edited one is this program's, too
         _check_free(folder, name, digests | ours.get(name, set()), shown)
     with atomic_write(folder / MANIFEST) as manifest:  # of both, in case this write is broken off
         manifest.write_text(_lines(ours) + _lines(fresh), encoding="utf-8")

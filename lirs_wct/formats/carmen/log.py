@@ -17,7 +17,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import REAR, LaserFacts, scans_of
 from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, parameters_of, read_lines
-from lirs_wct.formats.carmen.repairs import in_file_order, odometry_of
+from lirs_wct.formats.carmen.repairs import LEAP, in_file_order, odometry_of
 from lirs_wct.formats.laser_log import LaserLog
 
 DAY = 86_400.0
@@ -54,10 +54,13 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
         )
     read, odoms = _in_time(_without_repeats(read, skipped), skipped), _in_time(odoms, skipped)
     scans, odoms, stamps = in_file_order(read, odoms)
+    if back := int((np.diff(stamps.logged) < -LEAP).sum()):
+        what = f"its clock goes back {back} times by more than {LEAP:g} s: its times are wrong"
+        warnings.warn(f"{path}: {what}", stacklevel=2)
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=2)
     parameters = parameters_of(lines.get("PARAM", ()))
-    odometry, track = odometry_of([m.stamp for m in scans], scans, odoms, repaired)
+    odometry, track = odometry_of(path, [m.stamp for m in scans], scans, odoms)
     try:
         found = scans_of(laser, scans, parameters, facts or LaserFacts(), repaired)
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Repairs of a CARMEN log: rising stamps, and odometry without jumps.
+"""Rising stamps and the odometry of a CARMEN log.
 
 A line is stamped when its message passes the log's network. Messages wait there and come in bursts, so the
 stamps of real logs go back and repeat while the robot moves on. The order of the lines is right.
@@ -13,11 +13,10 @@ The odometry is that of the laser's own messages, else that of ODOM lines, else 
 
 from __future__ import annotations
 
-import math
-from collections import Counter
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
@@ -28,8 +27,6 @@ from lirs_wct.geometry.pose import Pose2, Trajectory
 
 LEAP = 10.0
 """Longest delay, seconds; a larger step back is a damaged line or a clock that was set."""
-LEAP_LOOK = 5
-"""Lines after a leap within which the stamps may return."""
 WINDOW = 20
 """Lines over which pace and speed are measured, so that delays average out."""
 PERCENTILE, MARGIN = 99.0, 1.25
@@ -118,7 +115,7 @@ def _rising(logged: FloatArray, distances: FloatArray) -> FloatArray:
     from scipy.optimize import isotonic_regression  # imported here: sound logs do not need it
 
     start = float(np.median(logged))
-    stamps = _one_clock(logged - start)
+    stamps = logged - start
     least = np.concatenate(((0.0,), np.cumsum(_least_steps(stamps, distances))))
     rising = isotonic_regression(stamps - least).x + least
     repaired: FloatArray = np.where(np.abs(rising + start - logged) < SAME, logged, rising + start)
@@ -140,129 +137,46 @@ def _least_steps(stamps: FloatArray, distances: FloatArray) -> FloatArray:
     return least
 
 
-def _one_clock(stamps: FloatArray) -> FloatArray:
-    """Return stamps without leaps.
-
-    A damaged stamp is interpolated between its neighbors; a clock that was set back continues.
-    """
-    if not (np.diff(stamps) < -LEAP).any():
-        return stamps
-    damaged, set_anew = _stamp_leaps(stamps)
-    lines = np.arange(len(stamps))
-    kept = np.setdiff1d(lines, damaged)
-    bounds = [0, *set_anew, len(stamps)]
-    usual = max(float(np.median(np.diff(stamps[kept]))), LEAST_STEP)
-    parts: list[FloatArray] = []
-    shifts: list[float] = []
-    for first, end in pairwise(bounds):
-        inside = kept[(kept >= first) & (kept < end)]
-        shift = float(parts[-1][-1] + usual - stamps[inside[0]]) if parts else 0.0
-        parts.append(stamps[inside] + shift)
-        shifts.append(shift)
-    longest = int(np.argmax([len(part) for part in parts]))
-    return np.interp(lines, kept, np.concatenate(parts) - shifts[longest])
-
-
-def _stamp_leaps(stamps: FloatArray) -> tuple[list[int], list[int]]:
-    """Return the lines with damaged stamps, and the lines of clock resets."""
-    damaged: list[int] = []
-    set_anew: list[int] = []
-    last = 0
-    for k in range(1, len(stamps)):
-        following = stamps[k + 1 : k + 1 + LEAP_LOOK]
-        on = following >= stamps[last] - LEAP
-        if stamps[k] < stamps[last] - LEAP:
-            if on.any():
-                damaged.append(k)
-                continue
-            set_anew.append(k)
-        elif stamps[k] > stamps[last] + LEAP and (on & (following < stamps[k] - LEAP)).any():
-            damaged.append(k)
-            continue
-        last = k
-    return damaged, set_anew
-
-
 JUMP, JUMP_SPEED = 5.0, 30.0
 """Longest step, meters, and highest speed, m/s, of a robot; beyond both, a step is a jump."""
-JUMP_LOOK = 5
-"""Poses after a jump within which the track may return."""
 AGREEMENT = 1.0
 """Largest median distance of two sources in the same frame, meters."""
 
 
 def odometry_of(
-    stamps: Sequence[float], lasers: Sequence[Message], odoms: Sequence[Message], repaired: Counter[str]
+    path: Path, stamps: Sequence[float], lasers: Sequence[Message], odoms: Sequence[Message]
 ) -> tuple[list[Pose2 | None], Trajectory]:
-    """Return `T_odom_base` of each scan, and the track of all odometry poses.
+    """Return `T_odom_base` of each scan, and the track of all odometry poses; warn of jumps.
 
     Constant odometry counts as none, since the robot may have moved.
 
     Args:
+        path: of the log.
         stamps: of the scans, increasing.
         lasers: the scans' messages.
         odoms: ODOM messages.
-        repaired: receives the count of each kind of repair.
     """
     own, wheels = _track(lasers), _track(odoms)
     if _moves(own) or (len(lasers) == 1 and len(own)):
-        steady = without_jumps(own, repaired)
-        if steady is own:
-            return [m.base for m in lasers], _add_wheel_poses(own, wheels)
-        return [steady.pose2(i) for i in range(len(steady))], steady
+        _warn_of_jumps(path, own)
+        return [m.base for m in lasers], _add_wheel_poses(own, wheels)
     if _moves(wheels):
-        steady = without_jumps(wheels, repaired)
-        at = steady.planar_at(np.asarray(stamps))
-        return [Pose2(*row) for row in at.tolist()], steady
+        _warn_of_jumps(path, wheels)
+        at = wheels.planar_at(np.asarray(stamps))
+        return [Pose2(*row) for row in at.tolist()], wheels
     return [None] * len(stamps), Trajectory.from_poses([], [])
 
 
-def without_jumps(track: Trajectory, repaired: Counter[str]) -> Trajectory:
-    """Return a track without jumps; a sound track is returned unchanged.
-
-    A few poses far from their neighbors are interpolated. Where the track does not return, the odometry was
-    reset; the repaired track stands still for that step.
-    """
-    wrong, anew = _position_leaps(track)
-    if not wrong and not anew:
-        return track
-    sound = np.setdiff1d(np.arange(len(track)), wrong)
-    poses, last = [track.pose2(0)], 0
-    for k in sound[1:].tolist():
-        motion = Pose2() if k in anew else track.pose2(last).inverse() @ track.pose2(k)
-        poses.append(poses[-1] @ motion)
-        last = k
-    kept = Trajectory.from_poses(track.stamps[sound].tolist(), poses)
-    if wrong:
-        repaired["odometry far from that before and after, taken from between"] = len(wrong)
-    if anew:
-        repaired["jumps of the odometry, taken for standing still"] = len(anew)
-    filled = [Pose2(*row) for row in kept.planar_at(track.stamps).tolist()]
-    return Trajectory.from_poses(track.stamps.tolist(), filled)
-
-
-def _position_leaps(track: Trajectory) -> tuple[list[int], set[int]]:
-    """Return the poses far from their neighbors, and the poses after odometry resets."""
-    xy, stamps = track.xy, track.stamps
-    wrong: list[int] = []
-    anew: set[int] = set()
-
-    def can_reach(a: int, b: int) -> bool:
-        meters = math.hypot(*(xy[b] - xy[a]))
-        return meters <= max(JUMP, JUMP_SPEED * float(stamps[b] - stamps[a]))
-
-    steps = np.linalg.norm(np.diff(xy, axis=0), axis=1)
-    if not (steps > JUMP).any():
-        return wrong, anew
-    last = 0
-    for k in range(1, len(track)):
-        if not can_reach(last, k):
-            if any(can_reach(last, m) for m in range(k + 1, min(k + 1 + JUMP_LOOK, len(track)))):
-                wrong.append(k)
-                continue
-            anew.add(k)
-        last = k
-    return wrong, anew
+def _warn_of_jumps(path: Path, track: Trajectory) -> None:
+    """Warn of steps that no robot can make."""
+    steps = np.linalg.norm(np.diff(track.xy, axis=0), axis=1)
+    jumps = int((steps > np.maximum(JUMP, JUMP_SPEED * np.diff(track.stamps))).sum())
+    if jumps:
+        warnings.warn(
+            f"{path}: its odometry jumps {jumps} times by more than {JUMP:g} m, up to {steps.max():.4g} m: "
+            "the map may break there",
+            stacklevel=4,
+        )
 
 
 def _track(messages: Sequence[Message]) -> Trajectory:

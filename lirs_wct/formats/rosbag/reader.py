@@ -173,7 +173,7 @@ def _log(path: Path, c: _Contents) -> LaserLog:
     scans, odoms, stamps = in_file_order(*_number_by_stamp(c.scans, odometry))
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=3)
-    poses, track = odometry_of([m.stamp for m in scans], scans, odoms, repaired)
+    poses, track = odometry_of(path, [m.stamp for m in scans], scans, odoms)
     mount = c.frames.mount(base, laser)
     if mount is None:
         repaired[
