@@ -205,7 +205,7 @@ def _remove_ours(folder: Path, name: str, digests: set[str]) -> None:
                 (folder / parent).rmdir()
 
 
-MARKERS = ("world.json", "record.json")
+MARKERS = ("world.json", "record.json", "episode.json", "twin.json", "collisions.json")
 """Files without which a folder is incomplete."""
 MANIFEST = "manifest-sha256.txt"
 """Digests of the files that this program wrote, as `sha256sum` writes and checks them."""

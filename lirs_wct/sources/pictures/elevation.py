@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.elevation import Raster, RasterInfo, decode, guess, tile_georeference
-from lirs_wct.formats.nodata import missing_heights
+from lirs_wct.formats.images.nodata import missing_heights
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.sources.options import BuildOptions

@@ -82,17 +82,3 @@ def test_an_error_is_worse_when_it_is_visibly_larger(
     ate: float | None, odometry: float | None, worse: bool
 ) -> None:
     assert is_worse(ate, odometry) == worse
-
-
-def test_a_loss_may_only_end_the_drive_when_it_is_long_in_scans_and_seconds() -> None:
-    rule = LostRule()
-    assert rule.may_end(7.0, 12.0, 10)
-    assert not rule.may_end(7.0, 12.0, 9)
-    assert not rule.may_end(7.0, 11.9, 10)
-    for stamp in (1.0, 2.0, 3.0):
-        rule.observe(stamp, True)
-    assert rule.may_end(4.0, 6.0, 7), "the present loss began at 1 s and has three scans"
-    assert not rule.may_end(4.0, 6.0, 6)
-    assert not rule.may_end(4.0, 5.9, 7)
-    rule.observe(4.0, False)
-    assert not rule.may_end(5.0, 9.0, 10)

@@ -22,9 +22,7 @@ def xs(poses: list[Pose2 | None]) -> list[float | None]:
     return [None if p is None else round(p.x, 9) for p in poses]
 
 
-def found(
-    lasers: list[Message], odoms: list[Message]
-) -> tuple[list[float | None], list[float], list[float]]:
+def found(lasers: list[Message], odoms: list[Message]) -> tuple[list[float | None], list[float], list[float]]:
     """Return x of each scan, and stamps and x of the track."""
     poses, track = odometry_of(Path("a.log"), [m.stamp for m in lasers], lasers, odoms)
     return xs(poses), track.stamps.tolist(), track.xy[:, 0].round(9).tolist()

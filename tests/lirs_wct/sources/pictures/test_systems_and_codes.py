@@ -12,7 +12,7 @@ from PIL import Image
 from rasterio.transform import from_origin
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.nodata import missing_heights
+from lirs_wct.formats.images.nodata import missing_heights
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World
