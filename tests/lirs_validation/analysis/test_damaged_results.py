@@ -18,7 +18,7 @@ from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.page import report_of
 from lirs_validation.report.run_tables import results_table
 from lirs_validation.sweep.experiment import SlamExperiment
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats.map_server import read_map
 from tests.lirs_validation.records import record, saved, saved_whole
 
@@ -158,7 +158,14 @@ def test_a_mapped_log_that_is_cut_off_is_mapped_again(
 ) -> None:
     log, out = finished_run / "scans.clf.gz", tmp_path / "out"
     shutil.copytree(mapped.parent, out)
-    cut(out / mapped.name / name, how)
+    damaged = out / mapped.name / name
+    cut(damaged, how)
+    if how in ("noise", "empty"):  # may be the user's work
+        with pytest.raises(
+            OutputError, match=rf"^{damaged}: was not written by this program, or was changed"
+        ):
+            resolve_source(log, SourceOptions(log_mapper="hector"), out)
+        damaged.unlink()
     found = resolve_source(log, SourceOptions(log_mapper="hector"), out)
     assert read_map(Path(found)).known.any()
 

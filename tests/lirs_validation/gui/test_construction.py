@@ -127,3 +127,11 @@ def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
         assert dict(shown.facts)["walls"] == "544 cells of 0.1 m, 1.5 m high"
     finally:
         uploads.close()
+
+
+def test_a_preview_names_unusual_figures_as_a_build_does(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "flat.png"), np.full((9, 9), 7, np.uint8))
+    construction = Construction(tmp_path / "page")
+    for make in (construction.preview, construction.build):
+        with pytest.warns(UserWarning, match=r"flat\.png: the ground is flat, 0 m of relief on 50 m"):
+            make(str(tmp_path / "flat.png"), SourceOptions())
