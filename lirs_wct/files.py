@@ -184,7 +184,7 @@ def _check_free(folder: Path, name: str, digests: set[str], shown: Path) -> None
     """Raise OutputError if the user has a file of this name, or changed ours."""
     for part in (*Path(name).parents[-2::-1], Path(name)):
         path, is_last = folder / part, part == Path(name)
-        legal = _is_ours(path, digests) if is_last else path.is_dir() and not path.is_symlink()
+        legal = _is_ours(folder, name, digests) if is_last else path.is_dir() and not path.is_symlink()
         if os.path.lexists(path) and not legal:
             raise OutputError(
                 f"{shown / part}: was not written by this program, or was changed since: move it away, or "
@@ -192,13 +192,15 @@ def _check_free(folder: Path, name: str, digests: set[str], shown: Path) -> None
             )
 
 
-def _is_ours(path: Path, digests: set[str]) -> bool:
-    return path.is_file() and not path.is_symlink() and digest(path) in digests
+def _is_ours(folder: Path, name: str, digests: set[str]) -> bool:
+    """Whether a file is unchanged, and lies behind no link of the user."""
+    linked = any((folder / part).is_symlink() for part in (Path(name), *Path(name).parents[:-1]))
+    return not linked and (folder / name).is_file() and digest(folder / name) in digests
 
 
 def _remove_ours(folder: Path, name: str, digests: set[str]) -> None:
     """Remove an unchanged file of ours, and the folders that are then empty."""
-    if _is_ours(folder / name, digests):
+    if _is_ours(folder, name, digests):
         (folder / name).unlink()
         for parent in Path(name).parents[:-1]:
             with suppress(OSError):
@@ -231,7 +233,8 @@ def read_manifest(folder: Path) -> dict[str, set[str]]:
     with suppress(OSError, UnicodeDecodeError):
         for line in (folder / MANIFEST).read_text(encoding="utf-8").splitlines():
             value, _, name = line.partition("  ")
-            found.setdefault(name, set()).add(value)
+            if not Path(name).anchor and ".." not in Path(name).parts:  # others lie outside the folder
+                found.setdefault(name, set()).add(value)
     return found
 
 

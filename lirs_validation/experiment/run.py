@@ -369,7 +369,7 @@ def write_results(
     *,
     drawn: bool = True,
 ) -> RunRecord:
-    """Write a run's folder atomically; return the record as written.
+    """Write a run's folder, its record last; return the record as written.
 
     An older folder is replaced.
 

@@ -98,7 +98,7 @@ class MappedLog:
 
 
 def write_mapped(folder: Path, mapped: MappedLog) -> Path:
-    """Write the folder atomically, replacing an older one; return it.
+    """Write the folder, replacing an older one; return it.
 
     Raises:
         OutputError: the folder cannot be written.

@@ -111,7 +111,7 @@ class Experiment(Protocol):
     def perform(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
-        """Run the experiment and write its folder atomically.
+        """Run the experiment and write its folder.
 
         Raises:
             WctError: it cannot be run, or not written.

@@ -49,7 +49,7 @@ def test_a_broken_off_file_leaves_the_old_one(tmp_path: Path, error: type[BaseEx
     assert listing(tmp_path) == ["map.pgm"]
 
 
-def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
+def test_a_folder_is_replaced_by_the_new_one(tmp_path: Path) -> None:
     target = tmp_path / "world"
     for name in ("first", "second"):
         with atomic_folder(target) as temporary:
@@ -237,6 +237,31 @@ def test_an_old_file_that_the_user_changed_stays(tmp_path: Path) -> None:
     }
 
 
+def test_a_file_behind_a_link_of_the_user_stays(tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    write_old(target)
+    (target / "meshes").rename(tmp_path / "disk")
+    (target / "meshes").symlink_to(tmp_path / "disk")
+    write_folder(target, a="new")
+    assert (tmp_path / "disk" / "b").read_text() == "old"
+
+
+@pytest.mark.parametrize("named", ["../mine", "{folder}/mine"])
+def test_a_manifest_names_no_file_outside_its_folder(named: str, tmp_path: Path) -> None:
+    target = tmp_path / "world"
+    write_old(target)
+    (tmp_path / "mine").write_text("mine")
+    with (target / MANIFEST).open("a") as manifest:
+        manifest.write(f"{files.digest(tmp_path / 'mine')}  {named.format(folder=tmp_path)}\n")
+    write_folder(target, a="new")
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def write_old(target: Path) -> None:
+    with atomic_folder(target) as new:
+        write_files(new, OLD)
+
+
 OLD = {"world.json": "old", "a": "old", "meshes/b": "old", "same": "same"}
 NEW = {"world.json": "new", "a": "new", "meshes/c": "new", "same": "same"}
 
@@ -257,6 +282,7 @@ def test_a_write_that_is_killed_at_any_step_loses_nothing(mine: dict[str, str], 
         with atomic_folder(folder) as first:
             write_files(first, OLD)
         write_files(folder, mine)
+        (Path(name) / "beside").write_text("mine")
         left = iter(range(step))
         for call in ("replace", "unlink", "rmdir"):
             patch.setattr(Path, call, die_after(left, getattr(Path, call)))
@@ -277,7 +303,8 @@ def test_a_write_that_is_killed_at_any_step_loses_nothing(mine: dict[str, str], 
             if path.is_file() and path.name != MANIFEST
         }
         assert found == NEW | mine
-        assert [path.name for path in Path(name).iterdir()] == ["world"]
+        assert (Path(name) / "beside").read_text() == "mine"
+        assert sorted(path.name for path in Path(name).iterdir()) == ["beside", "world"]
 
 
 def die_after(left: Iterator[int], call: Callable[..., Any]) -> Callable[..., Any]:

@@ -160,7 +160,7 @@ class BagWriter:
 
 
 def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
-    """Write a drive as a bag folder atomically, replacing an older one.
+    """Write a drive as a bag folder, replacing an older one.
 
     Raises:
         OutputError: the folder cannot be written.
