@@ -164,9 +164,8 @@ def _replace_files(folder: Path, new: Path, shown: Path) -> None:
     """
     fresh, ours = read_manifest(new), read_manifest(folder)
     for name, digests in fresh.items():
-        if name in MARKERS and name in ours:
-            continue  # an edited one is this program's, too
-        _check_free(folder, name, digests | ours.get(name, set()), shown)
+        if name not in MARKERS or name not in ours:  # an edited marker is this program's, too
+            _check_free(folder, name, digests | ours.get(name, set()), shown)
     with atomic_write(folder / MANIFEST) as manifest:  # of both, in case this write is broken off
         manifest.write_text(_lines(ours) + _lines(fresh), encoding="utf-8")
     for name in ours.keys() & set(MARKERS):
@@ -186,10 +185,8 @@ def _check_free(folder: Path, name: str, digests: set[str], shown: Path) -> None
         path, is_last = folder / part, part == Path(name)
         legal = _is_ours(folder, name, digests) if is_last else path.is_dir() and not path.is_symlink()
         if os.path.lexists(path) and not legal:
-            raise OutputError(
-                f"{shown / part}: was not written by this program, or was changed since: move it away, or "
-                "write to another folder"
-            )
+            reason = "was not written by this program, or was changed since"
+            raise OutputError(f"{shown / part}: {reason}: move it away, or write to another folder")
 
 
 def _is_ours(folder: Path, name: str, digests: set[str]) -> bool:
