@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
 
-SECONDS, SECONDS_PER_BYTE = 6.0, 1e-6
-"""Time limit of a file: a constant and 1 s per megabyte."""
+SECONDS, SECONDS_PER_BYTE, WAIT = 5.0, 4e-6, 4
+"""Limit of CPU time: a constant, and per byte for all threads; wall time by CPU time, for busy machines."""
 MEMORY, MEMORY_PER_BYTE = 512 << 20, 200
 """Memory limit of a file in bytes; a LAZ file unpacks to some ten times its size, seldom to fifty times."""
 PIXEL_BYTES = 20
@@ -44,16 +44,16 @@ def read_limited(
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
     size = path.stat().st_size
-    seconds = SECONDS + SECONDS_PER_BYTE * size
+    seconds = round(SECONDS + SECONDS_PER_BYTE * size)
     memory = MEMORY + MEMORY_PER_BYTE * size + PIXEL_BYTES * max_pixels
     process = subprocess.Popen(
         [sys.executable, str(PROGRAM), kind]
-        + [str(value) for value in (path.resolve(), max_pixels, memory, int(seconds) + 1)],
+        + [str(value) for value in (path.resolve(), max_pixels, memory, seconds)],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         env={**os.environ, **THREADS, "PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
     )
-    timer, began = Timer(seconds, process.kill), monotonic()
+    timer, began = Timer(WAIT * seconds, process.kill), monotonic()
     timer.start()
     try:
         answer = _receive(process)
@@ -61,8 +61,8 @@ def read_limited(
         timer.cancel()
         process.kill()
     if answer is None:
-        late = monotonic() - began >= seconds
-        reason = f"takes more than {seconds:.0f} s" if late else _ending(process.returncode)
+        ending = "SIGXCPU" if monotonic() - began >= WAIT * seconds else _ending(process.returncode)
+        reason = f"takes more than {seconds} s" if ending.endswith("SIGXCPU") else ending
         raise SourceError(f"{path}: cannot be read: its reader {reason}")
     found, arrays = answer
     if "error" in found:

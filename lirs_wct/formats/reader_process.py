@@ -193,7 +193,7 @@ def _limit(memory: int, seconds: int) -> None:
     import resource
 
     # Not the address space: allocators and threads reserve much that they never use.
-    limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CPU: 8 * seconds, resource.RLIMIT_CORE: 0}
+    limits = {resource.RLIMIT_DATA: memory, resource.RLIMIT_CPU: seconds, resource.RLIMIT_CORE: 0}
     for kind, most in limits.items():
         with suppress(ValueError):  # the hard limit is lower
             resource.setrlimit(kind, (most, resource.getrlimit(kind)[1]))

@@ -1,5 +1,6 @@
 """The process that reads rasters and point clouds: its limits, and what its faults become."""
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -40,11 +41,31 @@ def test_memory_is_limited(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         read_limited("points", path)
 
 
-def test_time_is_limited(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_waiting_is_limited(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_program("import time; time.sleep(100)", tmp_path, monkeypatch)
-    monkeypatch.setattr(limited, "SECONDS", 0.6)
+    monkeypatch.setattr(limited, "SECONDS", 1.0)
+    monkeypatch.setattr(limited, "WAIT", 0.6)
     with pytest.raises(SourceError, match=rf"^{path}: cannot be read: its reader takes more than 1 s$"):
         read_limited("raster", path)
+
+
+def test_cpu_time_is_limited(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    head = bytearray(227)
+    head[:4], head[24:26] = b"LASF", bytes((1, 2))
+    struct.pack_into("<HIIBH", head, 94, 227, 227, 2**32 - 1, 0, 20)  # as many records
+    path.write_bytes(head)
+    monkeypatch.setattr(limited, "SECONDS", 1.0)
+    with pytest.raises(SourceError, match=rf"^{path}: cannot be read: its reader takes more than 1 s$"):
+        read_limited("points", path)
+
+
+def test_a_slow_start_is_no_fault(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = limited.PROGRAM.read_text()
+    run_program(
+        program.replace("import json\n", "import json, time; time.sleep(1.5)\n"), tmp_path, monkeypatch
+    )
+    monkeypatch.setattr(limited, "SECONDS", 1.0)
+    assert read_limited("raster", path, 6)[0]["width"] == 3
 
 
 @pytest.mark.parametrize(

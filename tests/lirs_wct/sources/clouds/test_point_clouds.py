@@ -221,6 +221,12 @@ def test_a_missing_package_is_named(
         build_world(path)
 
 
+def reader_seconds() -> float:
+    """Return the CPU time of the readers so far; wall time depends on what else runs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 PCD = b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT %d 1 1\nWIDTH %d\nHEIGHT 1\nPOINTS %d\nDATA %s\n"
 MANY = 4_000_000_000
 
@@ -232,7 +238,7 @@ MANY = 4_000_000_000
         pytest.param(
             "a.laz",
             las_header(records=MANY),
-            "cannot be read: its reader takes more than 6 s",
+            "cannot be read: its reader takes more than 5 s",
             marks=pytest.mark.slow,
         ),
         ("a.laz", las_header(offset=MANY), "needs more than 512 MiB of memory"),
@@ -260,11 +266,11 @@ MANY = 4_000_000_000
 def test_counts_are_checked_against_the_size(name: str, content: bytes, reason: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(content)
-    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+    before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, reader_seconds()
     with pytest.raises(SourceError, match=rf"^{path}: {reason}") as refused:
         build_world(path)
     assert "\n" not in str(refused.value)
-    assert time.monotonic() - began < 10
+    assert reader_seconds() - began < 8
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kilobytes
 
 
@@ -273,10 +279,10 @@ def test_counts_are_checked_against_the_size(name: str, content: bytes, reason: 
 def test_random_bytes_that_begin_like_a_las_file_end_soon(seed: int, tmp_path: Path) -> None:
     path = tmp_path / "a.laz"
     path.write_bytes(b"LASF" + np.random.default_rng(seed).bytes(600))
-    began = time.monotonic()
+    before = reader_seconds()
     with pytest.raises(SourceError, match=rf"^{path}: [^\n]*$"):
         build_world(path)
-    assert time.monotonic() - began < 10
+    assert reader_seconds() - before < 8
 
 
 def test_clouds_that_are_none(tmp_path: Path) -> None:
