@@ -22,31 +22,6 @@ from slam_baselines.motion.spatial import spatial_odometry
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
-    """State of a simulation after a tick.
-
-    The simulation may go on before the mapper has answered.
-
-    Attributes:
-        observation: of the sensors.
-        T_world_base: true pose.
-        time: simulated seconds since the start.
-        walker_beams: which beams of the scan met a walker; None where there are none.
-        walker_points: the same of the points of the cloud.
-        failure: how the drive ends here, and why; None where it goes on.
-        finished: why nothing is left to drive; empty while there is.
-    """
-
-    observation: Observation
-    T_world_base: Pose3
-    time: float
-    walker_beams: BoolArray | None = None
-    walker_points: BoolArray | None = None
-    failure: tuple[Status, str] | None = None
-    finished: str = ""
-
-
 class _SlicedSequence(Sequence[T]):
     """Sequence whose slices are lists; a subclass returns the value at an index from 0."""
 
@@ -164,18 +139,32 @@ class DriveLog:
     reason: str = ""
     concurrent: bool = False
 
-    def add(self, tick: Tick, estimate: Pose2 | Pose3) -> None:
-        """Append a tick's observation and true pose, and the mapper's estimate."""
-        observation = tick.observation
+    def add(
+        self,
+        observation: Observation,
+        T_world_base: Pose3,
+        estimate: Pose2 | Pose3,
+        walker_beams: BoolArray | None = None,
+        walker_points: BoolArray | None = None,
+    ) -> None:
+        """Append an observation and its true pose, and the mapper's estimate.
+
+        Args:
+            observation: Data of the sensors.
+            T_world_base: True pose.
+            estimate: Answer of the mapper, `T_map_base`.
+            walker_beams: Mask of the scan's beams that met a walker; None without walkers.
+            walker_points: Mask of the cloud's points that met a walker; None without walkers or cloud.
+        """
         if observation.cloud is not None:
             if self.spatial:
-                self.clouds.offer(len(self.observations), observation.cloud, tick.walker_points)
+                self.clouds.offer(len(self.observations), observation.cloud, walker_points)
             scan = replace(observation.scan, ranges=observation.scan.ranges.copy())  # not the whole sweep
             observation = replace(observation, scan=scan)
         self.observations.append(observation)
-        if tick.walker_beams is not None:
-            self.walker_beams.append(tick.walker_beams)
-        self.truth.append(tick.T_world_base)
+        if walker_beams is not None:
+            self.walker_beams.append(walker_beams)
+        self.truth.append(T_world_base)
         self.estimates.append(estimate)
 
     @property

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
-from lirs_validation.experiment.drive_log import DriveLog, Tick
+from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
 from lirs_validation.metrics.verdict import LostRule
 from lirs_validation.record.run_record import Status
@@ -57,8 +57,7 @@ class Drive:
         self._spent = 0.0
         self.log, self.over = DriveLog(driver.start, mapper.reads_clouds), False
         # The first scan comes before anything moves: no simulated time passes.
-        first = self._sense(simulation.reset(driver.start))
-        self._record(first, mapper.observe(first.observation))
+        self._map(simulation.reset(driver.start))
 
     def __iter__(self) -> Iterator[float]:
         """Simulate, sense, map and record tick by tick; yield the simulated time.
@@ -70,12 +69,13 @@ class Drive:
         try:
             while not self.over:
                 begun = time.perf_counter()
-                tick = self._simulate()
-                estimate = self._mapper.observe(tick.observation)
-                self._record(tick, estimate)
+                observation = self._advance()
+                # Before the mapper: a client that ends the drive while it maps ends it with the next scan.
+                finished = self._driver.finished
+                estimate = self._map(observation)
                 log.mapper_seconds.append(estimate.seconds)
                 log.walls.append(time.perf_counter() - begun)
-                self._judge(tick, estimate)
+                self._judge(observation.scan.stamp, estimate, finished)
                 yield self.time
         except SimulationError as error:
             self._end("diverged", str(error))
@@ -85,8 +85,8 @@ class Drive:
         """Simulated seconds since the start, as far as the log goes."""
         return len(self.log.walls) * self._simulation.period
 
-    def _simulate(self) -> Tick:
-        """Drive the simulation by a tick, and sense.
+    def _advance(self) -> Observation:
+        """Drive the simulation by a tick; return its observation.
 
         Raises:
             SimulationError: the simulation diverged.
@@ -95,49 +95,34 @@ class Drive:
         pose = planar(simulation.T_world_base if driver.frame == "world" else log.estimates[-1])
         command = driver.command(pose, len(log.commands) * simulation.period)
         log.commands.append(command)
-        return self._sense(simulation.advance(command))
+        return simulation.advance(command)
 
-    def _sense(self, observation: Observation) -> Tick:
-        """Return the state of the simulation with an observation.
-
-        The driver and the mapper get only the latter.
-        """
-        simulation = self._simulation
+    def _map(self, observation: Observation) -> Estimate:
+        """Give an observation to driver and mapper, and log it with the truth; return the estimate."""
+        log, simulation = self.log, self._simulation
         self._driver.sense(observation.scan, observation.odometry)
-        has_cloud = self.log.spatial and observation.cloud is not None
-        return Tick(
-            observation,
-            simulation.T_world_base,
-            simulation.time,
-            walker_beams=simulation.walker_beams,
-            walker_points=simulation.walker_points if has_cloud else None,
-            failure=_failure(simulation, self._driver),
-            finished=self._driver.finished,
-        )
-
-    def _record(self, tick: Tick, estimate: Estimate) -> None:
-        """Log a tick and the mapper's estimate."""
-        self.log.add(tick, estimate.pose)
+        estimate = self._mapper.observe(observation)
+        T_world_base = simulation.T_world_base
+        points = simulation.walker_points if log.spatial else None
+        log.add(observation, T_world_base, estimate.pose, simulation.walker_beams, points)
         if self._recorder is not None:
-            self._recorder(tick.observation, tick.T_world_base, self.log.in_plane(estimate.pose))
+            self._recorder(observation, T_world_base, log.in_plane(estimate.pose))
+        return estimate
 
-    @property
-    def _late(self) -> bool:
-        return self._wall_limit is not None and self._spent >= self._wall_limit
-
-    def _judge(self, tick: Tick, estimate: Estimate) -> None:
+    def _judge(self, stamp: float, estimate: Estimate, finished: str) -> None:
         """End the drive if a tick requires it."""
-        self._tracking.observe(tick.observation.scan.stamp, estimate.lost)
+        self._tracking.observe(stamp, estimate.lost)
         self._spent += self.log.walls[-1]
-        before_its_time = self.time < self._seconds
-        if tick.failure is not None:
-            self._end(*tick.failure)
+        before_its_time, now = self.time < self._seconds, self._simulation.time
+        failure = _failure(self._simulation, self._driver)
+        if failure is not None:
+            self._end(*failure)
         elif self._tracking.too_long is not None:
             self._end("lost", self._tracking.too_long)
-        elif tick.finished and before_its_time:
-            self._finish("ok", f"{tick.finished} at {tick.time:.1f} s")
-        elif self._late and before_its_time:
-            self._finish("wall limit", _over(self._spent, tick.time, self._seconds))
+        elif finished and before_its_time:
+            self._finish("ok", f"{finished} at {now:.1f} s")
+        elif self._wall_limit is not None and self._spent >= self._wall_limit and before_its_time:
+            self._finish("wall limit", _over(self._spent, now, self._seconds))
         elif len(self.log.walls) >= self._ticks:
             self._finish(self.log.status, self.log.reason)
 

@@ -41,8 +41,7 @@ MOST_PICTURES = 120
 """Largest number of runs with pictures; of more runs, the first seed of each group is shown."""
 INTROS: dict[Section, str] = {
     "rtf": "Simulated seconds per wall second of the whole loop, without compilation; its parts in wall "
-    "milliseconds per simulated second; and the same "
-    "drive replayed through MuJoCo's step alone.",
+    "milliseconds per simulated second; and the same drive replayed through MuJoCo's step alone.",
     "trajectory": "Errors of the mapper's final trajectory in the plane, against the simulator's truth.",
     "map": "F1 compares the built map with one built from the same scans at the true poses, both placed by "
     "the true start pose, and once more after the alignment of the ATE. False occupied compares both maps "

@@ -244,7 +244,7 @@ class LiveDrive(Playback):
             log.status, log.reason, log.concurrent, log.final = status, reason, concurrent, None
 
     def _take_stock(self) -> None:
-        """Keep the map, mark events and judge; the mapper rests meanwhile.
+        """Keep the map, mark events and judge.
 
         Raises:
             MapperError: the mapper failed.
