@@ -32,7 +32,7 @@ from lirs_validation.sweep.suites import read_yaml_fields
 from lirs_wct.errors import WctError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.drive_csv import read_commands, read_imu
-from lirs_wct.formats.elevation import read_raster
+from lirs_wct.formats.images.elevation import read_raster
 from lirs_wct.formats.images.picture import read_picture
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.meshes.mesh_reader import read_mesh

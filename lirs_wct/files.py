@@ -61,6 +61,22 @@ def atomic_write(path: Path) -> Iterator[Path]:
         _WRITING.discard(temporary.name)
 
 
+def first_bytes(path: Path, count: int = 64) -> bytes:
+    """Return the first bytes of a file.
+
+    Raises:
+        SourceError: the file is missing or empty, or cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(count)
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not head:
+        raise SourceError(f"{path}: is empty")
+    return head
+
+
 def read_gzipped(path: Path) -> bytes:
     """Return the content of a file, decompressed if it is gzipped.
 
@@ -125,7 +141,7 @@ def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], without_rows: Seque
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Yield a new empty folder; its files move into the folder at `path` when the block succeeds.
+    """Yield an empty folder; its files move to `path` when the block succeeds.
 
     Files that the manifest of an older folder names are replaced or removed, all others are the user's and
     stay. `MARKERS` are removed first and written last: a folder without its marker is incomplete, and the

@@ -98,7 +98,7 @@ class Drive:
         return simulation.advance(command)
 
     def _map(self, observation: Observation) -> Estimate:
-        """Give an observation to driver and mapper, and log it with the truth; return the estimate."""
+        """Map an observation and log it with the truth; return the mapper's estimate."""
         log, simulation = self.log, self._simulation
         self._driver.sense(observation.scan, observation.odometry)
         estimate = self._mapper.observe(observation)

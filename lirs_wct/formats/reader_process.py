@@ -119,7 +119,7 @@ def _pixels(dataset: Any) -> NDArray[Any]:
 
 
 def read_points(path: str, _: int) -> Answer:
-    """Return the points (n, 3) of a file; of LAS also its ground and its system."""
+    """Return the points (n, 3) of a file, with ground and system of LAS."""
     with open(path, "rb") as file:  # noqa: PTH123  few imports
         las = file.read(4) == b"LASF"
     return _las_points(path) if las else _pcd_points(path)

@@ -53,7 +53,7 @@ UNREAD = {
 
 
 def way_to_read(path: Path) -> str | None:
-    """Return the kind of a file that is not read, and the way to one that is."""
+    """Return the kind of an unread file and a way to convert it; else None."""
     known = (text for suffixes, text in UNREAD.items() if path.suffix.lower() in suffixes.split())
     return next((f"is {kind}, which is not read: {way}" for kind, way in known), None)
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from lirs_wct.arrays import Float32Array
+from lirs_wct.formats.images.elevation import FLATTEST, STEEPEST
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.sources.source import Source
@@ -15,8 +16,6 @@ from lirs_wct.world import World
 
 MOST_WALLS = 0.5
 """Usual share of wall cells in a map, at most."""
-FLATTEST, STEEPEST = 1e-5, 3.0
-"""Usual relief, share of the width."""
 NARROWEST, WIDEST = 1.0, 100_000.0
 """Usual width, meters."""
 MIDDLE = 0.05

@@ -1,1 +1,1 @@
-"""Picture files: safe decoding, GeoTIFF tags, GDAL."""
+"""Pictures and elevation data, through Pillow and GDAL."""

@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
+from lirs_wct.files import first_bytes
 from lirs_wct.formats.limited import read_limited
 
 REFERRING = b"<VRTDataset"
@@ -53,11 +54,8 @@ def read_gdal(path: Path, max_pixels: int) -> GdalRaster:
     Raises:
         SourceError: GDAL cannot read the file, or the file only refers to others.
     """
-    if path.is_file():
-        with path.open("rb") as file:
-            if REFERRING in file.read(1024):
-                way = "gdal_translate makes a TIFF of it"
-                raise SourceError(f"{path}: is a VRT, which refers to other files: {way}")
+    if REFERRING in first_bytes(path, 1024):
+        raise SourceError(f"{path}: is a VRT, which refers to other files: gdal_translate makes a TIFF of it")
     found, arrays = read_limited("raster", path, max_pixels)
     found["transform"] = found["transform"] and tuple(found["transform"])
     return GdalRaster(**found, pixels=arrays[0] if arrays else None)

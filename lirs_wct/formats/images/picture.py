@@ -16,7 +16,7 @@ from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import OutputError, SourceError, reason_of
-from lirs_wct.files import atomic_write
+from lirs_wct.files import atomic_write, first_bytes
 from lirs_wct.formats.images.gdal import GdalRaster, read_gdal
 
 MAX_PIXELS = 5000 * 5000
@@ -68,24 +68,8 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
     return DecodedPicture(pixels if alpha else without_alpha(path, pixels), full or _white(pixels))
 
 
-def first_bytes(path: Path, count: int = 64) -> bytes:
-    """Return the first bytes of a file.
-
-    Raises:
-        SourceError: the file is missing or empty, or cannot be read.
-    """
-    try:
-        with path.open("rb") as file:
-            head = file.read(count)
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
-    if not head:
-        raise SourceError(f"{path}: is empty")
-    return head
-
-
 def _is_huge(path: Path) -> bool:
-    """Whether a picture is larger than any that Pillow opens; GDAL reads it, if the caller allows."""
+    """Whether a picture is larger than any that Pillow opens."""
     try:
         with _open_picture(path):
             return False

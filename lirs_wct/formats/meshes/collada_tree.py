@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.formats.meshes.document import MOST_NODES, Document, numbers, placed
+from lirs_wct.formats.meshes.document import MOST_NODES, Document, numbers, place_triangles
 from lirs_wct.formats.meshes.polygons import cut_polygons, strip_triangles
 
 _MOST_CONTROLLERS = 10
@@ -21,7 +21,7 @@ _PRIMITIVES = {"triangles", "polylist", "polygons", "tristrips", "trifans"}
 
 
 def collada_frame(path: Path) -> tuple[str, str]:
-    """Return the up axis and the meters per unit as written, by default Y and 1."""
+    """Return the up axis and the meters per unit as written; defaults: Y, 1."""
     depth = 0
     for event, element in ElementTree.iterparse(path, ("start", "end")):
         depth += 1 if event == "start" else -1
@@ -40,7 +40,9 @@ def read_collada(data: bytes) -> Document:
     """
     tree = _Shapes(data)
     found = list(tree.instances())
-    parts = [placed(points, faces, matrix) for name, matrix in found for points, faces in tree.shape(name)]
+    parts = [
+        place_triangles(points, faces, matrix) for name, matrix in found for points, faces in tree.shape(name)
+    ]
     if tree.left:
         named = ", ".join(dict.fromkeys(tree.left))
         tree.notes.append(f"{len(tree.left)} of {len(found) + len(tree.left)} instances left out: {named}")

@@ -60,7 +60,7 @@ def is_same(mesh: TriangleMesh, other: TriangleMesh) -> bool:
     return bool(off <= noise and abs(area - other.face_areas.sum()) <= _AREA * area)
 
 
-def placed(points: FloatArray, triangles: IntArray, matrix: FloatArray) -> TriangleMesh:
+def place_triangles(points: FloatArray, triangles: IntArray, matrix: FloatArray) -> TriangleMesh:
     """Return triangles moved by a 4x4 matrix; a mirror keeps their outside."""
     faces = triangles[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else triangles
     return TriangleMesh(points @ matrix[:3, :3].T + matrix[:3, 3], np.ascontiguousarray(faces, np.int32))

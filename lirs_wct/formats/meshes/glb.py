@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.formats.meshes.document import MOST_NODES, Document, placed
+from lirs_wct.formats.meshes.document import MOST_NODES, Document, place_triangles
 from lirs_wct.formats.meshes.polygons import strip_triangles
 from lirs_wct.geometry.mesh import TriangleMesh
 
@@ -95,7 +95,7 @@ class _Scene:
             if _COPIES in node.get("extensions", {}):
                 self.notes.append(f"the copies of {name} by {_COPIES} are left out")
             for primitive in mesh["primitives"]:
-                yield placed(*self._triangles(primitive), matrix)
+                yield place_triangles(*self._triangles(primitive), matrix)
         for child in node.get("children", []):
             yield from self._below(child, matrix)
 

@@ -23,7 +23,7 @@ _LOOKS = {"red", "texcoord", "u", "s", "texture_u"}
 
 @dataclass
 class PlyElement:
-    """Rows of a PLY; a property has a name, a type and a list's type of length."""
+    """Header of a PLY's table: properties by name, type, and type of a list's length."""
 
     name: str
     rows: int

@@ -17,7 +17,7 @@ _SHAKE = 1e-10
 def cut_polygons(
     points: FloatArray, corners: IntArray, counts: IntArray, rings: Mapping[int, Sequence[int]] | None = None
 ) -> IntArray:
-    """Return triangles as (m, 3) places in `corners`: the fan 0-1-2, 0-2-3 where it is right.
+    """Return triangles as (m, 3) places in `corners`, by fans where these are right.
 
     Args:
         points: (n, 3) positions.

@@ -70,7 +70,7 @@ def read_textured(path: Path) -> TexturedMesh:
 
 
 def _load(path: Path) -> trimesh.Trimesh | None:
-    """Load a mesh by trimesh, None if it cannot; no reference leads out of its package."""
+    """Load a mesh by trimesh, without files outside its package; None on failure."""
     import trimesh
 
     files = _referenced_files(path)

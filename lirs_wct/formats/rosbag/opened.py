@@ -223,7 +223,7 @@ FOOTER = 37
 
 
 def fault_of(path: Path) -> str | None:
-    """Return the fault of an MCAP file: "" for a missing index, None for a sound file or another one.
+    """Return the fault of an MCAP file: "" for a missing index, None without one.
 
     Raises:
         ValueError: a ROS 1 bag without index.

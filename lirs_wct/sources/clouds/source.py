@@ -10,7 +10,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation import georeference_raster, height_unit
+from lirs_wct.formats.images.elevation import georeference_raster, height_unit
 from lirs_wct.formats.point_clouds import PointFile, read_points
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField

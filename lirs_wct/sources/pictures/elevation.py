@@ -11,7 +11,7 @@ import scipy  # its modules load on first use
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation import Raster, RasterInfo, decode, guess, tile_georeference
+from lirs_wct.formats.images.elevation import Raster, RasterInfo, decode, guess, tile_georeference
 from lirs_wct.formats.images.nodata import missing_heights
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField

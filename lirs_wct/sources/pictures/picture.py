@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.elevation import Raster, RasterInfo, read_raster
+from lirs_wct.formats.images.elevation import Raster, RasterInfo, read_raster
 from lirs_wct.formats.images.picture import check_size
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.grid_sampling import resample
@@ -297,7 +297,9 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
     width, depth = _extent(pixels.shape, pixel_of(info), options)
     sx, sy, _ = options.scale or (1.0, 1.0, 1.0)
     width, depth = width * sx, depth * sy
-    filled = _filled(path, pixels, info, options, _kept_pixels(pixels.shape, (width, depth), options.window))
+    filled = _fill_holes(
+        path, pixels, info, options, _kept_pixels(pixels.shape, (width, depth), options.window)
+    )
     above, base = _above(filled, info, options, None if options.zero is None else options.zero / unit)
     if options.deterrace:
         above = dequantize(above, _level_step(path, pixels) * abs(info.scale))
@@ -361,7 +363,7 @@ def _kept_pixels(shape: tuple[int, ...], size: tuple[float, float], window: Wind
     return spans[0], spans[1]
 
 
-def _filled(
+def _fill_holes(
     path: Path, pixels: NDArray[Any], info: RasterInfo, options: BuildOptions, kept: Rectangle
 ) -> NDArray[np.floating[Any]]:
     """Return (rows, cols) gray values with filled holes."""

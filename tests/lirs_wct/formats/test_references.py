@@ -16,7 +16,7 @@ from PIL import Image
 
 from lirs_wct.errors import SourceError
 from lirs_wct.export.package import write_package
-from lirs_wct.formats.elevation import read_raster
+from lirs_wct.formats.images.elevation import read_raster
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.meshes.collada import MeshPart, stream_collada
 from lirs_wct.formats.meshes.textured import read_textured

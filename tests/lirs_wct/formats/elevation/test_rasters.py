@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from lirs_wct.formats.elevation import Raster, RasterInfo, read_raster
+from lirs_wct.formats.images.elevation import Raster, RasterInfo, read_raster
 
 HERE = Path(__file__).parent / "rasters"
 RECORDS: dict[str, Any] = json.loads((HERE / "rasters.json").read_text())

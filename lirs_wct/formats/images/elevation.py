@@ -18,16 +18,10 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.files import first_bytes
 from lirs_wct.formats.images.gdal import GdalRaster, read_gdal
 from lirs_wct.formats.images.nodata import missing_heights
-from lirs_wct.formats.images.picture import (
-    MAX_PIXELS,
-    check_size,
-    first_bytes,
-    pixels_of,
-    read_picture,
-    without_alpha,
-)
+from lirs_wct.formats.images.picture import MAX_PIXELS, check_size, pixels_of, read_picture, without_alpha
 from lirs_wct.formats.suffixes import ENCODINGS, Encoding
 from lirs_wct.geometry.geodesy import (
     TURNED,
