@@ -6,6 +6,7 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
@@ -18,7 +19,7 @@ from lirs_wct.ground import MeshGround, Terrain
 from lirs_wct.sources.local_origin import local_origin, warn_of_origin
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.rasterize import Grid, layers, rasterize_heights
-from lirs_wct.sources.window import Window
+from lirs_wct.sources.window import Window, leveled
 
 NODES = 1025
 """Default number of nodes along the longer side."""
@@ -26,13 +27,20 @@ FINEST = 0.02
 """Smallest default node spacing, meters; finer detail does not affect a wheel."""
 UNITLESS = (".stl", ".obj", ".ply")
 """Files that do not state their unit; those of this program name meters in their first bytes."""
-RAISED = 0.25
-"""Step of a mesh's underside that rays and robots pass below, share of its height."""
+RAISED, RAISED_SHARE = 0.3, 0.25
+"""Height of an opening that rays and robots pass, meters, or share of the mesh's height if that is less."""
+UPRIGHT, WALLS = 0.1, 0.01
+"""Vertical component of a wall's unit normal, at most; area of walls that heights lack, share of all."""
+AROUND = np.ones((3, 3), np.uint8)
+"""A node and its neighbors."""
 TALL = 0.1
 """Height of a large mesh from a file with a unit, share of its width, from which millimeters are likely."""
-LOW, SLOPED, LEVEL, RELIEF_SHARE = 0.5, 0.5, 0.9999, 0.35
-"""Of a terrain that is upright with y up: depth as a share of its other sides, cosines of the angle between y
-and sloped faces, and their share of the area."""
+LOW = 0.5
+"""Depth along y of a relief with y up, share of its shorter other side."""
+SLOPED, LEVEL = 0.5, 0.9999
+"""Cosines to y between which a face is a slope: below is a wall, above a floor."""
+RELIEF_SHARE = 0.35
+"""Share of slopes in the area of a relief with y up."""
 HEAD = 80
 """Bytes of a file that may name its unit."""
 LARGE = 1000.0
@@ -70,8 +78,11 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
             else ("its world is made from its heights seen from above")
         )
         warnings.warn(f"{path}: is not closed, {way}", stacklevel=3)
-    if options.window is not None and overhangs:
-        raise ConfigError(f"{path}: has overhangs, --window cannot cut it")
+    if options.window is not None:
+        if overhangs:
+            raise ConfigError(f"{path}: has overhangs, --window cannot cut it")
+        surface, lift = leveled(surface)
+        place = place and place.raised(lift)
     if no_ground.any():
         warnings.warn(
             f"{path}: {int(no_ground.sum())} of {no_ground.size} nodes have no ground, "
@@ -92,8 +103,8 @@ def _near_origin(path: Path, mesh: TriangleMesh, factor: FloatArray) -> tuple[Tr
     if (x, y) == (0.0, 0.0):
         return mesh, None
     warn_of_origin(path, (x, y))
-    sx, sy, sz = factor.tolist()
-    place = Place(CoordinateSystem(), (1 / sx, 0.0, x / sx, 0.0, 1 / sy, y / sy), float(low[2]) / sz)
+    sx, sy, _ = factor.tolist()
+    place = Place(CoordinateSystem(), (1 / sx, 0.0, x / sx, 0.0, 1 / sy, y / sy), float(low[2]))
     return replace(mesh, vertices=mesh.vertices - (x, y, low[2])), place
 
 
@@ -142,24 +153,41 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
     no_ground = np.isnan(top)
     if no_ground.all():
         raise SourceError(f"{path}: has no face that is seen from above")
+    overhangs = bool((layers(mesh, grid, (rows, cols)) > (2 if mesh.is_watertight else 1)).any())
+    overhangs = overhangs and not _is_stacked(mesh)
+    heights_lack = _has_openings if mesh.is_watertight else _has_thin_walls
+    overhangs = overhangs or heights_lack(mesh, grid, top)
     if no_ground.any():
         top[no_ground] = mesh.bounds[0, 2]
-    if options.window is not None:
-        top -= top.min()
     z = np.ascontiguousarray(top[::-1].astype(np.float32))
-    overhangs = bool((layers(mesh, grid, (rows, cols)) > (2 if mesh.is_watertight else 1)).any())
-    overhangs = (overhangs and not _is_stacked(mesh)) or _is_raised(mesh, grid, (rows, cols))
     return HeightField(z, grid[2:], grid[:2]), overhangs, no_ground[::-1]
 
 
-def _is_raised(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> bool:
-    """Whether the underside of a closed mesh steps up far, as in a door."""
-    if not mesh.is_watertight:
-        return False
+def _has_openings(mesh: TriangleMesh, grid: Grid, top: FloatArray) -> bool:
+    """Whether space below a closed mesh is open to the side, as in a door."""
     low, high = mesh.bounds[:, 2]
-    underside = rasterize_heights(TriangleMesh(mesh.vertices * (1.0, 1.0, -1.0), mesh.faces), grid, shape)
-    steps = (np.abs(np.diff(underside, axis=axis)) > RAISED * (high - low) for axis in (0, 1))
-    return any(bool(step.any()) for step in steps)
+    least = min(RAISED, RAISED_SHARE * (high - low))
+    below = -rasterize_heights(TriangleMesh(mesh.vertices * (1.0, 1.0, -1.0), mesh.faces), grid, top.shape)
+    no_ground = np.isnan(top)
+    # A node on a side of the mesh sees any height of that side, its neighbors do not.
+    below, top = (cv2.erode(np.nan_to_num(heights, nan=high), AROUND) for heights in (below, top))
+    below[no_ground] = np.nan
+    # A sheet of constant thickness steps on both sides.
+    steps = (np.abs(np.diff(below, axis=k)) - np.abs(np.diff(top, axis=k)) > least for k in (0, 1))
+    beside_no_ground = cv2.dilate(no_ground.astype(np.uint8), AROUND) > 0
+    return any(step.any() for step in steps) or bool((beside_no_ground & (below - low > least)).any())
+
+
+def _has_thin_walls(mesh: TriangleMesh, grid: Grid, top: FloatArray) -> bool:
+    """Whether an open mesh has walls of a single face, which no node sees from above."""
+    west, south, *spacing = grid
+    columns, rows = np.rint((mesh.vertices[:, :2] - (west, south)) / spacing).astype(int).T
+    inside = (columns >= 0) & (columns < top.shape[1]) & (rows >= 0) & (rows < top.shape[0])
+    around = cv2.dilate(np.nan_to_num(top, nan=mesh.bounds[0, 2]), AROUND)
+    hidden = np.zeros(len(mesh.vertices), bool)
+    hidden[inside] = mesh.vertices[inside, 2] > around[rows[inside], columns[inside]] + RAISED
+    walls = hidden[mesh.faces].any(axis=1) & (np.abs(mesh.face_normals[:, 2]) < UPRIGHT)
+    return bool(mesh.face_areas[walls].sum() > WALLS * mesh.face_areas.sum())
 
 
 def _is_stacked(mesh: TriangleMesh) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ class Document:
     odd_looks: bool = False
     notes: Sequence[str] = field(default_factory=list)
 
-    @property
+    @cached_property
     def whole(self) -> TriangleMesh:
         """All shapes as one."""
         if len(self.parts) == 1:

@@ -32,7 +32,7 @@ viewer. Z_UP: x is right, -y to the viewer (COLLADA 1.4.1, <up_axis>)."""
 
 
 def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMesh:
-    """Read a mesh with merged vertices, z up, in meters.
+    """Read a mesh with merged vertices, z up, in meters, without triangles of two equal corners.
 
     A GLB has y up by its standard. A COLLADA file states its up axis and unit. Other formats state neither,
     and count as z up in meters. `up` replaces the file's own axis.
@@ -43,7 +43,9 @@ def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMes
     if path.suffix.lower() not in MESHES:
         reason = way_to_read(path) or "not a mesh that is read"
         raise SourceError(f"{path}: {reason}; legal: {', '.join(MESHES)}")
-    return upright(path, _merge_vertices(read_mesh(path)), up)
+    mesh = read_mesh(path)
+    a, b, c = mesh.faces.T
+    return upright(path, TriangleMesh(mesh.vertices, mesh.faces[(a != b) & (b != c) & (c != a)]), up)
 
 
 def upright(path: Path, mesh: TriangleMesh, up: Literal["y", "z"] | None = None) -> TriangleMesh:
@@ -60,13 +62,6 @@ def upright(path: Path, mesh: TriangleMesh, up: Literal["y", "z"] | None = None)
         normals = None if mesh.normals is None else mesh.normals @ turn
         return replace(mesh, vertices=mesh.vertices @ turn * unit, normals=normals)
     return mesh
-
-
-def _merge_vertices(mesh: TriangleMesh) -> TriangleMesh:
-    """Merge equal vertices and drop triangles with two equal corners."""
-    whole = weld(mesh)
-    a, b, c = whole.faces.T
-    return TriangleMesh(whole.vertices, whole.faces[(a != b) & (b != c) & (c != a)])
 
 
 def _collada_frame(path: Path) -> tuple[str, float]:

@@ -106,6 +106,59 @@ def test_an_open_sheet_is_taken_by_its_heights(hill: TriangleMesh, tmp_path: Pat
     assert (world.kind, world.overhangs) == ("mesh", True)
 
 
+def prisms(path: Path, *outlines: list[tuple[float, float]]) -> Path:
+    """Write closed bodies of 0.2 m depth from their outlines in x and z, anticlockwise."""
+    rows: list[str] = []
+    count = 0
+    for outline in outlines:
+        n = len(outline)
+        rows += [f"v {x} {y} {z}" for y in (0, 0.2) for x, z in outline]
+        front = range(count + 1, count + n + 1)
+        rows += [f"f {' '.join(map(str, front))}", f"f {' '.join(str(i + n) for i in reversed(front))}"]
+        rows += [
+            f"f {count + (i + 1) % n + 1} {count + i + 1} {count + i + 1 + n} {count + (i + 1) % n + 1 + n}"
+            for i in range(n)
+        ]
+        count += 2 * n
+    path.write_text("\n".join(rows))
+    return path
+
+
+DOOR = [(0, 0), (1.5, 0), (1.5, 2), (2.5, 2), (2.5, 0), (4, 0), (4, 3), (0, 3)]
+LOW_DOOR = [(0, 0), (4.4, 0), (4.4, 2), (5.6, 2), (5.6, 0), (10, 0), (10, 10), (0, 10)]
+BLOCK = [(0, 0), (2, 0), (2, 0.6), (0, 0.6)]
+SHEET = [(0, 0), (4.9, 0), (5, 2.8), (10, 2.8), (10, 3), (5, 3), (4.9, 0.2), (0, 0.2)]
+
+
+@pytest.mark.parametrize(
+    ("outlines", "overhangs"),
+    [
+        pytest.param([LOW_DOOR], True, id="low door in a high wall"),
+        pytest.param([BLOCK, [(x + 4, z + 2) for x, z in BLOCK]], True, id="block in the air"),
+        pytest.param([BLOCK, [(x + 4, z) for x, z in BLOCK]], False, id="blocks on the ground"),
+        pytest.param([SHEET], False, id="sheet with a steep ramp"),
+    ],
+)
+def test_openings_of_a_closed_mesh_are_noticed(
+    outlines: list[list[tuple[float, float]]], overhangs: bool, tmp_path: Path
+) -> None:
+    with warnings.catch_warnings(action="ignore"):
+        assert build_world(prisms(tmp_path / "mesh.obj", *outlines)).overhangs == overhangs
+
+
+def test_walls_of_single_faces_stop_rays(tmp_path: Path) -> None:
+    open_house(tmp_path / "house.obj", roof=False)
+    with pytest.warns(UserWarning, match="is not closed, contact is one-sided"):
+        world = build_world(tmp_path / "house.obj")
+    out = write_package(world, tmp_path, formats=("mjcf",))
+    model = mujoco.MjModel.from_xml_path(str(out / "house.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    start, along = np.array((2.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
+    hit = mujoco.mj_ray(model, data, start, along, None, 1, -1, np.zeros(1, np.int32))
+    assert hit == pytest.approx(2.0, abs=0.11)
+
+
 def test_an_open_house_is_built_for_every_consumer(tmp_path: Path) -> None:
     """A floor and four walls without thickness, one with a door, below a roof."""
     path = open_house(tmp_path / "house.obj")
@@ -125,7 +178,7 @@ def test_an_open_house_is_built_for_every_consumer(tmp_path: Path) -> None:
         assert found == pytest.approx(8.0 if x == 0 else expected, abs=0.11), x
 
 
-def open_house(path: Path) -> Path:
+def open_house(path: Path, roof: bool = True) -> Path:
     def sheet(*corners: tuple[float, float, float]) -> trimesh.Trimesh:
         return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]])
 
@@ -139,9 +192,10 @@ def open_house(path: Path) -> Path:
         wall(3, 2, 0.5, 2),
         wall(-0.5, 2, -3, 2),
     ]
-    roof = sheet((-3, -2, 2.5), (3, -2, 2.5), (3, 2, 2.5), (-3, 2, 2.5))
+    if roof:
+        walls.append(sheet((-3, -2, 2.5), (3, -2, 2.5), (3, 2, 2.5), (-3, 2, 2.5)))
     floor = sheet((-6, -5, 0), (6, -5, 0), (6, 5, 0), (-6, 5, 0))
-    trimesh.util.concatenate([floor, roof, *walls]).export(path)
+    trimesh.util.concatenate([floor, *walls]).export(path)
     return path
 
 
@@ -183,6 +237,14 @@ def test_a_scaled_far_mesh_keeps_its_place(hill: TriangleMesh, tmp_path: Path) -
     assert np.ptp(world.mesh.bounds, axis=0) == pytest.approx(np.ptp(hill.bounds, axis=0), abs=1e-4)
     corner = world.place.coordinates(*world.mesh.bounds[0, :2])
     assert corner == pytest.approx(shifted.min(axis=0)[:2], abs=1e-3)
+    assert world.place.height == pytest.approx(0.3048 * 300.0 + hill.bounds[0, 2], abs=1e-3)
+    with pytest.warns(UserWarning, match="lies far from its origin"):
+        part = build_world(tmp_path / "feet.obj", BuildOptions(scale=(0.3048,) * 3, window=(0.0, 0.0, 3.0)))
+    assert part.place is not None
+    x, y = part.surface.bounds[:2]
+    assert part.surface.height_at(x, y) + part.place.height == pytest.approx(
+        world.surface.height_at(x, y) + world.place.height, abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -309,16 +371,9 @@ def test_real_meshes(shared_data: Path) -> None:
     }
 
 
-DOOR = [(0, 0), (1.5, 0), (1.5, 2), (2.5, 2), (2.5, 0), (4, 0), (4, 3), (0, 3)]
-
-
 def test_rays_pass_a_door_in_every_file(tmp_path: Path) -> None:
     """A wall of two concave polygons, as modeling programs write it."""
-    rows = [f"v {x} {y} {z}" for y in (0, 0.2) for x, z in DOOR]
-    rows += ["f 1 2 3 4 5 6 7 8", "f 16 15 14 13 12 11 10 9"]
-    rows += [f"f {(i + 1) % 8 + 1} {i + 1} {i + 9} {(i + 1) % 8 + 9}" for i in range(8)]
-    (tmp_path / "door.obj").write_text("\n".join(rows))
-    world = build_world(tmp_path / "door.obj")
+    world = build_world(prisms(tmp_path / "door.obj", DOOR))
     assert world.mesh.is_watertight
     out = write_package(world, tmp_path / "out", formats=("stl", "dae", "glb", "mjcf"))
     starts = np.array([(x, -1.0, z) for x in (0.7, 2.0, 3.2) for z in (0.5, 1.5, 2.5)])
