@@ -84,9 +84,7 @@ def is_log(path: Path) -> bool:
 def is_bag(path: Path) -> bool:
     """Return whether a path is a ROS bag: a file, or a folder with a bag's files."""
     if path.is_dir():
-        return not (path / "world.json").exists() and any(
-            is_bag_file(p) and p.suffix != ".bag" for p in path.iterdir()
-        )
+        return not (path / "world.json").exists() and any(is_bag_file(p) for p in path.iterdir())
     return is_bag_file(path)
 
 

@@ -1,11 +1,9 @@
-"""Decompression of bags: whole files, messages and chunks, also when cut off."""
+"""Decompression of bags: whole files and chunks, also when cut off, and messages."""
 
 from __future__ import annotations
 
-import bz2
 import sys
 from pathlib import Path
-from typing import Any
 
 import lz4.frame
 
@@ -47,16 +45,13 @@ def decompress_file(path: Path, target: Path) -> str:
     return "" if inflater.eof else "its end is missing"
 
 
-def decompress_chunk(data: bytes, compression: str) -> bytes:
-    """Decompress a chunk's records as far as possible; nothing if the compression is unknown."""
-    inflaters: dict[str, Any] = {
-        "zstd": zstd.ZstdDecompressor,
-        "lz4": lz4.frame.LZ4FrameDecompressor,
-        "bz2": bz2.BZ2Decompressor,
-    }
-    if compression in ("", "none"):
+def decompress_start(data: bytes, compression: str) -> bytes:
+    """Decompress the start of a chunk of MCAP.
+
+    Raises:
+        Exception: any exception of the libraries, for damaged data or another compression.
+    """
+    if not compression:
         return data
-    try:
-        return bytes(inflaters[compression]().decompress(data))
-    except (KeyError, RuntimeError, OSError, EOFError, zstd.ZstdError):
-        return b""
+    inflater = {"zstd": zstd.ZstdDecompressor, "lz4": lz4.frame.LZ4FrameDecompressor}[compression]()
+    return bytes(inflater.decompress(data))

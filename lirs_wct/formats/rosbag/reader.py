@@ -23,7 +23,7 @@ from lirs_wct.formats.carmen.repairs import in_file_order, odometry_of
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
 from lirs_wct.formats.rosbag.messages import BASE, MAP
-from lirs_wct.formats.rosbag.opened import Bag, open_bag
+from lirs_wct.formats.rosbag.open_bag import Bag, open_bag
 from lirs_wct.formats.rosbag.sensor_messages import (
     BagClouds,
     BeamGeometry,

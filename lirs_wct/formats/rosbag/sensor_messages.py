@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.formats.rosbag.frames import seconds
-from lirs_wct.formats.rosbag.opened import open_bag
+from lirs_wct.formats.rosbag.open_bag import open_bag
 from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
 

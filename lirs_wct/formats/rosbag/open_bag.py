@@ -1,0 +1,219 @@
+"""Open bags: also split, compressed, without index, or cut off.
+
+The files of a folder are opened one by one, without the metadata. A recorder writes these last and may die
+before.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sqlite3
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from functools import cache, partial
+from heapq import merge
+from operator import itemgetter
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NoReturn, TypeAlias
+
+import yaml
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.rosbag.compression import decompress_file, decompress_message
+from lirs_wct.formats.rosbag.mcap_file import McapFile
+from lirs_wct.formats.rosbag.storage import METADATA
+from lirs_wct.formats.suffixes import BAGS, ZSTD, is_bag_file
+
+Reader: TypeAlias = rosbag1.Reader | rosbag2.Reader | McapFile
+IDL_SEPARATOR = "=" * 80 + "\n"
+"""Separator between the definitions of a type and of its parts."""
+IDL_TITLE = re.compile(r"\AIDL: .*\n")
+MAGIC = b"#ROSBAG V2.0\n"
+INDEX = b"index_pos="
+"""Field of a ROS 1 bag's first record: position of the index, 0 = unwritten."""
+HEAD = 4096
+"""Bytes of a ROS 1 bag that hold its first record."""
+PART = re.compile(r"(_?\d{4}(-\d\d){5})?_\d+\.bag$|\.bag$")
+"""End of the name of a ROS 1 bag's part: date and number, as `rosbag record --split` appends them."""
+
+
+class Bag:
+    """An open bag.
+
+    Attributes:
+        path: of the bag, as the user gave it.
+        kinds: type of each topic.
+        faults: damaged or missing parts; reading messages may add some.
+        undecoded: count of messages that could not be decoded, by topic.
+    """
+
+    def __init__(self, path: Path, readers: Sequence[Reader], faults: list[str]) -> None:
+        self.path, self.faults = path, faults
+        self._readers = readers
+        types: dict[str, set[str]] = {}
+        for connection in (c for reader in readers for c in reader.connections):
+            types.setdefault(connection.topic, set()).add(connection.msgtype)
+        self.kinds = {topic: kinds.pop() if len(kinds) == 1 else "" for topic, kinds in types.items()}
+        self.undecoded: Counter[str] = Counter()
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+        """Yield topic, receive time in nanoseconds, and message, up to the first damage.
+
+        Only the types of these topics are parsed, so that other malformed types do no harm.
+        """
+        messages = merge(*(_of_topics(reader, topics) for reader in self._readers), key=itemgetter(1))
+        while True:
+            # Parsers raise any kind of exception for damaged binary data.
+            try:
+                connection, received, data = next(messages)
+            except StopIteration:
+                return
+            except Exception as error:
+                if (reason := _reason(error)) not in self.faults:
+                    self.faults.append(reason)
+                return
+            try:
+                message = _decoder(connection.msgdef, connection.msgtype, _is_ros1(connection))(
+                    decompress_message(data)
+                )
+            except Exception:
+                self.undecoded[connection.topic] += 1
+                continue
+            yield connection.topic, received, message
+
+
+def _is_ros1(connection: Connection) -> bool:
+    return getattr(connection.ext, "serialization_format", "ros1") == "ros1"
+
+
+def _of_topics(reader: Reader, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:
+    """Yield a file's messages on topics; the library treats an empty selection as all."""
+    chosen = [c for c in reader.connections if c.topic in topics]
+    return reader.messages(chosen) if chosen else iter(())
+
+
+@cache
+def _decoder(definition: MessageDefinition, kind: str, ros1: bool) -> Callable[[bytes | memoryview], Any]:
+    """Return the decoder of a type by the bag's definition, else by Jazzy's.
+
+    The definition states the layout of the bytes, also where the recorded hash of the type differs. The
+    decoder of a definition that cannot be parsed refuses every message.
+    """
+    try:
+        store = get_typestore(Stores.EMPTY if definition.data else Stores.ROS2_JAZZY)
+        if definition.format == MessageDefinitionFormat.MSG:
+            store.register(get_types_from_msg(definition.data, kind))
+        elif definition.format == MessageDefinitionFormat.IDL:
+            for part in filter(None, definition.data.split(IDL_SEPARATOR)):
+                store.register(get_types_from_idl(IDL_TITLE.sub("", part)))
+    except Exception as error:
+        return partial(_refuse, error)
+    decode = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    return partial(decode, typename=kind)
+
+
+def _refuse(error: Exception, data: bytes | memoryview) -> NoReturn:
+    raise error
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """Open a bag: a folder or file of ROS 2, or a ROS 1 bag.
+
+    Raises:
+        SourceError: no part of it can be read.
+    """
+    stated = _metadata(path)
+    names = [Path(str(name)).name for name in stated.get("relative_file_paths", ())]
+    faults = [f"{name} is missing" for name in names if not (path / name).exists()]
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="lirs-wct-")))
+        try:
+            files = [_readable(file, folder / str(k), faults) for k, file in enumerate(_files(path))]
+            readers = [_open(file, stack, faults) for file in files]
+        except Exception as error:
+            said = "; ".join([*faults, _reason(error)])
+            raise SourceError(f"{path}: not a bag that can be read: {said}") from error
+        counts = [reader.message_count for reader in readers if reader.message_count is not None]
+        count = stated.get("message_count", sum(counts))
+        if not faults and len(counts) == len(readers) and count != sum(counts):
+            faults.append(f"{METADATA} states {count} messages, there are {sum(counts)}")
+        yield Bag(path, readers, faults)
+
+
+def _open(file: Path, stack: ExitStack, faults: list[str]) -> Reader:
+    """Open a file of a bag until the stack's end; add its fault.
+
+    Raises:
+        ValueError: not such a file, a ROS 1 bag without index, or of another version of the format.
+    """
+    suffix = file.suffix.lower()
+    if suffix == ".mcap":
+        mcap = McapFile(file)
+        faults += [f"{file.name}: {mcap.fault}"] if mcap.fault else []
+        return mcap
+    if suffix != ".bag":
+        return stack.enter_context(rosbag2.Reader(file))
+    with file.open("rb") as opened:
+        head, size = opened.read(HEAD), opened.seek(0, 2)
+    version, _, _ = head.partition(b"\n")
+    if version.startswith(b"#ROS") and not head.startswith(MAGIC):
+        raise ValueError(f"its format is {version.decode('latin-1')!r}, legal is {MAGIC.decode().strip()!r}")
+    _, found, rest = head.partition(INDEX)
+    if found and not 0 < int.from_bytes(rest[:8], "little") < size:
+        raise ValueError(f"{file.name}: its end is missing; rosbag reindex {file.name} makes it readable")
+    return stack.enter_context(rosbag1.Reader(file))
+
+
+def _files(path: Path) -> list[Path]:
+    """Return the files of a bag; of two kinds in a folder, the first.
+
+    Raises:
+        ValueError: a folder of ROS 1 bags that are no parts of one.
+    """
+    if not path.is_dir():
+        return [path]
+    # A compressed file and its decompressed copy count once.
+    found = {p.name.removesuffix(ZSTD): p for p in sorted(path.iterdir(), reverse=True) if is_bag_file(p)}
+    kinds = ([found[name] for name in sorted(found) if name.endswith(suffix)] for suffix in BAGS)
+    files = next(files for files in kinds if files)
+    if len({PART.sub("", file.name) for file in files if file.suffix == ".bag"}) > 1:
+        raise ValueError(f"several ROS 1 bags: give one of {', '.join(file.name for file in files)}")
+    return files
+
+
+def _readable(file: Path, folder: Path, faults: list[str]) -> Path:
+    """Return a readable file: the file itself, or its copy in a folder."""
+    folder.mkdir()
+    if file.name.endswith(ZSTD):
+        whole, file = file, folder / file.name.removesuffix(ZSTD)
+        fault = decompress_file(whole, file)
+        faults += [f"{whole.name}: {fault}"] if fault else []
+    log = file.with_name(f"{file.name}-wal")
+    if file.suffix.lower() == ".db3" and log.exists() and log.stat().st_size:
+        # The library opens a database as it lies on the disk, without the messages of its write-ahead log.
+        for part in (file, log):
+            shutil.copyfile(part, folder / part.name)
+        with closing(sqlite3.connect(folder / file.name)) as database:
+            database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        return folder / file.name
+    return file
+
+
+def _metadata(path: Path) -> dict[str, Any]:
+    """Return what the metadata of a folder states; empty without usable metadata."""
+    try:
+        stated = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))
+        return dict(stated["rosbag2_bagfile_information"])
+    except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
+        return {}
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
