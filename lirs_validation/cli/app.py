@@ -46,7 +46,7 @@ COMMANDS: Mapping[str, str] = {
     "score": "reports:score",
     "info": "worlds:info",
     "view": "worlds:view",
-    "gui": "gui:gui",
+    "gui": "live:gui",
     "mappers": "mappers:mappers",
     "robot": "robot_card:robot",
     "export": "reports:export",

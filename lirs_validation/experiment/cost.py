@@ -1,4 +1,4 @@
-"""Cost of a run: processor time, memory, compilation, contention."""
+"""Cost of a run: processor time, memory, compilation, contention, real-time factor."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
 
 if sys.platform != "win32":
     import fcntl
@@ -137,3 +141,25 @@ def _size(file: IO[bytes]) -> int:
 def _lock_file() -> Path:
     owner = os.getuid() if hasattr(os, "getuid") else "all"
     return Path(tempfile.gettempdir()) / f"lirs-wct-{owner}.lock"
+
+
+def real_time_factor(walls: Sequence[float], period: float) -> dict[str, Any]:
+    """Return mean, standard deviation, minimum and series of a drive's real-time factor.
+
+    Args:
+        walls: wall-clock seconds of each tick.
+        period: simulated seconds of a tick.
+    """
+    series = 1.0 / per_second(walls, period)
+    mean = 1.0 / (sum(walls) / (len(walls) * period))
+    return {"mean": mean, "std": float(np.std(series)), "min": float(series.min()), "series": series.tolist()}
+
+
+def per_second(values: Sequence[float], period: float) -> FloatArray:
+    """Return (n,) means per simulated second of per-tick values, over each whole second.
+
+    A last part of a second counts by its share.
+    """
+    ticks = max(1, round(1.0 / period))
+    whole = [values[i : i + ticks] for i in range(0, len(values), ticks)]
+    return np.array([sum(part) / (len(part) * period) for part in whole if part], dtype=np.float64)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from lirs_envs.simulation import Simulation
+from lirs_validation.experiment.cost import real_time_factor
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.mapper_loading import RESOLUTION, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
@@ -15,7 +16,6 @@ from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics.alignment import StartAlignment, associated, scan_coverage, start_alignment
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
 from lirs_validation.metrics.map import MapScores, map_scores
-from lirs_validation.metrics.real_time_factor import real_time_factor
 from lirs_validation.metrics.scan_support import observed_support
 from lirs_validation.metrics.trajectory import spatial_errors, trajectory_errors
 from lirs_validation.metrics.verdict import incompleteness

@@ -1,7 +1,8 @@
-"""The command `live`: a ROS 2 system drives and maps in a world."""
+"""The commands `live` and `gui`: a ROS 2 system drives and maps in a world; the live page in a browser."""
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -74,3 +75,29 @@ def _show(result: LiveRun) -> None:
         out.print(f"99 % of the scans came at most {late:.1f} ms late", highlight=False)
     out.print(f"{run.folder}", soft_wrap=True, highlight=False)
     out.print(f"verdict: {run.verdict}", soft_wrap=True, highlight=False, markup=False)
+
+
+def gui(
+    source: Annotated[
+        str | None, typer.Argument(help=f"Shown first: {SOURCE_HELP}", autocompletion=complete_source)
+    ] = None,
+    runs: Annotated[
+        Path, typer.Option(help="Folder of finished runs, or one run's, that pages may replay.")
+    ] = Path("out"),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 = any free one.")] = 8080,
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; 0.0.0.0 = every network that this machine is in.")
+    ] = "127.0.0.1",
+) -> None:
+    """Build worlds, drive robots and replay runs in a browser; ends with Ctrl-C."""
+    if find_spec("viser") is None:
+        raise ConfigError("the live page needs viser: pip install '.[gui]'")
+    from lirs_validation.gui.server import Server
+    from lirs_wct.sources.options import BuildOptions
+    from lirs_wct.sources.source import find_source
+
+    if source is not None:
+        find_source(source, BuildOptions())
+    server = Server(source, runs=runs if runs.is_dir() else None, host=host, port=port)
+    out.print(f"{server.address}: open it in a browser, Ctrl-C ends it", soft_wrap=True, highlight=False)
+    server.serve()

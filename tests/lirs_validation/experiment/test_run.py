@@ -13,11 +13,11 @@ from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_validation import RunConfig, read_record, validate
+from lirs_validation.experiment.cost import per_second
 from lirs_validation.experiment.evaluation import evaluate_rtf, reference_rtf
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.run import Run, prepare
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
-from lirs_validation.metrics.real_time_factor import per_second
 from lirs_validation.metrics.verdict import LOST_SECONDS
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
