@@ -15,7 +15,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from lirs_wct.geometry import Imu, LaserScan, Pose2, wrap_angle
-from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
+from slam_baselines.mapper import MapperStats, Stopwatch, check_motion, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe, KeyframeTrajectory
@@ -49,8 +49,9 @@ class PlanarMapper(ABC):
         """Process a scan; return `T_map_base` at its stamp.
 
         Raises:
-            ConfigError: there is no odometry, and the method requires it.
+            ConfigError: there is no odometry, and the method requires it; or odometry or IMU are not finite.
         """
+        check_motion(odometry, imu)
         if self.requires_odometry:
             odometry = required_odometry(self.name, odometry, scan.stamp)
         started = self._stopwatch.start()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import time
 from array import array
 from collections.abc import Mapping
@@ -323,6 +324,17 @@ def required_odometry(mapper: str, odometry: Pose2 | None, stamp: float) -> Pose
     if odometry is None:
         raise ConfigError(f"{mapper} needs odometry, the scan at {stamp} s has none; hector maps without")
     return odometry
+
+
+def check_motion(odometry: Pose2 | None, imu: Imu | None) -> None:
+    """Check that odometry and attitude are finite, before a compiled loop computes cells of them.
+
+    Raises:
+        ConfigError: they are not.
+    """
+    o = odometry or Pose2()
+    if not math.isfinite(o.x + o.y + o.yaw + (0.0 if imu is None else sum(imu.row))):
+        raise ConfigError(f"odometry and inertial readings must be finite, got {odometry}, {imu}")
 
 
 def parameters(name: str) -> tuple[str, ...]:

@@ -136,7 +136,7 @@ def scan_arrays(scans: Sequence[LaserScan], trajectory: Trajectory) -> LogScans:
     base = Trajectory.from_poses(stamps, map(Pose2, x.tolist(), y.tolist(), yaw.tolist()))
     poses = laser_poses(base, scans)
     ranges = np.stack([np.where(scan.hits, scan.ranges.astype(np.float64), np.inf) for scan in scans])
-    reach = max(scan.range_max for scan in scans)
+    reach = max(scan.limits[1] for scan in scans)
     return LogScans(ranges, scans[0].angles, poses, blocks_of(poses), reach)
 
 

@@ -79,7 +79,7 @@ def scan_figure(scan: LaserScan) -> Drawing:
     axes = figure.subplots()
     hits = scan.hits
     ranges, angles = scan.ranges[hits], scan.angles[hits]
-    reach = float(ranges.max()) if hits.any() else scan.range_max
+    reach = float(ranges.max()) if hits.any() else scan.limits[1]
     first, last = np.degrees(scan.angles[[0, -1]]).tolist()
     axes.add_patch(Wedge((0, 0), reach, first, last, facecolor="#eef3f6", edgecolor="none", zorder=0))
     axes.plot(ranges * np.cos(angles), ranges * np.sin(angles), ".", color=BLACK, markersize=2.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,6 +11,9 @@ from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose3
+
+NEAREST, FARTHEST = 0.001, 300.0
+"""Smallest and largest range that counts, meters; a map must not grow by a wrong reading, nor by infinity."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +31,7 @@ class LaserScan(ShownAsPicture):
         time_increment: time between beams, seconds; 0 = all at once.
 
     Raises:
-        ConfigError: ranges are not a vector of float32.
+        ConfigError: ranges are not a vector of float32, or angles are not finite.
     """
 
     ranges: Float32Array
@@ -44,6 +48,11 @@ class LaserScan(ShownAsPicture):
             raise ConfigError(
                 f"ranges must be a vector of float32, got {self.ranges.dtype} {self.ranges.shape}"
             )
+        if not math.isfinite(self.angle_min + self.angle_increment + self.time_increment):
+            raise ConfigError(
+                f"angles and times of beams must be finite, got {self.angle_min}, {self.angle_increment}, "
+                f"{self.time_increment}"
+            )
 
     def __repr__(self) -> str:
         fov = np.degrees(self.angle_increment * (len(self.ranges) - 1))
@@ -57,9 +66,15 @@ class LaserScan(ShownAsPicture):
         return self.angle_min + self.angle_increment * np.arange(len(self.ranges), dtype=np.float64)
 
     @property
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest range of a hit, meters, finite."""
+        return max(NEAREST, self.range_min), min(FARTHEST, self.range_max)
+
+    @property
     def hits(self) -> BoolArray:
         """(n,) whether each beam has a return within the sensor's range."""
-        return np.isfinite(self.ranges) & (self.ranges >= self.range_min) & (self.ranges <= self.range_max)
+        nearest, farthest = self.limits
+        return (self.ranges >= nearest) & (self.ranges <= farthest)
 
     @property
     def points(self) -> FloatArray:

@@ -19,7 +19,7 @@ from lirs_wct.field_validators import require_above, require_at_least, require_w
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.linalg import solve3
-from slam_baselines.mapper import MapperStats, Stopwatch
+from slam_baselines.mapper import MapperStats, Stopwatch, check_motion
 from slam_baselines.mapping.ray_tracing import line_cells
 
 ITERATIONS = (6, 4, 4)
@@ -103,6 +103,7 @@ class HectorOriginalMapper:
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan from the pose by odometry, draw it if due; return `T_map_base`."""
+        check_motion(odometry, imu)
         started = self._stopwatch.start()
         self._received += 1
         laser, ends = self._points(scan)

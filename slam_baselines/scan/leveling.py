@@ -99,8 +99,9 @@ class ScanLeveler:
         if geometry != self._geometry:
             self._geometry = geometry
             self._directions = np.stack((np.cos(scan.angles), np.sin(scan.angles)), axis=-1)
-            farthest = min(scan.range_max, self._max_range)
-            self._limits = RangeLimits(scan.range_min, farthest, min(farthest, self._clear_range))
+            nearest, farthest = scan.limits
+            farthest = min(farthest, self._max_range)
+            self._limits = RangeLimits(nearest, farthest, min(farthest, self._clear_range))
         T = scan.T_base_laser
         if T is not self._T_base_laser and self._T_base_laser != T:
             self._T_base_laser, self._mount = T, Mount(T.rotation, T.position)

@@ -53,7 +53,8 @@ def _message(scan: LaserScan, T_odom_base: Pose2) -> bytes:
     n = len(scan.ranges)
     laser = T_odom_base @ scan.T_base_laser.to_pose2()
     fov = scan.angle_increment * (n - 1)
-    geometry = f"{scan.angle_min:.9f} {fov:.9f} {scan.angle_increment:.12f} {scan.range_max:.3f}"
+    farthest = scan.limits[1]
+    geometry = f"{scan.angle_min:.9f} {fov:.9f} {scan.angle_increment:.12f} {farthest:.3f}"
     poses = f"{_pose(laser)} {_pose(T_odom_base)}"
     stamp = f"{scan.stamp:.6f}"
     before, after = f"ROBOTLASER1 0 {geometry} 0 0 {n}", f" 0 {poses} 0 0 0 0 0 {stamp} {HOST} {stamp}\n"
@@ -66,7 +67,7 @@ def _pose(pose: Pose2) -> str:
 
 def _ranges(scan: LaserScan) -> bytes:
     """Return the ranges as text, a space before each."""
-    texts = _formatted_ranges(math.ceil(scan.range_max * 1000) + 1)
+    texts = _formatted_ranges(math.ceil(scan.limits[1] * 1000) + 1)
     return texts[_millimeters(scan.ranges, len(texts) - 2)].tobytes().translate(None, b"\0")
 
 

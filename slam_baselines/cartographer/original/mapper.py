@@ -18,7 +18,7 @@ from slam_baselines.cartographer.original.config import (
 )
 from slam_baselines.cartographer.original.local_slam import TrajectoryBuilder
 from slam_baselines.cartographer.original.pose_graph import OriginalPoseGraph
-from slam_baselines.mapper import MapperStats, Stopwatch
+from slam_baselines.mapper import MapperStats, Stopwatch, check_motion
 from slam_baselines.mapping.keyframe import KeyframeTrajectory
 from slam_baselines.mapping.occupancy_map import OccupancyMap, bounding_box
 from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
@@ -63,6 +63,7 @@ class CartographerOriginalMapper:
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan, add a node if due, search loops; return `T_map_base`."""
+        check_motion(odometry, imu)
         started = self._stopwatch.start()
         result = self._local.add_scan(scan, odometry)
         self._received += 1

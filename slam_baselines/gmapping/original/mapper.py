@@ -21,7 +21,7 @@ from slam_baselines.gmapping.original.config import GmappingOriginalConfig
 from slam_baselines.gmapping.original.hit_maps import HitMaps, match_scan
 from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.linalg import compose_poses
-from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
+from slam_baselines.mapper import MapperStats, Stopwatch, check_motion, required_odometry
 from slam_baselines.mapping.keyframe import KeyframeTrajectory
 from slam_baselines.mapping.occupancy_map import GrowingGrid
 from slam_baselines.mapping.ray_tracing import line_cells
@@ -69,8 +69,9 @@ class GmappingOriginalMapper:
         """Move the particles by the odometry, process the scan if due; return `T_map_base`.
 
         Raises:
-            ConfigError: there is no odometry.
+            ConfigError: there is no odometry, or it is not finite.
         """
+        check_motion(odometry, imu)
         started = self._stopwatch.start()
         now = _logged_pose(required_odometry("gmapping_original", odometry, scan.stamp))
         self._received += 1
