@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.formats.rosbag.storage import STORAGES, Storage
+from lirs_wct.formats.suffixes import STORAGES, Storage
 from lirs_wct.option import (
     Options,
     Slider,

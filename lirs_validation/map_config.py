@@ -7,15 +7,58 @@ from pathlib import Path
 
 from lirs_validation.config import ATTITUDES, Attitude, digest_text, sha256
 from lirs_wct.errors import ConfigError
+from lirs_wct.formats.suffixes import CLOCKS, Clock
 from lirs_wct.option import Options, choice, digest_fields, documented, one_of, option, positive, within
 from slam_baselines.mapper import MAPPERS, read_parameters
 
-BAG_TOPICS = "Topics of a bag"
+LOG = "The log"
+"""Panel of the options about the content of a log."""
 
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class MapConfig(Options):
+class LogOptions(Options):
+    """Reading of a laser log.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    fov: float | None = option(
+        None,
+        "Field of view of the laser, if the log does not state it.",
+        metavar="DEG",
+        check=within("(0, 360]", "deg"),
+        panel=LOG,
+    )
+    range_max: float | None = option(
+        None, "Ranges from this value on are no return.", metavar="METERS", check=positive, panel=LOG
+    )
+    scan_topic: str | None = option(
+        None, "Laser scans of a bag; default: the only such topic.", metavar="TOPIC", panel=LOG
+    )
+    odom_topic: str | None = option(
+        None, "Odometry of a bag; default: the only one, else /tf.", metavar="TOPIC", panel=LOG
+    )
+    imu_topic: str | None = option(
+        None,
+        "Inertial readings of a bag, with attitude for planar mappers; default: none.",
+        metavar="TOPIC",
+        panel=LOG,
+    )
+    time: Clock = option(
+        "header",
+        "Stamps of a bag: those of the headers, or the times of reception.",
+        metavar="header|receive",
+        read=choice(*CLOCKS),
+        check=one_of(CLOCKS),
+        panel=LOG,
+    )
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class MapConfig(LogOptions):
     """Mapping of a laser log.
 
     Attributes:
@@ -49,15 +92,6 @@ class MapConfig(Options):
         metavar="METERS",
         check=within("[0.01, 1]", "m"),
     )
-    fov: float | None = option(
-        None,
-        "Field of view of the laser, if the log does not state it.",
-        metavar="DEG",
-        check=within("(0, 360]", "deg"),
-    )
-    range_max: float | None = option(
-        None, "Ranges from this value on are no return.", metavar="METERS", check=positive
-    )
     relations: str | None = option(
         None,
         "True relations between poses: the record then holds the accuracy.",
@@ -80,23 +114,11 @@ class MapConfig(Options):
         read=choice(*ATTITUDES),
         check=one_of(ATTITUDES),
     )
-    scan_topic: str | None = option(
-        None, "Laser scans of a bag; default: the only such topic.", metavar="TOPIC", panel=BAG_TOPICS
-    )
-    odom_topic: str | None = option(
-        None, "Odometry of a bag; default: the only one, else /tf.", metavar="TOPIC", panel=BAG_TOPICS
-    )
-    imu_topic: str | None = option(
-        None,
-        "Inertial readings of a bag, with attitude for planar mappers; default: none.",
-        metavar="TOPIC",
-        panel=BAG_TOPICS,
-    )
     reference_topic: str | None = option(
         None,
         "Poses of a reference bag; default: /tf, else the only such topic.",
         metavar="TOPIC",
-        panel=BAG_TOPICS,
+        panel=LOG,
         in_digest=False,
     )
     second: str | None = option(

@@ -38,7 +38,7 @@ from lirs_wct.files import atomic_write
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.drive_csv import IMU_HEADER, read_imu
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.rosbag.storage import Storage
+from lirs_wct.formats.suffixes import Storage
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
 from slam_baselines.mapping.known_pose import KnownPoseMapper

@@ -9,6 +9,7 @@ import hashlib
 import json
 import math
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -30,6 +31,7 @@ from lirs_validation.logs.log_replay import (
     warm_up_log_mapper,
     with_recorded_mount,
 )
+from lirs_validation.logs.preflight import Preflight, check_log_data
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import rms, scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
@@ -44,8 +46,8 @@ from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.formats.map_server import read_map, write_map
-from lirs_wct.formats.rosbag.storage import METADATA
-from lirs_wct.formats.suffixes import is_bag_file
+from lirs_wct.formats.rosbag.topics import ANY
+from lirs_wct.formats.suffixes import METADATA, is_bag_file
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
@@ -161,6 +163,9 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         name, log = folder_name(config), read_log(config, clouds=mapper.reads_clouds)
         check_log(config, mapper, log)
         readings = inertial_readings(config, log)
+        found = check_log_data(log)
+        if found.unfit:
+            warnings.warn(f"{config.log}: {found.sentence}", stacklevel=2)
         log = log if config.imu is None or is_bag(Path(config.log)) else with_recorded_mount(config, log)
     progress("compile", 0.0)
     with compile_timer() as compile_seconds:
@@ -184,7 +189,12 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         config=config,
         status="lost" if lost else "incomplete" if lacking else "ok",
         reason=lost or lacking or "",
-        log=describe_log(log) | {"inertial_readings": sum(reading is not None for reading in readings)},
+        log=describe_log(log)
+        | {
+            "inertial_readings": sum(reading is not None for reading in readings),
+            "unfit": found.unfit,
+            "findings": [str(finding) for finding in found.findings],
+        },
         map=describe_map(grid),
         trajectory={
             "poses": len(trajectory),
@@ -256,16 +266,34 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
     path = Path(config.log)
     topics = (config.scan_topic, config.odom_topic, config.imu_topic)
     if is_bag(path):
-        if config.fov is not None or config.range_max is not None:
-            raise ConfigError(f"{path}: the messages of a bag say field of view and ranges themselves")
+        if config.fov is not None:
+            raise ConfigError(f"{path}: the messages of a bag say their field of view themselves")
         from lirs_wct.formats.rosbag.reader import read_bag
         from lirs_wct.formats.rosbag.topics import Topics
 
-        return read_bag(path, Topics(*topics, clouds, ", ".join(MAPPERS if clouds else ALL_CLOUD_MAPPERS)))
-    if any(topics):
-        raise ConfigError(f"{path}: topics can be given for a ROS bag only, this is none")
+        others = ", ".join(MAPPERS if clouds else ALL_CLOUD_MAPPERS)
+        names = Topics(*topics, clouds, others)
+        return read_bag(path, names, range_max=config.range_max, time=config.time)
+    if any(topics) or config.time != "header":
+        raise ConfigError(f"{path}: topics and --time can be given for a ROS bag only, this is none")
     fov = None if config.fov is None else math.radians(config.fov)
     return read_carmen(Path(config.log), LaserFacts(fov=fov, range_max=config.range_max))
+
+
+def check_log_file(log: str | Path, **log_options: Any) -> Preflight:
+    """Measure a log's data and look for faults, without mapping it.
+
+    Args:
+        log: Path of a CARMEN log or a ROS bag.
+        **log_options: Fields of `LogOptions`: fov, range_max, scan_topic, odom_topic, imu_topic, time.
+
+    Raises:
+        WctError: the log or an option cannot be used.
+    """
+    config = MapConfig(log=str(log), **log_options)
+    if is_bag(Path(config.log)) and config.imu_topic is None:
+        config = replace(config, imu_topic=ANY)
+    return check_log_data(read_log(config))
 
 
 def folder_name(config: MapConfig) -> str:
@@ -319,7 +347,7 @@ def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic")
         ConfigError: a topic is given, and it is no bag.
     """
     if is_bag(path):
-        from lirs_wct.formats.rosbag.reader import read_poses
+        from lirs_wct.formats.rosbag.poses import read_poses
 
         return read_poses(path, topic, flag)
     if topic is not None:

@@ -16,7 +16,7 @@ from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.rosbag.storage import FILES, METADATA, Storage
+from lirs_wct.formats.suffixes import BAG_FILES, METADATA, Storage
 
 SCHEMA = 3
 
@@ -154,7 +154,7 @@ WITHOUT = (RECORD, "error.txt")
 def bag_files(config: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of a bag's files; empty without a bag."""
     storage: Storage | None = config.get("bag")
-    return () if storage is None else (METADATA, f"{BAG}{FILES[storage]}")
+    return () if storage is None else (METADATA, f"{BAG}{BAG_FILES[storage]}")
 
 
 def file_sizes(folder: Path) -> dict[str, int]:

@@ -66,6 +66,23 @@ class LineStamps:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class LogTopic:
+    """Messages of one topic, or of one name in a CARMEN log.
+
+    Attributes:
+        name: Name of the topic.
+        frames: Frames of its messages; of poses "parent -> child".
+        stamps: (n,) Stamps in the order of the log, seconds.
+        received: (n,) Times of reception, seconds; empty where unknown.
+    """
+
+    name: str
+    frames: tuple[str, ...]
+    stamps: FloatArray
+    received: FloatArray
+
+
 @dataclass(frozen=True)
 class LaserLog:
     """A laser log in file order.
@@ -83,6 +100,7 @@ class LaserLog:
         clouds: point clouds in place of scans, read one by one; None of a log of planar scans.
         imu: inertial readings with attitude that the log itself holds; a CARMEN log holds none.
         inertial: all of its inertial readings, with or without attitude, by stamp; None = none.
+        topics: Topics of the scans, of the odometry, and of the inertial readings, as far as they exist.
     """
 
     scans: tuple[LaserScan, ...]
@@ -97,6 +115,7 @@ class LaserLog:
     clouds: Iterable[PointCloud] | None = None
     imu: tuple[Imu, ...] = ()
     inertial: ImuReadings | None = None
+    topics: tuple[LogTopic, ...] = ()
 
     @property
     def stamps(self) -> FloatArray:

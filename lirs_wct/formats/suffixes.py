@@ -1,7 +1,7 @@
-"""Suffixes and encodings by which a file's format is named."""
+"""Names of file formats: suffixes, encodings, and parts of bags."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Mesh files."""
@@ -32,6 +32,16 @@ BAGS = (".mcap", ".db3", ".bag")
 """Files of ROS 2 bags, and ROS 1 bags."""
 MAPS = (".yaml", ".yml")
 """Metadata of ROS maps."""
+Storage = Literal["mcap", "sqlite3"]
+STORAGES: tuple[Storage, ...] = get_args(Storage)
+"""Storage formats of a ROS 2 bag's messages."""
+BAG_FILES: dict[Storage, str] = {"mcap": ".mcap", "sqlite3": ".db3"}
+"""Suffix of a bag's file by storage format."""
+METADATA = "metadata.yaml"
+"""File of a bag's folder that `ros2 bag` reads first."""
+Clock = Literal["header", "receive"]
+CLOCKS: tuple[Clock, ...] = get_args(Clock)
+"""Sources of a bag's stamps: the header of a message, or its reception by the recorder."""
 ZSTD = ".zstd"
 """Ends the names of a ROS 2 bag's files that were compressed as a whole."""
 

@@ -92,7 +92,7 @@ def scans_of(
     mount = _mount(name, messages, parameters, repaired)
     field = None if facts.fov is None else _config(n, facts.fov)
     decoded = _decode_ranges(ranges)
-    code = _usual_reading(decoded[decoded >= max(found, limit)])
+    code = usual_reading(decoded[decoded >= max(found, limit)])
     scans = []
     for message, meant in zip(messages, decoded, strict=True):
         config = field or message.config or _usual_config(name, n, parameters)
@@ -105,20 +105,21 @@ def scans_of(
     return scans
 
 
-def no_return(ranges: Float32Array) -> float:
-    """Return the smallest code for no return, meters; 50 without a smaller one.
+def no_return(ranges: Float32Array, farthest: float = NO_RETURN) -> float:
+    """Return the smallest code for no return, meters; `farthest` without a smaller one.
 
-    Besides the known codes beyond 50 m, many sensors report their largest range. That value repeats often, in
+    Many sensors report their largest range. That value repeats often, in
     all directions, and similar values are rare.
 
     Args:
         ranges: (scans, beams) meters, as logged.
+        farthest: Range from which on every reading is a code, meters.
     """
-    real = (ranges >= RANGE_MIN) & (ranges < NO_RETURN)
+    real = (ranges >= RANGE_MIN) & (ranges < farthest)
     cm = np.where(real, np.round(np.where(real, ranges, 0) * 100), 0).astype(np.int64)
     counts = np.bincount(cm.ravel(), minlength=2)
     counts[0] = 0
-    limit = NO_RETURN
+    limit = farthest
     while counts.any():
         top = int(np.flatnonzero(counts)[-1])
         below = counts[max(0, top - 300) : top]
@@ -133,7 +134,7 @@ def no_return(ranges: Float32Array) -> float:
     return limit
 
 
-def _usual_reading(ranges: Float32Array) -> float | None:
+def usual_reading(ranges: Float32Array) -> float | None:
     """Return the most frequent finite reading to the millimeter, meters; None without one."""
     readings, counts = np.unique(
         np.round(ranges[np.isfinite(ranges)].astype(np.float64), 3), return_counts=True

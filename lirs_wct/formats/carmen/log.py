@@ -18,7 +18,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.carmen.laser import REAR, LaserFacts, scans_of
 from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, parameters_of, read_lines
 from lirs_wct.formats.carmen.repairs import LEAP, in_file_order, odometry_of
-from lirs_wct.formats.laser_log import LaserLog
+from lirs_wct.formats.laser_log import LaserLog, LogTopic
 
 DAY = 86_400.0
 """Largest distance of a sound stamp from the median stamp, seconds."""
@@ -60,7 +60,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=2)
     parameters = parameters_of(lines.get("PARAM", ()))
-    odometry, track = odometry_of(path, [m.stamp for m in scans], scans, odoms)
+    odometry, track = odometry_of([m.stamp for m in scans], scans, odoms)
     try:
         found = scans_of(laser, scans, parameters, facts or LaserFacts(), repaired)
     except ConfigError as error:
@@ -74,6 +74,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
         late=_late(stamps.logged),
         repaired=dict(repaired),
         laser=laser,
+        topics=(LogTopic(laser, (), np.array([m.stamp for m in read]), np.empty(0)),),
         left_out=len(lines[laser]) - skipped[REPEATED] - len(found),
     )
 

@@ -13,10 +13,8 @@ The odometry is that of the laser's own messages, else that of ODOM lines, else 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -137,46 +135,29 @@ def _least_steps(stamps: FloatArray, distances: FloatArray) -> FloatArray:
     return least
 
 
-JUMP, JUMP_SPEED = 5.0, 30.0
-"""Longest step, meters, and highest speed, m/s, of a robot; beyond both, a step is a jump."""
 AGREEMENT = 1.0
 """Largest median distance of two sources in the same frame, meters."""
 
 
 def odometry_of(
-    path: Path, stamps: Sequence[float], lasers: Sequence[Message], odoms: Sequence[Message]
+    stamps: Sequence[float], lasers: Sequence[Message], odoms: Sequence[Message]
 ) -> tuple[list[Pose2 | None], Trajectory]:
-    """Return `T_odom_base` of each scan, and the track of all odometry poses; warn of jumps.
+    """Return `T_odom_base` of each scan, and the track of all odometry poses.
 
     Constant odometry counts as none, since the robot may have moved.
 
     Args:
-        path: of the log.
         stamps: of the scans, increasing.
         lasers: the scans' messages.
         odoms: ODOM messages.
     """
     own, wheels = _track(lasers), _track(odoms)
     if _moves(own) or (len(lasers) == 1 and len(own)):
-        _warn_of_jumps(path, own)
         return [m.base for m in lasers], _add_wheel_poses(own, wheels)
     if _moves(wheels):
-        _warn_of_jumps(path, wheels)
         at = wheels.planar_at(np.asarray(stamps))
         return [Pose2(*row) for row in at.tolist()], wheels
     return [None] * len(stamps), Trajectory.from_poses([], [])
-
-
-def _warn_of_jumps(path: Path, track: Trajectory) -> None:
-    """Warn of steps that no robot can make."""
-    steps = np.linalg.norm(np.diff(track.xy, axis=0), axis=1)
-    jumps = int((steps > np.maximum(JUMP, JUMP_SPEED * np.diff(track.stamps))).sum())
-    if jumps:
-        warnings.warn(
-            f"{path}: its odometry jumps {jumps} times by more than {JUMP:g} m, up to {steps.max():.4g} m: "
-            "the map may break there",
-            stacklevel=4,
-        )
 
 
 def _track(messages: Sequence[Message]) -> Trajectory:

@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from lirs_wct.arrays import FloatArray
+from lirs_wct.formats.rosbag.messages import BASE
 from lirs_wct.geometry.pose import Pose3, Trajectory
 
 SAME = 1e-6
 """Largest change of a constant transform on /tf: meters, and components of the quaternion."""
+BASES = (BASE, "base_footprint")
+"""Names of a robot's base frame, the preferred one first."""
+ZIGZAG = 0.02
+"""Smallest step from one source's pose to another's, meters."""
+RETURNS, SHORTER = 0.05, 2.0
+"""Of poses from two sources: share of steps that lead back at once, and ratio of the length of all steps to
+that of the two paths, at least; poses with noise only lead back, too."""
+
+Step = tuple[int, float, Pose3]
+"""Line in the bag, stamp in seconds, and pose of a frame in its parent."""
 
 
 def pose_of(position: Any, rotation: Any) -> Pose3:
@@ -22,54 +36,100 @@ def pose_of(position: Any, rotation: Any) -> Pose3:
     return Pose3(p.x, p.y, p.z, q.w / n, q.x / n, q.y / n, q.z / n)
 
 
+def is_finite(T: Pose3) -> bool:
+    """Return whether all numbers of a pose are finite."""
+    return math.isfinite(T.x + T.y + T.z + T.qw + T.qx + T.qy + T.qz)
+
+
 def seconds(stamp: Any) -> float:
     """Return a message's stamp in seconds."""
     return float((stamp.sec * 1_000_000_000 + stamp.nanosec) / 1e9)
 
 
+def is_named(frame: str, *names: str) -> bool:
+    """Return whether a frame has one of the names, with or without a robot's prefix."""
+    return frame.rpartition("/")[2] in names
+
+
 class Frames:
-    """Transforms by child frame; names without ROS 1's leading slash."""
+    """Transforms by child frame; names without ROS 1's leading slash.
+
+    Attributes:
+        skipped: Number of transforms that are not finite.
+    """
 
     def __init__(self) -> None:
+        self.skipped = 0
         self._fixed: dict[str, tuple[str, Pose3]] = {}
-        self._moving: dict[str, list[tuple[int, float, Pose3]]] = {}
-        self._parents: dict[str, str] = {}
+        self._moving: dict[str, dict[str, list[Step]]] = {}
+        self._edges: dict[str, tuple[FloatArray, list[Pose3]]] = {}
 
     def add(self, line: int, message: Any, *, static: bool, received: float | None = None) -> None:
         """Add a TFMessage, the line-th message of the bag; `received` replaces its stamps."""
+        self._edges.clear()
         for t in message.transforms:
             parent, child = t.header.frame_id.lstrip("/"), t.child_frame_id.lstrip("/")
             T = pose_of(t.transform.translation, t.transform.rotation)
-            if static:
+            if not is_finite(T):
+                self.skipped += 1
+            elif static:
                 self._fixed[child] = (parent, T)
             else:
-                self._parents[child] = parent
                 stamp = seconds(t.header.stamp) if received is None else received
-                self._moving.setdefault(child, []).append((line, stamp, T))
+                self._moving.setdefault(child, {}).setdefault(parent, []).append((line, stamp, T))
 
     @property
     def names(self) -> set[str]:
         """Frames of both kinds, parents and children."""
         fixed = {name for child, (parent, _) in self._fixed.items() for name in (child, parent)}
-        return fixed | set(self._parents) | set(self._parents.values())
+        return fixed.union(self._moving, *self._moving.values())
 
-    def moving_base(self, frame: str) -> str:
-        """Return the nearest moving frame above a sensor's frame; empty without one.
+    def base(self, frame: str) -> str:
+        """Return the robot's base above a sensor's frame; empty without one.
 
-        For a robot at rest, return the nearest frame on /tf.
+        It is a frame with the usual name, else the frame that moves in `odom`, else the nearest moving one,
+        or for a robot at rest the nearest frame on /tf.
         """
-        on_tf = [name for name in self.chain(frame.lstrip("/")) if name in self._moving]
-        return next((name for name in on_tf if not self._constant(name)), on_tf[0] if on_tf else "")
+        chain = self.chain(frame.lstrip("/"))
+        steps = list(pairwise(chain))
+        named = [name for name in chain if is_named(name, *BASES)]
+        # A footprint to which the base is fixed moves on the ground as the base does.
+        for name, above in steps:
+            if name in named[:1] and is_named(above, *BASES) and self._constant(name):
+                named = [above]
+        on_tf = [name for name in chain if name in self._moving]
+        moving = [name for name in on_tf if not self._constant(name)]
+        in_odom = [name for name, above in steps if _is_odom(above)]
+        return next(iter((*named, *in_odom, *moving, *on_tf)), "")
 
-    def odometry(self, base: str) -> list[tuple[int, float, Pose3]]:
-        """Return line, stamp and pose of a moving frame in its parent; empty for others."""
-        return self._moving.get(base, [])
+    def odometry(self, base: str) -> tuple[list[Step], str]:
+        """Return the poses of a base in the odometry frame, and that frame, else the topmost one."""
+        chain = self.chain(base)
+        top = next((k for k, name in enumerate(chain) if _is_odom(name)), len(chain) - 1)
+        names = chain[:top]
+        moving = [name for name in names if not self._constant(name)]
+        if not moving:
+            return [], chain[top]
+        lowest = names.index(moving[0])
+        below, above = names[:lowest], names[lowest + 1 :]
+        return [
+            (line, t, self._pose(above, t) @ T @ self._pose(below, t))
+            for line, t, T in self._steps(moving[0])
+        ], chain[top]
 
-    def mount(self, base: str, frame: str) -> Pose3 | None:
-        """Return `T_base_frame` along constant transforms; None if they do not connect the two."""
-        top_of_base, T_top_base = self._climb(base)
-        top, T_top_frame = self._climb(frame.lstrip("/"))
-        return T_top_base.inverse() @ T_top_frame if top == top_of_base else None
+    def mounts(self, base: str, frame: str, stamps: Sequence[float]) -> list[Pose3] | None:
+        """Return `T_base_frame` at each stamp; None if no transforms connect the two.
+
+        Transforms that change are interpolated. Constant ones give one pose.
+        """
+        up, down = self.chain(frame.lstrip("/")), self.chain(base)
+        common = next((name for name in up if name in down), None)
+        if common is None:
+            return None
+        up, down = up[: up.index(common)], down[: down.index(common)]
+        if all(self._constant(name) for name in (*up, *down)):
+            return [self._pose(down, 0.0).inverse() @ self._pose(up, 0.0)] * len(stamps)
+        return [self._pose(down, t).inverse() @ self._pose(up, t) for t in stamps]
 
     def chain(self, frame: str) -> list[str]:
         """Return a frame and its ancestors, the topmost last."""
@@ -84,56 +144,60 @@ class Frames:
         Poses of frames above it are interpolated, as in tf2.
         """
         chain = self.chain(frame)[:-1]
-        edges = [self._edge(name) for name in chain]
-        moving = [stamps for stamps, _ in edges if len(stamps) > 1]
+        moving = [stamps for stamps, _ in map(self._edge, chain) if len(stamps) > 1]
         if not moving:
             return Trajectory.from_poses([], list[Pose3]())
         first, last = max(s[0] for s in moving), min(s[-1] for s in moving)
-        stamps = moving[0][(moving[0] >= first) & (moving[0] <= last)]
-        poses = []
-        for t in stamps.tolist():
-            T = Pose3()
-            for held, steps in edges:
-                T = _interpolate(held, steps, t) @ T
-            poses.append(T)
-        return Trajectory.from_poses(stamps.tolist(), poses)
+        stamps = moving[0][(moving[0] >= first) & (moving[0] <= last)].tolist()
+        return Trajectory.from_poses(stamps, [self._pose(chain, t) for t in stamps])
 
-    def _edge(self, name: str) -> tuple[np.ndarray[Any, np.dtype[np.float64]], list[Pose3]]:
+    def _pose(self, chain: Sequence[str], t: float) -> Pose3:
+        """Return the pose at a stamp of the first frame of a chain in the parent of the last."""
+        T = Pose3()
+        for name in chain:
+            T = _interpolate(*self._edge(name), t) @ T
+        return T
+
+    def _steps(self, name: str) -> list[Step]:
+        """Return the transforms of a frame on /tf, those to its most frequent parent."""
+        return max(self._moving.get(name, {"": []}).values(), key=len)
+
+    def _edge(self, name: str) -> tuple[FloatArray, list[Pose3]]:
         """Return rising stamps and poses of a frame in its parent; one if fixed."""
-        if name in self._fixed and name not in self._moving:
-            return np.zeros(1), [self._fixed[name][1]]
-        found = {stamp: T for _, stamp, T in self._moving[name]}
-        stamps = sorted(found)
-        return np.array(stamps), [found[t] for t in stamps]
+        if name not in self._edges:
+            fixed = name in self._fixed and name not in self._moving
+            self._edges[name] = (np.zeros(1), [self._fixed[name][1]]) if fixed else _rising(self._steps(name))
+        return self._edges[name]
 
     def _above(self, name: str) -> str:
-        return self._parents.get(name) or self._fixed.get(name, ("",))[0]
-
-    def _climb(self, name: str) -> tuple[str, Pose3]:
-        """Return the topmost frame along constant transforms, and the pose in it."""
-        T, seen = Pose3(), {name}
-        while True:
-            if name in self._fixed:
-                above, step = self._fixed[name]
-            elif self._constant(name):
-                above, step = self._parents[name], self._moving[name][0][2]
-            else:
-                return name, T
-            if above in seen:
-                return name, T
-            seen.add(above)
-            name, T = above, step @ T
+        parents = self._moving.get(name)
+        if parents:
+            return max(parents, key=lambda parent: len(parents[parent]))
+        return self._fixed.get(name, ("",))[0]
 
     def _constant(self, name: str) -> bool:
-        """Whether a frame of /tf never moves (a sensor's mount that is published repeatedly)."""
-        held = self._moving.get(name, [])
-        if len(held) < 2:
+        """Whether a frame never moves in its parent, also one that is published repeatedly."""
+        if name in self._fixed and name not in self._moving:
+            return True
+        steps = self._steps(name)
+        if len(steps) < 2:
             return False
-        values = np.array([(*T.position, *T.quaternion) for _, _, T in held])
+        values = np.array([(*T.position, *T.quaternion) for _, _, T in steps])
         return bool((np.ptp(values, axis=0) <= SAME).all())
 
 
-def _interpolate(stamps: np.ndarray[Any, np.dtype[np.float64]], poses: list[Pose3], t: float) -> Pose3:
+def _is_odom(frame: str) -> bool:
+    return frame.rpartition("/")[2].startswith("odom")
+
+
+def _rising(steps: Sequence[Step]) -> tuple[FloatArray, list[Pose3]]:
+    """Return the poses by stamp; of equal stamps, the last."""
+    found = {stamp: T for _, stamp, T in steps}
+    stamps = sorted(found)
+    return np.array(stamps), [found[t] for t in stamps]
+
+
+def _interpolate(stamps: FloatArray, poses: list[Pose3], t: float) -> Pose3:
     """Return the pose at a stamp, with linear position and quaternion."""
     k = int(np.searchsorted(stamps, t))
     if k == len(poses) or stamps[k] == t or k == 0:
@@ -144,3 +208,31 @@ def _interpolate(stamps: np.ndarray[Any, np.dtype[np.float64]], poses: list[Pose
     return Pose3.from_arrays(
         a.position + share * (b.position - a.position), a.quaternion + share * (q - a.quaternion)
     )
+
+
+def one_source(steps: list[Step]) -> tuple[list[Step], int]:
+    """Return the poses of one source, and the number of sources, 1 or 2.
+
+    Poses of two publishers alternate: steps lead from one path to the other and back. Each pose belongs to
+    the path whose last pose is nearer; of paths that are equally near, to the one that has waited longer. The
+    path of more poses is returned.
+    """
+    merged = _step_lengths(steps, 1)
+    back = (merged[:-1] > ZIGZAG) & (_step_lengths(steps, 2) < merged[:-1] / 2)
+    if back.sum() <= RETURNS * len(steps):
+        return steps, 1
+    paths = [[steps[0]], [steps[1]]]
+    for each in steps[2:]:
+        apart = [math.hypot(each[2].x - path[-1][2].x, each[2].y - path[-1][2].y) for path in paths]
+        waited = min((0, 1), key=lambda k: paths[k][-1][0])
+        paths[waited if abs(apart[0] - apart[1]) < ZIGZAG else int(apart[1] < apart[0])].append(each)
+    if merged.sum() < SHORTER * sum(_step_lengths(path, 1).sum() for path in paths):
+        return steps, 1
+    return max(paths, key=len), 2
+
+
+def _step_lengths(steps: list[Step], over: int) -> FloatArray:
+    """Return the distances from each pose to the one `over` steps later, meters."""
+    xy = np.array([(T.x, T.y) for _, _, T in steps]).reshape(-1, 2)
+    lengths: FloatArray = np.hypot(*(xy[over:] - xy[:-over]).T)
+    return lengths

@@ -27,8 +27,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.compression import decompress_file, decompress_message
 from lirs_wct.formats.rosbag.mcap_file import McapFile
-from lirs_wct.formats.rosbag.storage import METADATA
-from lirs_wct.formats.suffixes import BAGS, ZSTD, is_bag_file
+from lirs_wct.formats.suffixes import BAGS, METADATA, ZSTD, is_bag_file
 
 Reader: TypeAlias = rosbag1.Reader | rosbag2.Reader | McapFile
 IDL_SEPARATOR = "=" * 80 + "\n"

@@ -1,16 +1,15 @@
 """Reading a ROS 2 or ROS 1 bag as a laser log.
 
-The log has scans, their odometry, inertial readings and the laser's mount. Trajectories come from topics of
-poses, or from transforms as SLAM systems publish them.
+The log has scans, their odometry, inertial readings and the laser's mount.
 """
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,34 +19,31 @@ import numpy as np
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.lines import Message
 from lirs_wct.formats.carmen.repairs import in_file_order, odometry_of
-from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.formats.rosbag.frames import Frames, pose_of, seconds
-from lirs_wct.formats.rosbag.messages import BASE, MAP
+from lirs_wct.formats.laser_log import LaserLog, LineStamps, LogTopic
+from lirs_wct.formats.rosbag.frames import Frames, Step, is_finite, one_source, pose_of, seconds
 from lirs_wct.formats.rosbag.open_bag import Bag, open_bag
 from lirs_wct.formats.rosbag.sensor_messages import (
     BagClouds,
     BeamGeometry,
+    RangeDecoder,
     beams_of,
     geometry,
     ranges_of,
     records_of,
     start_of,
 )
-from lirs_wct.formats.rosbag.topics import (
-    PATH,
-    POSES,
-    TRANSFORMS,
-    Topics,
-    list_topics,
-    of_kinds,
-    require_topic,
-)
+from lirs_wct.formats.rosbag.topics import TRANSFORMS, Topics, of_kinds, of_robot
+from lirs_wct.formats.suffixes import Clock
 from lirs_wct.geometry.pose import Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
 
 Vector = tuple[float, float, float]
 
 
+COMMON = 0.1
+"""Least time that topics share, of the shorter one's."""
+LONGEST_EDGE = 0.5
+"""Longest time from a scan to the first or last pose of the odometry, seconds."""
 CLOUD_MARK = np.zeros(1, np.float32)
 """Placeholder for the ranges of a cloud, whose points are read later."""
 
@@ -70,43 +66,55 @@ class _Contents:
     Python's garbage collector more than the reading takes.
     """
 
-    topic: str
+    names: tuple[str, str | None, str | None]
     clouds: bool
-    laser: str = ""
+    lasers: list[str] = field(default_factory=list)
     scans: list[Message] = field(default_factory=list)
     beams: list[BeamGeometry] = field(default_factory=list)
-    odometry: list[Message] = field(default_factory=list)
-    base: str = ""
+    odometry: list[Step] = field(default_factory=list)
+    odometry_frames: tuple[str, str] = ("", "")
     imu: list[_Reading] = field(default_factory=list)
     imu_sigmas: tuple[float, float] = (0.0, 0.0)
     frames: Frames = field(default_factory=Frames)
+    received: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     skipped: Counter[str] = field(default_factory=Counter)
     left_out: int = 0
     repaired: Counter[str] = field(default_factory=Counter)
 
+    @property
+    def stamps(self) -> tuple[list[float], ...]:
+        """Stamps of the scans, of the odometry and of the inertial readings, seconds."""
+        return [m.stamp for m in self.scans], [m[1] for m in self.odometry], [m.stamp for m in self.imu]
 
-def read_bag(path: Path, topics: Topics) -> LaserLog:
+
+def read_bag(
+    path: Path, topics: Topics, *, range_max: float | None = None, time: Clock = "header"
+) -> LaserLog:
     """Read a bag; of a damaged one the readable part, with a warning.
 
     Args:
         path: folder of a ROS 2 bag, one of its files (.mcap, .db3, also .zstd), or a ROS 1 bag (.bag).
         topics: topics of scans, odometry and inertial readings.
+        range_max: Ranges from here on are no return, meters; None = as the readings show.
+        time: Source of the stamps; those of reception also where headers are of no use.
 
     Raises:
         SourceError: it cannot be read, or has no such topic or no scan.
     """
     with open_bag(path) as bag:
         try:
-            contents = _contents(bag, topics, by_header=True)
-            if _stands_still(contents.scans) or _stands_still(contents.odometry):
+            contents = _contents(bag, topics, by_header=time == "header")
+            fault = _time_fault(contents) if time == "header" else ""
+            if fault:
                 bag.undecoded.clear()
                 contents = _contents(bag, topics, by_header=False)
+                contents.repaired[f"{fault}: times of reception are taken"] = len(contents.scans)
         except SourceError as error:
             damaged = f" (damaged: {'; '.join(bag.faults)})" if bag.faults else ""
             raise SourceError(f"{error}{damaged}") from None
     for topic, count in bag.undecoded.items():
         contents.skipped[f"message on {topic} that cannot be decoded"] = count
-        contents.left_out += count if topic == contents.topic else 0
+        contents.left_out += count if topic == contents.names[0] else 0
     if bag.faults:
         said = f"{len(contents.scans)} {'clouds' if topics.clouds else 'scans'} could be read"
         warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
@@ -114,12 +122,25 @@ def read_bag(path: Path, topics: Topics) -> LaserLog:
         why = "; ".join(f"{count} x {reason}" for reason, count in contents.skipped.items())
         kind = "point cloud" if topics.clouds else "laser scan"
         raise SourceError(f"{path}: holds no {kind} that can be used" + (f" ({why})" if why else ""))
-    return _log(path, contents)
+    return _log(path, contents, range_max)
 
 
-def _stands_still(messages: list[Message]) -> bool:
-    """Whether all messages have the same stamp (0 with some drivers)."""
-    return len(messages) > 1 and len({m.stamp for m in messages}) == 1
+def _time_fault(contents: _Contents) -> str:
+    """Return why the header stamps are of no use; empty if they are."""
+    scans, *others = contents.stamps
+    if any(len(stamps) > 1 and len(set(stamps)) == 1 for stamps in (scans, others[0])):
+        return "header stamps all the same"  # 0 with some drivers
+    for name, stamps in zip(("odometry", "inertial readings"), others, strict=True):
+        if scans and stamps and _common(scans, stamps) < COMMON:
+            return f"scans and {name} share no time by their headers"
+    return ""
+
+
+def _common(a: Sequence[float], b: Sequence[float]) -> float:
+    """Return the seconds that two topics share, as a share of the shorter one."""
+    (a0, *_, a1), (b0, *_, b1) = (np.percentile(stamps, (1, 50, 99)).tolist() for stamps in (a, b))
+    shorter = min(a1 - a0, b1 - b0)
+    return (min(a1, b1) - max(a0, b0)) / shorter if shorter > 0 else float(a0 <= b1 and b0 <= a1)
 
 
 def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
@@ -130,66 +151,72 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
         topics: topics from the user.
         by_header: whether stamps come from headers; else they are times of reception.
     """
-    scan, odometry, imu = topics.choose(bag.path, bag.kinds)
-    contents = _Contents(scan, topics.clouds)
-    transforms = of_kinds(bag.kinds, TRANSFORMS)
+    scan, odometry, imu = names = topics.choose(bag.path, bag.kinds)
+    contents = _Contents(names, topics.clouds)
+    transforms = of_robot(scan, of_kinds(bag.kinds, TRANSFORMS))
     static = {name for name in transforms if name.endswith("tf_static")}
     wanted = {scan, odometry, imu, *(static if odometry else transforms)} - {None}
 
     for line, (topic, received, message) in enumerate(bag.messages(wanted)):
         stamp = None if by_header else received / 1e9
+        before = len(contents.scans), len(contents.odometry), len(contents.imu)
         if topic == scan and topics.clouds:
             _add_cloud(contents, line, message, stamp)
         elif topic == scan:
             _add_scan(contents, line, message, stamp)
         elif topic == odometry:
-            contents.base = message.child_frame_id.lstrip("/")
-            contents.odometry.append(_odometry(line, message, stamp))
+            _add_odometry(contents, line, message, stamp)
         elif topic == imu:
             _add_reading(contents, message, stamp)
         else:
             contents.frames.add(line, message, static=topic in static, received=stamp)
+        if before != (len(contents.scans), len(contents.odometry), len(contents.imu)):
+            contents.received[topic].append(received / 1e9)
     if odometry and contents.scans and _needs_transforms(contents):
         for line, (_, received, message) in enumerate(bag.messages(set(transforms) - static)):
             stamp = None if by_header else received / 1e9
             contents.frames.add(line, message, static=False, received=stamp)
-    if not by_header:
-        contents.repaired["header stamps all the same: times of reception are taken"] = len(contents.scans)
+    if not odometry and contents.scans:
+        base = contents.frames.base(contents.lasers[0])
+        contents.odometry, parent = contents.frames.odometry(base)
+        contents.odometry_frames = parent, base
+    if contents.frames.skipped:
+        contents.skipped["transform that is not finite"] = contents.frames.skipped
     return contents
 
 
 def _needs_transforms(c: _Contents) -> bool:
-    """Whether only /tf can provide the base frame or the laser's mount."""
-    return not c.base or c.frames.mount(c.base, c.laser) is None
+    """Whether only /tf can provide the base frame or a laser's mount."""
+    base = c.odometry_frames[1]
+    return not base or any(c.frames.mounts(base, laser, ()) is None for laser in set(c.lasers))
 
 
-def _log(path: Path, c: _Contents) -> LaserLog:
-    laser = c.laser
-    base = c.base or c.frames.moving_base(laser)
-    odometry = c.odometry or [
-        Message(line, stamp, T.to_pose2()) for line, stamp, T in c.frames.odometry(base)
-    ]
+def _log(path: Path, c: _Contents, range_max: float | None) -> LaserLog:
     repaired, skipped = c.repaired, c.skipped
+    base = _base(c)
+    steps, sources = one_source(c.odometry)
+    if sources > 1:
+        said = f"{' -> '.join(c.odometry_frames)} has two sources: the one with more poses is taken"
+        repaired[said] = len(c.odometry) - len(steps)
+    odometry = [Message(line, stamp, T.to_pose2()) for line, stamp, T in steps]
+    topics = _topics(c)
     scans, odoms, stamps = in_file_order(*_number_by_stamp(c.scans, odometry))
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=3)
-    poses, track = odometry_of(path, [m.stamp for m in scans], scans, odoms)
-    mount = c.frames.mount(base, laser)
-    if mount is None:
-        repaired[
-            f"no transform from {base or 'the base'} to {laser}: the laser is taken to be at the base"
-        ] = 1
+    poses, track = odometry_of([m.stamp for m in scans], scans, odoms)
+    mounts = _mounts(c, base, [m.stamp for m in scans])
     found: list[LaserScan] = []
     clouds = None
     if c.clouds:
-        clouds = BagClouds(path, c.topic, tuple(m.stamp for m in scans), mount or Pose3())
+        clouds = BagClouds(path, c.names[0], tuple(m.stamp for m in scans), tuple(mounts))
     else:
-        found = [_scan(beams, m, mount or Pose3()) for beams, m in zip(c.beams, scans, strict=True)]
-    mounts = {frame: c.frames.mount(base, frame) or Pose3() for frame in {reading.frame for reading in c.imu}}
+        found = _scans(path, c, scans, mounts, range_max)
+    sensors = {frame: c.frames.mounts(base, frame, (0.0,)) for frame in {reading.frame for reading in c.imu}}
+    turned = {frame: Pose3() if mount is None else mount[0] for frame, mount in sensors.items()}
     tilted = [reading for reading in c.imu if reading.attitude is not None]
     if len(tilted) < len(c.imu) and not c.clouds:
         skipped["inertial reading without an attitude"] = len(c.imu) - len(tilted)
-    return LaserLog(
+    log = LaserLog(
         tuple(found),
         tuple(poses),
         track,
@@ -199,8 +226,116 @@ def _log(path: Path, c: _Contents) -> LaserLog:
         laser="PointCloud2" if c.clouds else "LaserScan",
         clouds=clouds,
         left_out=c.left_out,
-        imu=tuple(_imu(reading, mounts[reading.frame]) for reading in tilted),
-        inertial=_inertial(c, mounts) if c.imu else None,
+        imu=tuple(_imu(reading, turned[reading.frame]) for reading in tilted),
+        inertial=_inertial(c, turned) if c.imu else None,
+        topics=topics,
+    )
+    return log if c.clouds else _within_odometry(log)
+
+
+def _base(c: _Contents) -> str:
+    """Return the base frame: that of the odometry, if transforms lead from it to the laser."""
+    own = c.odometry_frames[1]
+    if own and c.frames.mounts(own, c.lasers[0], ()) is not None:
+        return own
+    return c.frames.base(c.lasers[0]) or own
+
+
+def _mounts(c: _Contents, base: str, stamps: Sequence[float]) -> list[Pose3]:
+    """Return `T_base_laser` at each scan; the scans of a topic may come from several lasers."""
+    by_laser: dict[str, list[Pose3]] = {}
+    for laser in sorted(set(c.lasers)):
+        found = c.frames.mounts(base, laser, stamps)
+        if found is None:
+            lacking = (
+                f"no transform from {base or 'the base'} to {laser}: the laser is taken to be at the base"
+            )
+            c.repaired[lacking] = c.lasers.count(laser)
+        elif moves := _motion_text(found):
+            c.repaired[f"{laser} moves on {base} by {moves}: each scan has its own mount"] = len(found)
+        by_laser[laser] = found or [Pose3()] * len(stamps)
+    if len(by_laser) > 1:
+        c.repaired[f"scans of several lasers on {c.names[0]}: {', '.join(by_laser)}"] = len(stamps)
+    return [by_laser[laser][k] for k, laser in enumerate(c.lasers)]
+
+
+def _motion_text(mounts: Sequence[Pose3]) -> str:
+    """Return the extent of a moving mount in words; empty below a millimeter and a tenth of a degree."""
+    if len({id(T) for T in mounts}) == 1:
+        return ""
+    first = mounts[0]
+    shift = max(float(np.linalg.norm(T.position - first.position)) for T in mounts)
+    turns = [abs(float(first.quaternion @ T.quaternion)) for T in mounts]
+    turn = math.degrees(2 * math.acos(min(1.0, min(turns))))
+    return "" if shift < 1e-3 and turn < 0.1 else f"up to {shift:.3f} m and {turn:.1f} deg"
+
+
+def _scans(
+    path: Path, c: _Contents, messages: list[Message], mounts: list[Pose3], range_max: float | None
+) -> list[LaserScan]:
+    """Return the scans, with the codes of each laser decoded.
+
+    Raises:
+        SourceError: most readings of a laser are beyond reason.
+    """
+    kinds = [
+        (laser, beams.range_min, beams.range_max) for laser, beams in zip(c.lasers, c.beams, strict=True)
+    ]
+    decoders = {}
+    for kind in dict.fromkeys(kinds):
+        own = [k for k, each in enumerate(kinds) if each == kind]
+        try:
+            decoders[kind] = RangeDecoder([messages[k].ranges for k in own], c.beams[own[0]], range_max)
+        except ValueError as error:
+            raise SourceError(f"{path}: {c.names[0]} has {error}") from None
+        for code in decoders[kind].codes:
+            c.repaired[code] += len(own)
+    scans = []
+    for m, beams, mount, kind in zip(messages, c.beams, mounts, kinds, strict=True):
+        first, step, range_min = geometry(beams, len(m.ranges))
+        ranges, farthest = decoders[kind].decode(m.ranges), decoders[kind].farthest
+        scans.append(
+            LaserScan(ranges, first, step, range_min, farthest, m.stamp, mount, beams.time_increment)
+        )
+    return scans
+
+
+def _within_odometry(log: LaserLog) -> LaserLog:
+    """Return a log without the scans before or after its odometry, whose poses are unknown."""
+    if len(log.track) < 2:
+        return log
+    stamps, track = log.stamps, log.track.stamps
+    most = max(LONGEST_EDGE, 2 * float(np.median(np.diff(track))))
+    inside = (stamps >= track[0] - most) & (stamps <= track[-1] + most)
+    if inside.all():
+        return log
+    if not inside.any():
+        why = "scans and odometry share no time: the odometry is left out"
+        nothing = Trajectory.from_poses([], list[Pose3]())
+        unknown = (None,) * len(log.odometry)
+        return replace(log, odometry=unknown, track=nothing, repaired={**log.repaired, why: len(unknown)})
+    kept = np.flatnonzero(inside).tolist()
+    lines = log.lines
+    used = ~lines.scans
+    used[np.flatnonzero(lines.scans)[inside]] = True
+    return replace(
+        log,
+        scans=tuple(log.scans[k] for k in kept),
+        odometry=tuple(log.odometry[k] for k in kept),
+        lines=LineStamps(lines.logged[used], lines.repaired[used], lines.scans[used]),
+        skipped={**log.skipped, "scan before or after the odometry": len(stamps) - len(kept)},
+    )
+
+
+def _topics(c: _Contents) -> tuple[LogTopic, ...]:
+    """Return the topics of scans, odometry and inertial readings, with the stamps as recorded."""
+    edge = " -> ".join(c.odometry_frames)
+    frames = (tuple(sorted(set(c.lasers))), (edge,), tuple(sorted({r.frame for r in c.imu})))
+    names = (c.names[0], c.names[1] or "/tf", c.names[2] or "")
+    return tuple(
+        LogTopic(name, frame, np.array(stamps), np.array(c.received.get(name, ())))
+        for name, frame, stamps in zip(names, frames, c.stamps, strict=True)
+        if stamps
     )
 
 
@@ -215,10 +350,20 @@ def _add_scan(contents: _Contents, line: int, m: Any, stamp: float | None) -> No
         return
     if beams.step != m.angle_increment:
         contents.repaired[f"angle_increment {m.angle_increment:g}: derived from angle_min, angle_max"] += 1
-    contents.laser = contents.laser or m.header.frame_id
+    contents.lasers.append(m.header.frame_id)
     time = seconds(m.header.stamp) if stamp is None else stamp
     contents.scans.append(Message(line, time, None, None, ranges))
     contents.beams.append(beams)
+
+
+def _add_odometry(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
+    """Keep a pose of the odometry; count one that is not finite."""
+    T = pose_of(m.pose.pose.position, m.pose.pose.orientation)
+    if not is_finite(T):
+        contents.skipped["pose that is not finite"] += 1
+        return
+    contents.odometry_frames = m.header.frame_id.lstrip("/"), m.child_frame_id.lstrip("/")
+    contents.odometry.append((line, seconds(m.header.stamp) if stamp is None else stamp, T))
 
 
 def _add_cloud(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
@@ -228,7 +373,7 @@ def _add_cloud(contents: _Contents, line: int, m: Any, stamp: float | None) -> N
         contents.skipped["cloud without legal x, y, z, or shorter than it states"] += 1
         contents.left_out += 1
         return
-    contents.laser = contents.laser or m.header.frame_id
+    contents.lasers.append(m.header.frame_id)
     header = seconds(m.header.stamp)
     time = header if stamp is None else stamp
     contents.scans.append(Message(line, time + start_of(records, header), None, None, CLOUD_MARK))
@@ -245,12 +390,6 @@ def _add_reading(contents: _Contents, m: Any, stamp: float | None) -> None:
     contents.imu.append(_Reading(m.header.frame_id, time, attitude, (w.x, w.y, w.z), (a.x, a.y, a.z)))
 
 
-def _odometry(line: int, message: Any, stamp: float | None) -> Message:
-    pose = message.pose.pose
-    time = seconds(message.header.stamp) if stamp is None else stamp
-    return Message(line, time, pose_of(pose.position, pose.orientation).to_pose2())
-
-
 def _number_by_stamp(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], list[Message]]:
     """Renumber messages by stamp if the stamps of each topic rise.
 
@@ -265,13 +404,6 @@ def _number_by_stamp(scans: list[Message], odoms: list[Message]) -> tuple[list[M
     order = sorted([*odoms, *scans], key=lambda m: m.stamp)
     numbered = [Message(k, m.stamp, m.base, m.laser, m.ranges, m.config) for k, m in enumerate(order)]
     return [m for m in numbered if len(m.ranges)], [m for m in numbered if not len(m.ranges)]
-
-
-def _scan(beams: BeamGeometry, message: Message, mount: Pose3) -> LaserScan:
-    first, step, range_min, range_max = geometry(beams, len(message.ranges))
-    return LaserScan(
-        message.ranges, first, step, range_min, range_max, message.stamp, mount, beams.time_increment
-    )
 
 
 def _inertial(c: _Contents, mounts: Mapping[str, Pose3]) -> ImuReadings:
@@ -302,93 +434,3 @@ def _unit(q: tuple[float, float, float, float]) -> Pose3:
 def _rotate(mounted: Pose3, vector: Vector) -> Vector:
     x, y, z = (mounted.rotation @ vector).tolist()
     return x, y, z
-
-
-BASES = (BASE, "base_footprint")
-"""Names of a robot's base frame; the first existing one is used."""
-
-
-def read_poses(path: Path, topic: str | None = None, flag: str = "--topic") -> Trajectory:
-    """Read the trajectory that a bag holds.
-
-    Args:
-        path: of the bag.
-        topic: of odometry, stamped poses or paths, of which the last counts, or of transforms, whose map ->
-            base_link is taken; None = transforms if they lead to a frame `map`, else the only topic of poses.
-        flag: command-line option of the topic, for messages.
-
-    Raises:
-        SourceError: the bag cannot be read, or has no such topic, or several could be meant.
-    """
-    with open_bag(path) as bag:
-        trajectory = _poses(bag, topic, flag)
-    if bag.faults:
-        said = f"{len(trajectory)} poses could be read"
-        warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
-    if len(trajectory) == 0:
-        raise SourceError(f"{path}: {topic or 'it'} holds no pose")
-    return trajectory
-
-
-def _poses(bag: Bag, topic: str | None, flag: str) -> Trajectory:
-    if topic is not None:
-        require_topic(bag.path, flag, topic, (*POSES, *TRANSFORMS), bag.kinds)
-        if bag.kinds[topic] in TRANSFORMS:
-            return _follow_transforms(bag, required=True) or _nothing()
-        return _read_topic(bag, topic)
-    found = of_kinds(bag.kinds, POSES)
-    in_map = _follow_transforms(bag, required=not found)
-    if in_map is not None:
-        return in_map
-    if len(found) != 1:
-        raise SourceError(f"{bag.path}: {flag} must say where its poses are; {list_topics(bag.kinds)}")
-    return _read_topic(bag, found[0])
-
-
-def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
-    """Return `T_map_base` along the bag's transforms; None if they do not connect the two.
-
-    Raises:
-        SourceError: they do not connect the two although this is required.
-    """
-    frames = Frames()
-    topics = of_kinds(bag.kinds, TRANSFORMS)
-    for line, (topic, _, message) in enumerate(bag.messages(topics)):
-        frames.add(line, message, static=topic.endswith("tf_static"))
-    for base in (name for wanted in BASES for name in sorted(frames.names) if _is(name, wanted)):
-        if _is(frames.chain(base)[-1], MAP):
-            return frames.trajectory(base)
-    if required:
-        held = ", ".join(sorted(frames.names)) or "none"
-        raise SourceError(
-            f"{bag.path}: its transforms do not lead from {MAP} to {' or '.join(BASES)}: its frames are "
-            f"{held}; {list_topics(bag.kinds)}"
-        )
-    return None
-
-
-def _is(frame: str, wanted: str) -> bool:
-    """Whether a frame has a name, with or without a robot's prefix."""
-    return frame.rpartition("/")[2] == wanted
-
-
-def _read_topic(bag: Bag, topic: str) -> Trajectory:
-    """Return the poses of a topic by stamp; of equal stamps, the later one."""
-    found: dict[float, Pose3] = {}
-    for _, _, message in bag.messages((topic,)):
-        if bag.kinds[topic] == PATH:
-            found = {}
-        for each in message.poses if bag.kinds[topic] == PATH else (message,):
-            pose = _innermost(each.pose)
-            found[seconds(each.header.stamp)] = pose_of(pose.position, pose.orientation)
-    stamps = sorted(found)
-    return Trajectory.from_poses(stamps, [found[t] for t in stamps]) if stamps else _nothing()
-
-
-def _innermost(pose: Any) -> Any:
-    """Return the pose inside a PoseWithCovariance, else the pose itself."""
-    return getattr(pose, "pose", pose)
-
-
-def _nothing() -> Trajectory:
-    return Trajectory.from_poses([], list[Pose3]())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,8 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 PATH = "nav_msgs/msg/Path"
 POSES = (ODOMETRY, "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped", PATH)
 """Types of the messages that hold poses."""
+ANY = "any"
+"""Stands for the only topic of its type, if there is one."""
 NAMES = {False: "laser scans", True: "point clouds"}
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Types of the messages that hold transforms; the second is of old ROS 1."""
@@ -27,7 +29,7 @@ class Topics:
     Attributes:
         scan: None = the only topic of laser scans.
         odometry: None = the only topic of odometry, else /tf.
-        imu: None = inertial readings are not read.
+        imu: None = inertial readings are not read; ANY = the only topic of them.
         clouds: whether point clouds are read instead of laser scans.
         others: names of the mappers for the other kind of data, for messages.
     """
@@ -60,12 +62,26 @@ class Topics:
             raise SourceError(f"{path}: --scan-topic must say which; {list_topics(kinds)}")
         legal = (CLOUD,) if self.clouds else (SCAN, MULTI_ECHO)
         scan = require_topic(path, "--scan-topic", self.scan or scans[0], legal, kinds)
+        if len(odometry) > 1:  # of several robots, that of the scans
+            odometry = [name for name in odometry if _namespace(name) == _namespace(scan) != "/"]
+        inertial = of_kinds(kinds, (IMU,))
+        imu = self.imu if self.imu != ANY else inertial[0] if len(inertial) == 1 else None
         given = self.odometry or (odometry[0] if len(odometry) == 1 else None)
         return (
             scan,
             None if given is None else require_topic(path, "--odom-topic", given, (ODOMETRY,), kinds),
-            None if self.imu is None else require_topic(path, "--imu-topic", self.imu, (IMU,), kinds),
+            None if imu is None else require_topic(path, "--imu-topic", imu, (IMU,), kinds),
         )
+
+
+def of_robot(scan: str, topics: Sequence[str]) -> list[str]:
+    """Return the topics in the namespaces around that of the scans; all if there are none."""
+    around = [name for name in topics if _namespace(scan).startswith(_namespace(name))]
+    return around or list(topics)
+
+
+def _namespace(topic: str) -> str:
+    return f"/{topic.lstrip('/')}".rpartition("/")[0] + "/"
 
 
 def of_kinds(kinds: Mapping[str, str], wanted: Collection[str]) -> list[str]:

@@ -39,7 +39,7 @@ from lirs_wct.formats.rosbag.messages import (
     TickMessages,
     nanoseconds,
 )
-from lirs_wct.formats.rosbag.storage import Storage
+from lirs_wct.formats.suffixes import Storage
 from lirs_wct.geometry.grid import OccupancyGrid
 
 VERSION: Final = 8

@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.messages import BagTick
-from lirs_wct.formats.rosbag.reader import read_poses
+from lirs_wct.formats.rosbag.poses import read_poses
 from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives

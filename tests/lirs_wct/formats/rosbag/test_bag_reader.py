@@ -15,9 +15,9 @@ from rosbags.typesys import Stores, get_typestore
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.reader import read_bag
-from lirs_wct.formats.rosbag.storage import STORAGES, Storage
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
+from lirs_wct.formats.suffixes import STORAGES, Storage
 from lirs_wct.sources.source import is_log
 from tests.lirs_wct.formats.rosbag import drives
 
