@@ -33,8 +33,8 @@ class MapRecord:
         status: `lost` where the mapper lost its place or the scans contradict each other, `incomplete` where
             the trajectory leaves out scans; `reason` says when, and how many.
         log: scans, beams, laser, seconds, distance by odometry, skipped, left_out (scans), late, repaired,
-            inertial_readings, and of the stamps how many went back, were repeated and were moved, and by how
-            much at most.
+            inertial_readings, findings (deviations), unfit (the one that spoils a map; empty without), and of the
+            stamps how many went back, were repeated and were moved, and by how much at most.
         map: cells, resolution, meters, occupied cells, square meters known.
         trajectory: poses, the share of the scans that has one (scan_coverage), and the share that contradicts
             other passes (contradicted; null where not tested).
@@ -160,12 +160,13 @@ def map_lines(record: MapRecord) -> list[tuple[str, str]]:
 def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
     """Return counts of skipped and repaired parts of a log; empty without any."""
     log = record.log
-    lines = [("skipped", f"{count} x {why}") for why, count in _most(log["skipped"])]
+    lines = [("deviation", text) for text in log["findings"]]
+    lines += [("skipped", f"{count} x {why}") for why, count in _most(log["skipped"])]
     stamps = log["stamps"]
     if stamps["moved"]:
         lines.append(("stamps going back", f"{stamps['back']}, repeated {stamps['repeated']}"))
         lines.append(("stamps moved", f"{stamps['moved']}, by at most {stamps['furthest']:.2f} s"))
-    lines += [("put right", f"{count} x {what}") for what, count in _most(log["repaired"])]
+    lines += [("put right", f"{what} ({count})") for what, count in _most(log["repaired"])]
     for name, errors in record.accuracy.items():
         if errors is not None and errors["outside"]:
             lines.append((f"outside the log, {name}", f"{errors['outside']}"))

@@ -90,6 +90,9 @@ def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
     lead = LEADS[kind].format(who=short_name(entry["config"]["mapper"]), world=log)
     reason = entry["reason"]
     first = f"{lead}: {reason}." if reason and kind != "no reference" else f"{lead}."
+    unfit = entry["log"].get("unfit") if kind != "works" else ""
+    if unfit:  # the log is at fault, and not the mapper
+        first, reason = f"{log} is not fit for planar mapping: {unfit}.", ""
     told = f"The mapper is lost: {reason}." if reason and kind == "no reference" else ""
     unmapped = "" if kind == "failed" else "The map was not evaluated."
     quality = _quality_sentence(entry.get("quality", {})) if kind == "no reference" else ""

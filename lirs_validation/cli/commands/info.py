@@ -1,4 +1,4 @@
-"""Facts of a world: size, heights, slopes, drivable area, mesh and mesh error."""
+"""Tables of `info`: facts of a world, and of a log."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from rich.table import Table
 
 from lirs_envs.robots.robot import ROBOTS, make_robot
+from lirs_validation.logs.preflight import Preflight
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_validation.metrics.scan_support import ScanSupport, scan_support
 from lirs_wct import HeightField, World
@@ -106,6 +107,18 @@ def facts_table(world: World, facts: WorldFacts) -> Table:
         rows.insert(1, ("place on earth", world.place.label()))
     for row in rows:
         table.add_row(*row)
+    return table
+
+
+def preflight_table(log: str, found: Preflight) -> Table:
+    """Return the facts of a log and its deviations as a table to print."""
+    table = Table(title=log, show_header=False, title_justify="left")
+    for name, value in found.facts:
+        table.add_row(name, value)
+    for finding in found.findings:
+        table.add_row("deviation", str(finding), style="yellow")
+    for repair in found.repairs:
+        table.add_row("put right", repair, style="yellow")
     return table
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lirs_validation.cli.progress import err, out, progress_bar
 from lirs_validation.cli.typer_options import Source, gazebo_terrain, typer_option
 from lirs_validation.config import SourceOptions
+from lirs_validation.map_config import LogOptions
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, ExportOptions
 from lirs_wct.option import read_names
 
@@ -95,16 +96,26 @@ def info(
     ] = None,
     robot: Annotated[str, typer.Option(metavar="R", help="Robot whose lidar the forecast uses.")] = "husky",
     *,
-    options: SourceOptions,
+    given: Annotated[dict[str, Any], LogOptions],
+    world_options: SourceOptions,
 ) -> None:
-    """Print facts of a source: size, heights, slopes, drivable area, walls in sight, mesh."""
+    """Print facts of a world: size, heights, slopes, walls in sight; of a log: rates, frames, faults."""
     from lirs_envs.robots.robot import make_robot
-    from lirs_validation.cli.commands.info import facts_table, world_facts
+    from lirs_validation.cli.commands.info import facts_table, preflight_table, world_facts
     from lirs_wct.sources.build import build_world
+    from lirs_wct.sources.source import is_log
 
+    if is_log(Path(source)):
+        from lirs_validation.logs.map_log import check_log_file
+
+        with err.status(f"reading {source}"):
+            found = check_log_file(source, **given)
+        out.print(preflight_table(source, found))
+        out.print(f"{source}: {found.sentence}", soft_wrap=True, highlight=False, markup=False)
+        return
     make_robot(robot)
     with err.status(f"measuring {source}"):
-        world = build_world(source, options)
+        world = build_world(source, world_options)
         facts = world_facts(world, robot)
     out.print(facts_table(world, facts))
     if output is not None:

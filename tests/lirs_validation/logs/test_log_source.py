@@ -107,10 +107,14 @@ def test_view_takes_logs(folder: Path) -> None:
     assert len(maps(folder / "pictures")) == 1
 
 
-def test_info_takes_logs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command("info", "my room.clf", "--log-mapper", "hector") == 0
-    assert "my_room: map, 0.05 m a cell" in capsys.readouterr().out
-    assert len(maps(folder)) == 1
+def test_info_of_a_log_maps_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = sorted(folder.rglob("*"))
+    assert run_command("info", "my room.clf", "--range-max", "9") == 0
+    shown = capsys.readouterr().out
+    assert shown.rstrip().endswith("my room.clf: fit for planar mapping")
+    assert "0.02 to 9 m" in shown
+    assert sorted(folder.rglob("*")) == before
+    assert run_command("info", "my room.clf", "--scan-topic", "/scan") == 2
 
 
 def test_a_robot_drives_in_the_map_of_a_log(folder: Path) -> None:

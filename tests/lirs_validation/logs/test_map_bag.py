@@ -52,9 +52,9 @@ def test_other_topics_are_another_folder(run: Path) -> None:
 
 
 def test_options_of_the_other_kind_of_log_are_refused(run: Path) -> None:
-    with pytest.raises(ConfigError, match="bag: the messages of a bag say field of view"):
+    with pytest.raises(ConfigError, match="bag: the messages of a bag say their field of view"):
         read_log(MapConfig(log=str(run / "export" / "bag"), fov=180.0))
-    with pytest.raises(ConfigError, match=r"scans\.clf\.gz: topics can be given for a ROS bag only"):
+    with pytest.raises(ConfigError, match=r"scans\.clf\.gz: topics and --time can be given for a ROS bag"):
         read_log(MapConfig(log=str(run / "scans.clf.gz"), scan_topic="/scan"))
 
 

@@ -1,0 +1,226 @@
+"""Preflight of a log: rates, stamps, mounts, ranges and motion, before a mapper runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.formats.laser_log import LaserLog, LogTopic
+
+TILTED = math.radians(20)
+"""Smallest angle between the scan plane and the ground at which a scan is no plan of the place."""
+LAG = 0.3
+"""Smallest difference of two clocks that spoils a map, seconds."""
+PAUSE, PERIODS = 1.0, 5.0
+"""Shortest pause of a topic, seconds, and in its periods."""
+LATE = 0.5
+"""Shortest time by which the odometry begins or ends too late or early, seconds."""
+JUMP, FAST = 1.0, 10.0
+"""Shortest jump of the odometry, meters, and the speed over it, m/s."""
+FEW_RETURNS, SEEING = 10, 0.5
+"""Returns of a scan that sees its surroundings, and share of such scans, at least."""
+WINDOW = 0.5
+"""Time over which the motion is measured, seconds."""
+STANDING, STANDING_TURN, REST = 0.01, 0.01, 50
+"""Motion of a robot at rest, m/s and rad/s, at most; its inertial readings, at least."""
+SHAKY = 0.05
+"""Smallest noise of a gyroscope at rest that deserves a word, rad/s."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Deviation of a log.
+
+    Attributes:
+        text: Deviation in words.
+        remedy: Option or step that helps; empty = none.
+        unfit: Whether a planar map of the log will be wrong.
+    """
+
+    text: str
+    remedy: str = ""
+    unfit: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.text}{self.remedy and f': {self.remedy}'}"
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """Facts of a log and their deviations.
+
+    Attributes:
+        facts: Names and values.
+        findings: Deviations, those that spoil a map first.
+        repairs: What the reader put right or skipped.
+    """
+
+    facts: tuple[tuple[str, str], ...]
+    findings: tuple[Finding, ...]
+    repairs: tuple[str, ...]
+
+    @property
+    def unfit(self) -> str:
+        """First reason why a map of the log will be wrong, with its remedy; empty without one."""
+        return next((str(finding) for finding in self.findings if finding.unfit), "")
+
+    @property
+    def sentence(self) -> str:
+        """Conclusion for the user."""
+        if self.unfit:
+            return f"not fit for planar mapping: {self.unfit}"
+        advice = next((f"; {finding}" for finding in self.findings if finding.remedy), "")
+        return f"fit for planar mapping{advice}"
+
+
+def check_log_data(log: LaserLog) -> Preflight:
+    """Measure a log's data and look for faults, in one pass."""
+    checks = _clock_faults, _odometry_faults, _scan_faults, _inertial_faults, _pauses
+    findings = sorted((found for check in checks for found in check(log)), key=lambda found: not found.unfit)
+    skipped = (f"{count} {reason} skipped" for reason, count in log.skipped.items())
+    return Preflight(tuple(_facts(log)), tuple(findings), (*log.repaired, *skipped))
+
+
+def _facts(log: LaserLog) -> Iterator[tuple[str, str]]:
+    for topic in log.topics:
+        yield topic.name, _topic_text(topic)
+    stamps = log.stamps
+    yield "time", f"{stamps[-1] - stamps[0]:.1f} s from {stamps[0]:.3f} s"
+    if len(log.topics) > 1 and len(log.track):
+        yield "common to scans and odometry", f"{max(0.0, _common(*log.topics[:2])):.1f} s"
+    if len(log.track) > 1:
+        _, speed, turn = _motion(log)
+        fastest = f"{speed.max(initial=0.0):.2f} m/s, {np.degrees(turn.max(initial=0.0)):.0f} deg/s"
+        yield "motion by odometry", f"{log.track.length:.1f} m, at most {fastest}"
+    if log.scans:
+        yield from _scan_facts(log)
+    gyro = _gyro_at_rest(log)
+    if gyro is not None:
+        yield "gyroscope at rest", f"noise {gyro[0]:.4f} rad/s, mean {gyro[1]:.4f} rad/s"
+
+
+def _scan_facts(log: LaserLog) -> Iterator[tuple[str, str]]:
+    first = log.scans[0]
+    T = first.T_base_laser
+    angles = ", ".join(f"{np.degrees(angle):.1f}" for angle in (T.roll, T.pitch, T.yaw))
+    yield "laser on the base", f"{T.x:.3f}, {T.y:.3f}, {T.z:.3f} m; {angles} deg"
+    field = f"{abs(np.degrees(first.angle_increment)) * (len(first.ranges) - 1):.1f} deg"
+    yield "beams", f"{len(first.ranges)} over {field}, {first.range_min:g} to {first.range_max:g} m"
+    readings = np.concatenate([scan.ranges for scan in log.scans[:: max(1, len(log.scans) // 500)]])
+    hits = readings[np.isfinite(readings)]
+    shares = (hits.size, (readings == np.inf).sum(), np.isnan(readings).sum())
+    returned, none, invalid = (f"{100 * count / readings.size:.0f} %" for count in shares)
+    longest = f", up to {hits.max():.2f} m" if hits.size else ""
+    yield "ranges", f"{returned} measured{longest}; {none} no return, {invalid} invalid"
+
+
+def _topic_text(topic: LogTopic) -> str:
+    seconds = float(np.ptp(topic.stamps))
+    rate = f", {(len(topic.stamps) - 1) / seconds:.1f} Hz" if seconds > 0 else ""
+    frames = f", {', '.join(topic.frames)}" if any(topic.frames) else ""
+    lag = _lag(topic)
+    late = "" if lag is None else f", stamps {1000 * lag:.0f} ms before reception"
+    return f"{len(topic.stamps)} messages{rate}{frames}{late}"
+
+
+def _lag(topic: LogTopic) -> float | None:
+    """Return the median time from stamp to reception, seconds; None where unknown."""
+    if not len(topic.received):
+        return None
+    return float(np.median(topic.received - topic.stamps))
+
+
+def _common(a: LogTopic, b: LogTopic) -> float:
+    return float(min(a.stamps.max(), b.stamps.max()) - max(a.stamps.min(), b.stamps.min()))
+
+
+def _pauses(log: LaserLog) -> Iterator[Finding]:
+    for topic in log.topics:
+        steps = np.diff(topic.stamps)
+        usual = float(np.median(steps)) if len(steps) else 0.0
+        long = steps[steps > max(PAUSE, PERIODS * usual)]
+        if len(long):
+            yield Finding(f"{topic.name} has pauses of up to {long.max():.1f} s: {len(long)}")
+
+
+def _clock_faults(log: LaserLog) -> Iterator[Finding]:
+    """Yield clocks that differ, and odometry that does not span the scans."""
+    if len(log.topics) < 2 or not len(log.track):
+        return
+    scans, odometry = log.topics[:2]
+    lags = _lag(scans), _lag(odometry)
+    if lags[0] is not None and lags[1] is not None and abs(lags[0] - lags[1]) > LAG:
+        apart = f"{abs(lags[0] - lags[1]):.2f} s"
+        older, other = (scans, odometry) if lags[0] > lags[1] else (odometry, scans)
+        yield Finding(
+            f"stamps of {older.name} are {apart} older than those of {other.name}", "--time receive", True
+        )
+    begin, end = odometry.stamps.min() - scans.stamps.min(), scans.stamps.max() - odometry.stamps.max()
+    if begin > LATE:
+        yield Finding(f"odometry begins {begin:.1f} s after the scans: those before it are left out")
+    if end > LATE:
+        yield Finding(f"odometry ends {end:.1f} s before the scans: those after it are left out")
+
+
+def _odometry_faults(log: LaserLog) -> Iterator[Finding]:
+    if not len(log.track):
+        what = "no odometry, or one that never changes"
+        yield Finding(what, "--mapper hector maps without")
+        return
+    steps = np.linalg.norm(np.diff(log.track.xy, axis=0), axis=1)
+    jumps = steps[steps > np.maximum(JUMP, FAST * np.diff(log.track.stamps))]
+    if len(jumps):
+        yield Finding(f"odometry has jumps of up to {jumps.max():.1f} m: {len(jumps)}", unfit=True)
+
+
+def _scan_faults(log: LaserLog) -> Iterator[Finding]:
+    if not log.scans:
+        return
+    up = np.array([scan.T_base_laser.rotation[2, 2] for scan in log.scans])
+    tilt = float(np.degrees(np.median(np.arccos(np.clip(np.abs(up), 0.0, 1.0)))))
+    if tilt > np.degrees(TILTED):
+        yield Finding(
+            f"the transforms mount the laser at {tilt:.0f} deg to the ground",
+            "--scan-topic of a level laser",
+            True,
+        )
+    seeing = np.mean([scan.hits.sum() >= FEW_RETURNS for scan in log.scans])
+    if seeing < SEEING:
+        yield Finding(
+            f"{100 * (1 - seeing):.0f} % of the scans have fewer than {FEW_RETURNS} returns", unfit=True
+        )
+
+
+def _inertial_faults(log: LaserLog) -> Iterator[Finding]:
+    gyro = _gyro_at_rest(log)
+    if gyro is not None and max(gyro) > SHAKY:
+        yield Finding(f"the gyroscope at rest shows {gyro[1]:.3f} rad/s with a noise of {gyro[0]:.3f} rad/s")
+
+
+def _gyro_at_rest(log: LaserLog) -> tuple[float, float] | None:
+    """Return noise and mean of the gyroscope while the odometry rests, rad/s; None without such readings."""
+    if log.inertial is None or len(log.track) < 2:
+        return None
+    rates = log.inertial.angular_velocity[_rests(log, log.inertial.stamps)]
+    if len(rates) < REST:
+        return None
+    return float(rates.std(axis=0).max()), float(np.abs(rates.mean(axis=0)).max())
+
+
+def _rests(log: LaserLog, stamps: FloatArray) -> BoolArray:
+    """Return whether the robot is at rest at each stamp (n,), by its odometry."""
+    begins, speed, turn = _motion(log)
+    resting = np.append((speed < STANDING) & (turn < STANDING_TURN), False)
+    found: BoolArray = resting[np.searchsorted(begins, stamps, side="right") - 1]
+    return found
+
+
+def _motion(log: LaserLog) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return begins of windows (n,), and the odometry's speed and turn rate in them, s, m/s and rad/s."""
+    begins = np.arange(log.track.stamps[0], log.track.stamps[-1], WINDOW)
+    steps = np.diff(log.track.planar_at(begins), axis=0) / WINDOW
+    return begins[:-1], np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
