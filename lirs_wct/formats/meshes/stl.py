@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 import struct
 from collections.abc import Iterable
@@ -19,21 +20,25 @@ from lirs_wct.progress import Progress, no_progress, track
 _CHUNK = 1 << 14
 _RECORD = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 _HEAD = 84
-_CORNER = re.compile(rb"\bvertex\s+(\S+\s+\S+\s+\S+)")
+_CORNER = re.compile(rb"\bvertex\s+([-+.\d]\S*\s+\S+\s+\S+)")  # a number, since the word may be in a name
+_END = re.compile(rb"\bend *(facet|solid)")
 
 
 def read_stl(data: bytes) -> Document:
     """Read the triangles of an STL.
 
     Raises:
-        ValueError: the file is cut off, or a number is none.
+        ValueError: the file is cut off, or a word is not a number.
     """
     count = int.from_bytes(data[_HEAD - 4 : _HEAD], "little")
     need = _HEAD + _RECORD.itemsize * count
-    if len(data) != need and data.lstrip()[:5].lower() == b"solid" and b"\0" not in data:
-        corners = numbers(b" ".join(_CORNER.findall(data.lower())), np.float64).reshape(-1, 3)
-        if len(corners) % 3:
-            raise ValueError(f"is damaged: {len(corners)} corners are no whole triangles")
+    text = data.removeprefix(codecs.BOM_UTF8).lstrip()
+    if len(data) != need and text[:5].lower() == b"solid" and b"\0" not in data:
+        text = text.lower()
+        corners = numbers(b" ".join(_CORNER.findall(text)), np.float64).reshape(-1, 3)
+        ends = _END.findall(text)
+        if len(corners) != 3 * ends.count(b"facet") or ends[-1:] != [b"solid"]:
+            raise ValueError(f"is cut off or damaged: {len(corners)} corners, {ends.count(b'facet')} facets")
     elif len(data) < need:
         raise ValueError(f"is cut off: {count} triangles need {need} bytes, it has {len(data)}")
     else:

@@ -65,8 +65,9 @@ def cube() -> trimesh.Trimesh:
     [
         ("solid", "SOLID"),
         ("endsolid", "endsolid box\nsolid second\nendsolid second"),
-        ("solid ", "solid vertex_of_a_normal "),
-        ("endsolid", ""),
+        ("solid ", "solid vertex_of_a_normal vertex mesh "),
+        ("solid \n", "\ufeffsolid \n"),
+        ("endsolid", "end solid"),
         ("\n", "\r"),
         ("\n", " "),
         ("vertex", "\tVERTEX"),
@@ -76,10 +77,19 @@ def cube() -> trimesh.Trimesh:
 def test_text_however_it_is_written(tmp_path: Path, old: str, new: str) -> None:
     text = str(trimesh.exchange.stl.export_stl_ascii(cube()))
     assert old in text
-    (tmp_path / "a.stl").write_text(text.replace(old, new), newline="")
+    (tmp_path / "a.stl").write_text(text.replace(old, new), newline="", encoding="utf-8")
     mesh = read_mesh(tmp_path / "a.stl")
     assert len(mesh.faces) == 12
     np.testing.assert_allclose(np.ptp(mesh.bounds, axis=0), (2, 3, 1))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.77, 0.99])
+def test_text_that_is_cut_off(tmp_path: Path, share: float) -> None:
+    text = str(trimesh.exchange.stl.export_stl_ascii(cube()))
+    for end in (int(share * len(text)), text.index("endfacet", int(share * len(text) - 20)) + 8):
+        (tmp_path / "a.stl").write_text(text[:end])
+        with pytest.raises(SourceError, match=r"a\.stl: .* is cut off or damaged: \d+ corners, \d+ facets"):
+            read_mesh(tmp_path / "a.stl")
 
 
 @pytest.mark.parametrize(
