@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -110,21 +111,31 @@ def _check_complete(path: Path, picture: Image.Image) -> None:
 def _decode(path: Path, picture: ImageFile.ImageFile, *, oriented: bool) -> tuple[NDArray[Any], float | None]:
     """Return pixels, and the value of white where the type does not tell it."""
     codec, _, offset, arguments = picture.tile[0] if picture.tile else ("", None, 0, None)
-    several = len(picture.getbands()) > 1
-    if several and "16" in str(arguments):  # Pillow would keep 8 of the 16 bits
+    bands, shape = len(picture.getbands()), (picture.height, picture.width)
+    clear = picture.info.get("transparency")
+    if picture.format == "PNG" and bands > 1 and ";16" in str(arguments):  # Pillow would keep 8 bits
         pixels = read_gdal(path, picture.width * picture.height).pixels
         assert pixels is not None
-        return pixels, None
-    maximum = arguments[-1] if codec in ("ppm", "ppm_plain") and isinstance(arguments, tuple) else None
-    if codec == "ppm" and maximum is not None and not several:
-        kind = np.dtype(np.uint8 if maximum < 256 else ">u2")
-        gray = np.fromfile(path, kind, picture.width * picture.height, offset=offset)
-        return gray.reshape(picture.height, picture.width).astype(kind.newbyteorder("=")), maximum
-    pixels = _to_array(ImageOps.exif_transpose(picture) if oriented else picture)
-    if maximum is not None:  # Pillow has scaled the values
-        scaled = 255 if maximum < 256 else 65535
-        pixels = np.rint(pixels * (maximum / scaled)).astype(pixels.dtype)
-    return pixels, maximum
+        return _with_alpha(pixels, clear), None
+    if codec not in ("ppm", "ppm_plain") or not isinstance(arguments, tuple):
+        pixels = _to_array(ImageOps.exif_transpose(picture) if oriented else picture)
+        return _with_alpha(pixels, clear if picture.mode.startswith("I") else None), None
+    maximum = arguments[-1]
+    kind = np.dtype(np.uint8 if maximum < 256 else np.uint16)
+    if codec == "ppm":
+        values = np.fromfile(path, kind.newbyteorder(">"), math.prod(shape) * bands, offset=offset)
+        return values.astype(kind).reshape(*shape, bands)[..., ::-1].squeeze(), maximum
+    scaled = 65535 if picture.mode == "I" else 255  # by Pillow, which keeps 8 bits of colors
+    return np.rint(_to_array(picture) * (maximum / scaled)).astype(kind), maximum
+
+
+def _with_alpha(pixels: NDArray[Any], clear: int | tuple[int, ...] | None) -> NDArray[Any]:
+    """Return BGRA pixels in which one gray or RGB color is clear, or the same pixels without one."""
+    if clear is None:
+        return pixels
+    colors = pixels if pixels.ndim == 3 else np.dstack([pixels] * 3)
+    shown = (colors != np.flip(clear)).any(axis=2)
+    return np.dstack([colors, np.where(shown, pixels.dtype.type(_white(pixels)), 0)]).astype(pixels.dtype)
 
 
 def _to_array(picture: Image.Image) -> NDArray[Any]:

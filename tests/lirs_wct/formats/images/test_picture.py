@@ -1,6 +1,8 @@
 """Decoded pictures: sizes that are legal, what is warned of, depth, and damage."""
 
+import struct
 import warnings
+import zlib
 from pathlib import Path
 
 import cv2
@@ -82,17 +84,28 @@ def test_bands_that_are_no_colors_are_told(tmp_path: Path, bands: int, told: boo
     assert [str(w.message) for w in caught] == expected
 
 
-@pytest.mark.parametrize("maximum", [1, 100, 254, 255, 256, 1023, 65535])
+@pytest.mark.parametrize("maximum", [1, 100, 160, 254, 255, 256, 1023, 65535])
 @pytest.mark.parametrize("plain", [False, True])
-def test_a_pnm_keeps_its_values_and_states_its_white(tmp_path: Path, maximum: int, plain: bool) -> None:
-    values = np.random.default_rng(maximum).integers(0, maximum + 1, (6, 5))
+@pytest.mark.parametrize("bands", [1, 3])
+def test_a_pnm_keeps_its_values_and_states_its_white(
+    tmp_path: Path, maximum: int, plain: bool, bands: int
+) -> None:
+    values = np.random.default_rng(maximum).integers(0, maximum + 1, (6, 5, bands)).squeeze()
     kind = ">u2" if maximum > 255 else "u1"
     body = " ".join(map(str, values.ravel())).encode() if plain else values.astype(kind).tobytes()
     path = tmp_path / "a.pgm"
-    path.write_bytes(b"P%d\n# a comment\n5 6 %d\n" % (2 if plain else 5, maximum) + body)
+    magic = (2 if plain else 5) + bands // 3
+    path.write_bytes(b"P%d\n# a comment\n5 6 %d\n" % (magic, maximum) + body)
     found = read_picture(path)
-    np.testing.assert_array_equal(found.pixels, values)
+    rounding = maximum / 510 if magic == 3 and maximum > 255 else 0  # Pillow keeps 8 bits
+    np.testing.assert_allclose(
+        found.pixels, values[..., ::-1] if bands > 1 else values, atol=rounding + 0.5 * (rounding > 0)
+    )
     assert found.full == maximum
+    path.write_bytes(path.read_bytes()[:-2])
+    if not plain:
+        with pytest.raises(SourceError, match=r"a\.pgm: is damaged"):
+            read_picture(path)
 
 
 @pytest.mark.parametrize("suffix", ["png", "pgm", "gif", "bmp", "webp", "tif"])
@@ -109,6 +122,25 @@ def test_deep_colors_keep_their_depth(tmp_path: Path) -> None:
     deep = COLOR.astype(np.uint16) * 257 - 3
     assert cv2.imwrite(str(path), deep)
     np.testing.assert_array_equal(read_picture(path, alpha=True).pixels, deep)
+
+
+@pytest.mark.parametrize(("kind", "clear"), [(0, (770,)), (2, (300, 400, 500))])
+def test_a_clear_color_of_16_bits(tmp_path: Path, kind: int, clear: tuple[int, ...]) -> None:
+    pixels = np.random.default_rng(2).integers(0, 65536, (3, 4, len(clear))).astype(">u2")
+    pixels[1, 2] = clear
+    pixels[2, 1, -1:], pixels[2, 1, :-1] = clear[-1] + 1, clear[:-1]
+    parts = (
+        (b"IHDR", struct.pack(">IIBBBBB", 4, 3, 16, kind, 0, 0, 0)),
+        (b"tRNS", np.array(clear, ">u2").tobytes()),
+        (b"IDAT", zlib.compress(b"".join(b"\0" + row.tobytes() for row in pixels))),
+        (b"IEND", b""),
+    )
+    chunks = [struct.pack(">I", len(b)) + t + b + struct.pack(">I", zlib.crc32(t + b)) for t, b in parts]
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(chunks))
+    found = read_picture(tmp_path / "a.png", alpha=True).pixels
+    np.testing.assert_array_equal(found[..., 2::-1], np.broadcast_to(pixels, (3, 4, 3)))
+    assert np.argwhere(found[..., 3] != 65535).tolist() == [[1, 2]]
+    assert found[1, 2, 3] == 0
 
 
 def test_kinds_of_tiff(tmp_path: Path) -> None:
