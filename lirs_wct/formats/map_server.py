@@ -138,13 +138,12 @@ def write_map(stem: Path, grid: OccupancyGrid) -> None:
 def _grid(metadata: MapMetadata, max_pixels: int) -> OccupancyGrid:
     picture = read_picture(metadata.image, max_pixels, alpha=True)
     pixels, full = picture.pixels[::-1], picture.full
-    level = pixels
-    if pixels.ndim == 3:
-        luma = pixels[..., :3] @ LUMA
-        # As GraphicsMagick, which cuts 16 bits to 8: .999 of a level counts as the next, less is lost.
-        level = (luma + 1) // 1000 if full > 1 else luma / 1000
-    graded = pixels.dtype == np.uint8
-    p = _probability((LEVELS if graded else level) / full, metadata)
+    level = pixels[..., :3] @ LUMA / 1000 if pixels.ndim == 3 else pixels
+    graded = pixels.dtype.kind in "iu"
+    if graded and (pixels.ndim == 3 or full != 255):
+        # As GraphicsMagick, which nav2 uses: a gray of 16 bits is cut to 8, not rounded.
+        level = (np.rint(level * (65535 / full)) // 257).clip(0, 255).astype(np.uint8)
+    p = _probability(LEVELS / 255 if graded else level / full, metadata)
     grid = OccupancyGrid.from_probability(p, metadata.resolution, metadata.origin)
     if graded:
         grid = replace(grid, log_odds=grid.log_odds[0][level])

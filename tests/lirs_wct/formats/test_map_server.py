@@ -255,7 +255,9 @@ def test_a_map_is_read_as_nav2_reads_it(
 @pytest.mark.parametrize("mode", ["trinary", "scale", "raw"])
 @pytest.mark.parametrize("negate", ["0", "1"])
 @pytest.mark.parametrize("bands", [(), (3,), (4,)])
-def test_16_bits_keep_their_depth(tmp_path: Path, mode: str, negate: str, bands: tuple[int, ...]) -> None:
+def test_16_bits_are_cut_to_8_as_nav2_cuts_them(
+    tmp_path: Path, mode: str, negate: str, bands: tuple[int, ...]
+) -> None:
     pixels = np.random.default_rng(5).integers(0, 65536, (7, 9, *bands)).astype(np.uint16)
     if bands == (4,):
         pixels[::2, :, 3] = 65535
@@ -268,7 +270,7 @@ def test_16_bits_keep_their_depth(tmp_path: Path, mode: str, negate: str, bands:
         warnings.simplefilter("ignore")
         grid = read_map(tmp_path / "m.yaml")
     assert (grid.shape, grid.resolution, grid.origin) == ((7, 9), 0.2, Pose2(3, -4, 0.5))
-    shade = ((pixels[..., :3] @ (114, 587, 299) + 1) // 1000 if bands else pixels) / 65535
+    shade = (np.round(pixels[..., :3] @ (0.114, 0.587, 0.299)) if bands else pixels) // 257 / 255
     p = shade if negate == "1" else 1 - shade
     between = (p - 0.3) / 0.3 if mode == "scale" else np.nan
     expected = np.where(p >= 0.6, 1.0, np.where(p <= 0.3, 0.0, between))
@@ -277,6 +279,18 @@ def test_16_bits_keep_their_depth(tmp_path: Path, mode: str, negate: str, bands:
     elif bands == (4,):
         expected[pixels[..., 3] < 65535] = np.nan
     np.testing.assert_allclose(grid.probability[::-1], np.clip(expected, 0, 1), atol=6e-5)
+
+
+@pytest.mark.parametrize("maximum", [1, 15, 160, 255, 1000, 65535])
+@pytest.mark.parametrize("bands", [1, 3])
+def test_any_white_of_a_pnm(tmp_path: Path, maximum: int, bands: int) -> None:
+    shades = np.repeat([[0.0, 0.4, 0.8, 1.0]] * 2, bands) * maximum
+    body = shades.astype(">u2" if maximum > 255 else "u1").tobytes()
+    (tmp_path / "m.pnm").write_bytes(b"P%d 4 2 %d\n" % (5 + bands // 3, maximum) + body)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = states(read_map_picture(tmp_path / "m.pnm", 0.1))
+    assert found == [["#", "?", "?", "."] if maximum > 1 else ["#", "#", "#", "."]] * 2
 
 
 def a_framed_map(folder: Path, keys: str, outside: tuple[int, int, int, int]) -> OccupancyGrid:
