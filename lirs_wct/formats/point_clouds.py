@@ -50,7 +50,7 @@ def is_cloud_ply(path: Path) -> bool:
             _, elements = ply_header(file.read(HEADER))
     except (OSError, ValueError, LookupError):  # the reader of meshes reports the fault
         return False
-    return not any(element.rows for element in elements if element.name == "face")
+    return not any(element.rows for element in elements if element.name in ("face", "tristrips"))
 
 
 def read_points(path: Path) -> PointFile:

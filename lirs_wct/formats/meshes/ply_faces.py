@@ -18,6 +18,7 @@ _KINDS = {
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 """Type of numpy by its name in a header."""
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _LOOKS = {"red", "texcoord", "u", "s", "texture_u"}
 
 
@@ -34,7 +35,7 @@ def read_ply(data: bytes) -> Document:
     """Read the points and faces of a PLY.
 
     Raises:
-        ValueError: the header is damaged, lacks x, y or z, or announces more than there is.
+        ValueError: the header is damaged, lacks x, y or z, or announces strips or more than there is.
     """
     is_text, elements = ply_header(data)
     body = data[data.index(b"\n", data.index(b"end_header")) + 1 :]
@@ -42,6 +43,8 @@ def read_ply(data: bytes) -> Document:
     if missing := [axis for axis in "xyz" if axis not in names]:
         got = ", ".join(names) or "none"
         raise ValueError(f"points need x, y and z; missing: {', '.join(missing)}; got: {got}")
+    if any(element.rows for element in elements if element.name == "tristrips"):
+        raise ValueError("holds tristrips, which are not read; export it with faces")
     if is_text:
         body = numbers(body, np.float64).tobytes()
     points, at = np.empty((0, 3)), 0
@@ -67,7 +70,7 @@ def ply_header(data: bytes) -> tuple[bool, list[PlyElement]]:
     """Return whether the data is text, which is read as float64, and the elements.
 
     Raises:
-        ValueError: it is no PLY.
+        ValueError: it is no PLY, or one of an unknown format.
     """
     head, end, _ = data.partition(b"end_header")
     if not (head.startswith(b"ply") and end):
@@ -76,7 +79,9 @@ def ply_header(data: bytes) -> tuple[bool, list[PlyElement]]:
     for line in head.decode("ascii", errors="replace").splitlines():
         match line.split():
             case ["format", kind, *_]:
-                order = {"ascii": "", "binary_big_endian": ">"}.get(kind, "<")
+                if kind not in _ORDERS:
+                    raise ValueError(f"has the unknown format {kind!r}; legal: {', '.join(_ORDERS)}")
+                order = _ORDERS[kind]
             case ["element", name, rows]:
                 elements.append(PlyElement(name, int(rows)))
             case ["property", *kinds, name]:
@@ -96,6 +101,8 @@ def _lists(body: bytes, begin: int, element: PlyElement) -> tuple[IntArray, IntA
             n = 1
             if length is not None:
                 n = int(np.frombuffer(body, length, 1, at)[0])
+                if n < 0:
+                    raise ValueError("is damaged: a list has a negative length")
                 lengths += [] if row else [(at, length, n)]
                 at += length.itemsize
             if name in ("vertex_index", "vertex_indices"):

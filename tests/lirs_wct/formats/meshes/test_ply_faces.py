@@ -8,6 +8,7 @@ import pytest
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.meshes.mesh_reader import read_upright
+from lirs_wct.sources.build import build_world
 
 PLACES = [
     (x, 0.2 * y, z)
@@ -67,3 +68,18 @@ def test_a_file_that_ends_in_a_face(tmp_path: Path, kind: str) -> None:
     with pytest.raises(SourceError, match=r"^\S+a\.ply: ") as refused:
         read_upright(path)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        (b"little", b"middle", "has the unknown format 'binary_middle_endian'; legal: ascii, binary_"),
+        (b"element face", b"element tristrips", "holds tristrips, which are not read; export it with faces"),
+        (b"list uchar", b"list char", "is damaged: a list has a negative length"),
+    ],
+)
+def test_a_header_that_is_refused(tmp_path: Path, old: bytes, new: bytes, reason: str) -> None:
+    path = door(tmp_path / "a.ply", "binary_little_endian")
+    path.write_bytes(path.read_bytes().replace(old, new).replace(b"\x08\0\0", b"\xfb\0\0", 1))
+    with pytest.raises(SourceError, match=rf"^{path}: .*{reason}"):
+        build_world(path)
