@@ -185,7 +185,10 @@ def _replace_files(folder: Path, new: Path, shown: Path) -> None:
     with atomic_write(folder / MANIFEST) as manifest:  # of both, in case this write is broken off
         manifest.write_text(_lines(ours) + _lines(fresh), encoding="utf-8")
     for name in ours.keys() & set(MARKERS):
-        (folder / name).unlink(missing_ok=True)
+        if name in fresh:
+            (folder / name).unlink(missing_ok=True)
+        else:
+            _remove_ours(folder, name, ours[name])
     for name in sorted(fresh.keys() - set(MARKERS)):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (new / name).replace(folder / name)

@@ -228,12 +228,14 @@ def write_new_names(target: Path) -> None:
 
 def test_an_old_file_that_the_user_changed_stays(tmp_path: Path) -> None:
     target = tmp_path / "world"
-    write_folder(target, model="1", old="1", older="1")
+    write_folder(target, **{"model": "1", "old": "1", "older": "1", "record.json": "1", "twin.json": "1"})
     (target / "old").write_text("mine")
+    (target / "record.json").write_text("mine")
     write_folder(target, model="2")
     assert {p.name: p.read_text() for p in target.iterdir() if p.name != MANIFEST} == {
         "model": "2",
         "old": "mine",
+        "record.json": "mine",
     }
 
 
