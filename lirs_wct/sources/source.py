@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_wct.errors import ConfigError, SourceError, did_you_mean
-from lirs_wct.files import MANIFEST
+from lirs_wct.files import read_manifest
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.formats.point_clouds import is_cloud_ply
 from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file, way_to_read
@@ -126,7 +126,7 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         return SourceKind.LOG
     if path.is_dir():
         if not (path / "world.json").is_file():
-            if (path / MANIFEST).is_file():
+            if "world.json" in read_manifest(path):
                 raise SourceError(f"{path}: is incomplete, its build was broken off: build it again")
             raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
         return SourceKind.FOLDER

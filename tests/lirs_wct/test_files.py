@@ -319,9 +319,15 @@ def die_after(left: Iterator[int], call: Callable[..., Any]) -> Callable[..., An
 
 
 def test_a_folder_without_its_marker_is_incomplete(tmp_path: Path) -> None:
-    write_folder(tmp_path / "world", model="1")
-    with pytest.raises(SourceError, match=r"world: is incomplete, its build was broken off: build it again"):
-        find_source(tmp_path / "world", BuildOptions())
+    write_old(tmp_path / "world")
+    (tmp_path / "world" / "world.json").unlink()
+    write_folder(tmp_path / "runs", model="1")
+    for name, reason in (
+        ("world", "is incomplete, its build was broken off: build it again"),
+        ("runs", "a folder that was built holds world.json, this one does not"),
+    ):
+        with pytest.raises(SourceError, match=f"{name}: {reason}"):
+            find_source(tmp_path / name, BuildOptions())
 
 
 def test_the_manifest_is_what_sha256sum_checks(tmp_path: Path) -> None:
