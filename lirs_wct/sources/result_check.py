@@ -9,8 +9,8 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.formats.images.elevation import FLATTEST, STEEPEST
-from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.ground import LaserMap, Terrain
+from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.source import Source
 from lirs_wct.world import World
 
@@ -22,46 +22,53 @@ MIDDLE = 0.05
 """Share of the range at both ends outside which an isolated level leaves no height."""
 ISOLATED = 20.0
 """Distance of an isolated level from the other heights, multiple of their range."""
+UNIT = {
+    SourceKind.PICTURE: "is the unit right? --size and --scale change it",
+    SourceKind.MESH: "is the unit right? --size and --scale change it",
+    SourceKind.MAP: "is the resolution in its YAML right?",
+    SourceKind.MAP_PICTURE: "is the unit right? --resolution changes it",
+}
+"""Question about an unusual width."""
 
 
 def warn_of_result(source: Source, world: World) -> None:
     """Warn of each figure of a world that is unusual; nothing is refused."""
-    for line in unusual_figures(world):
+    for line in unusual_figures(world, source.kind):
         warnings.warn(f"{source.path}: {line}", stacklevel=3)
 
 
-def unusual_figures(world: World) -> Iterator[str]:
-    """Yield each unusual figure of a world with its likely cause."""
-    width = max(world.surface.size)
+def unusual_figures(world: World, kind: SourceKind) -> Iterator[str]:
+    """Yield each unusual figure of a world with its likely cause in a source of a kind."""
+    width, is_picture = max(world.surface.size), kind is SourceKind.PICTURE
     if not NARROWEST <= width <= WIDEST:
         yield (
             f"the world is {width:.4g} m wide, usual are {NARROWEST:g} m to {WIDEST / 1000:g} km: "
-            "is the unit right? --size and --scale change it"
+            f"{UNIT.get(kind, 'is the unit right?')}"
         )
     if isinstance(world.ground, LaserMap):
-        if world.ground.truth is not None:
-            yield from _unusual_map(world.ground.truth)
+        yield from _unusual_map(world.ground)
         return
     relief = world.surface.relief if world.solid is None else float(np.ptp(world.solid.vertices[:, 2]))
     if relief > STEEPEST * width:
-        yield (
-            f"the relief of {relief:.4g} m is {relief / width:.3g} x the width of {width:.4g} m: is a unit "
-            'wrong, or do some values mean "no height" (--nodata)?'
-        )
+        codes = ', or do some values mean "no height" (--nodata)' if is_picture else ""
+        times = f"{relief / width:.3g} x the width of {width:.4g} m"
+        yield f"the relief of {relief:.4g} m is {times}: is a unit wrong{codes}?"
     if relief < FLATTEST * width:
-        yield (
-            f"the ground is flat, {relief:.3g} m of relief on {width:.4g} m: are its heights in another "
-            "band, or in the alpha channel?"
-        )
+        place = ": are its heights in another band, or in the alpha channel?" if is_picture else ""
+        yield f"the ground is flat, {relief:.3g} m of relief on {width:.4g} m{place}"
     if isinstance(world.ground, Terrain) and world.ground.no_ground is None:
-        yield from _isolated_level(world.surface.z)
+        says = " --nodata VALUE says so" if is_picture else ""
+        for line in _isolated_level(world.surface.z):
+            yield line + says
 
 
-def _unusual_map(grid: OccupancyGrid) -> Iterator[str]:
+def _unusual_map(ground: LaserMap) -> Iterator[str]:
+    if (grid := ground.truth) is None:
+        return
     walls, free = float(grid.occupied.mean()), int(grid.free.sum())
     causes = "occupied_thresh, free_thresh, negate, mode and transparency decide"
     if walls == 0 or walls > MOST_WALLS:
-        yield f"{walls:.3g} of its cells are walls, usual are above 0 and up to {MOST_WALLS:g}: {causes}"
+        yield f"{walls:.1%} of its cells are walls, usual are above 0 and up to {MOST_WALLS:.0%}: {causes}"
     if free == 0:
         yield f"none of its {grid.occupied.size} cells is free: {causes}"
 
@@ -80,5 +87,5 @@ def _isolated_level(z: Float32Array) -> Iterator[str]:
         side = "below" if few is below else "above"
         yield (
             f"{part.size} of {z.size} heights lie {gap:.4g} m {side} all others, "
-            f'which span {np.ptp(rest):.3g} m: do they mean "no height"? --nodata VALUE says so'
+            f'which span {np.ptp(rest):.3g} m: do they mean "no height"?'
         )
