@@ -202,6 +202,8 @@ def _georeference(
         if sized:
             return None
         raise SourceError(
+    if not (math.isfinite(affine[2]) and math.isfinite(affine[5])):
+        raise SourceError(f"{path}: its corner must be finite, got {affine[2]:g}, {affine[5]:g}")
             f"{path}: names no coordinate system; its pixels of {sizes[0]:.6g} may be degrees or meters: "
             "give --pixel-size METERS, or the system (gdal_edit -a_srs EPSG:4326)"
         )
@@ -354,7 +356,7 @@ def _header(path: Path, file: TextIO) -> tuple[dict[str, float], str]:
         if len(value) != 1:
             raise SourceError(f"{path}: its line {line.strip()!r} has no single value")
         header[key.lower()] = float(value[0])
-    missing = [key for key in ("ncols", "nrows") if not header.get(key, 0) >= 1]
+    missing = [key for key in ("ncols", "nrows") if key not in header]
     missing += [] if "cellsize" in header or {"dx", "dy"} <= set(header) else ["cellsize"]
     missing += [f"{a}llcorner" for a in "xy" if not {f"{a}llcorner", f"{a}llcenter"} & set(header)]
     if missing:
@@ -368,6 +370,9 @@ def _affine(path: Path, header: dict[str, float], rows: int) -> Affine:
         raise SourceError(f"{path}: cells must be above 0, got {dx:g} x {dy:g}")
     west = header["xllcenter"] if "xllcenter" in header else header["xllcorner"] + dx / 2
     south = header["yllcenter"] if "yllcenter" in header else header["yllcorner"] + dy / 2
+    for key in ("ncols", "nrows"):
+        if not (header[key] >= 1 and header[key].is_integer()):
+            raise SourceError(f"{path}: {key} must be a whole number above 0, got {header[key]:g}")
     return dx, 0.0, west, 0.0, -dy, south + dy * (rows - 1)
 
 
