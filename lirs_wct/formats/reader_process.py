@@ -76,7 +76,10 @@ def read_raster(path: str, max_pixels: int) -> Answer:
             "scale": dataset.scales[0],
             "offset": dataset.offsets[0],
             "unit": dataset.units[0] or "",
-            "transform": None if dataset.transform.is_identity else tuple(dataset.transform)[:6],
+            # The driver of PNM leaves its six numbers unset.
+            "transform": None
+            if dataset.transform.is_identity or dataset.driver == "PNM"
+            else tuple(dataset.transform)[:6],
             "wkt": dataset.crs.to_wkt() if dataset.crs else "",
         }, [_pixels(dataset)] if small else []
 

@@ -96,9 +96,8 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS, *, sized: bool = False
         pixels, info = read_ascii_grid(path, max_pixels, sized=sized)
     elif _PICTURE.match(head):
         pixels = read_picture(path, max_pixels).pixels
-        info = RasterInfo()
-        if _has_world_file(path):
-            info = _info(path, read_gdal(path, 0), pixels, sized)
+        beside = path.with_name(f"{path.name}.aux.xml").is_file()
+        info = _info(path, read_gdal(path, 0) if beside else None, pixels, sized)
     else:
         pixels, info = _read_by_gdal(path, max_pixels, sized)
     if pixels.dtype.kind == "c":
@@ -118,14 +117,22 @@ _ASCII_GRID = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:ncols|nrows|[xy]llc\w+|cellsi
 _PICTURE = re.compile(rb"\x89PNG|P[1-6fF]\s|GIF8|\xff\xd8\xff|BM|RIFF....WEBP", re.DOTALL)
 
 
-def _has_world_file(path: Path) -> bool:
-    """Whether a file beside a picture may hold its georeference."""
+def _world_file(path: Path) -> Affine | None:
+    """Return the six numbers of a world file beside a picture; None without one.
+
+    Raises:
+        SourceError: it holds no six numbers.
+    """
     suffix = path.suffix.lower()
-    endings = {f"{suffix[:2]}{suffix[-1:]}w", f"{suffix}w", ".wld"}
-    return any(
-        beside.suffix.lower() in endings or beside.name == f"{path.name}.aux.xml"
-        for beside in path.parent.glob(f"{glob.escape(path.stem)}.*")
-    )
+    endings = (f"{suffix[:2]}{suffix[-1:]}w", f"{suffix}w", ".wld")
+    for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):
+        if beside.suffix.lower() in endings:
+            try:
+                a, d, b, e, c, f = map(float, first_bytes(beside, 1024).split())
+            except ValueError as error:
+                raise SourceError(f"{beside}: is damaged: a world file holds six numbers") from error
+            return a, b, c, d, e, f
+    return None
 
 
 def _read_by_gdal(path: Path, max_pixels: int, sized: bool) -> tuple[NDArray[Any], RasterInfo]:
@@ -139,17 +146,18 @@ def _read_by_gdal(path: Path, max_pixels: int, sized: bool) -> tuple[NDArray[Any
     return pixels, _info(path, found, pixels, sized)
 
 
-def _info(path: Path, found: GdalRaster, pixels: NDArray[Any], sized: bool) -> RasterInfo:
-    """Return georeference and value conversion of a raster from GDAL's metadata.
+def _info(path: Path, found: GdalRaster | None, pixels: NDArray[Any], sized: bool) -> RasterInfo:
+    """Return georeference and value conversion of a raster from GDAL's metadata, or a world file.
 
     Values of a raster without extent have no unit of height.
     """
-    info = RasterInfo(None, found.nodata, found.scale, found.offset)
-    if found.transform is None:
+    info = RasterInfo() if found is None else RasterInfo(None, found.nodata, found.scale, found.offset)
+    affine = middle_of_pixels(found.transform) if found and found.transform else _world_file(path)
+    if affine is None:
         return info
-    system, unit = system_of_wkt(found.wkt) if found.wkt else (None, None)
-    unit = height_unit(path, system or CoordinateSystem(), _named_unit(path, found.unit) or unit)
-    info, affine = replace(info, unit=unit), middle_of_pixels(found.transform)
+    system, unit = system_of_wkt(found.wkt) if found and found.wkt else (None, None)
+    unit = _named_unit(path, found.unit if found else "") or unit
+    info = replace(info, unit=height_unit(path, system or CoordinateSystem(), unit))
     return replace(info, georeference=_georeference(path, system, affine, pixels, info, sized))
 
 

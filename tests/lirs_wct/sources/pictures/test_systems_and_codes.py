@@ -42,7 +42,7 @@ def build(path: Path, **options: Any) -> tuple[World, list[str]]:
 
 @pytest.mark.parametrize(
     ("name", "beside"),
-    [("a.tif", "a.tfw"), ("a.png", "a.pgw"), ("a.png", "a.wld"), ("a.jpg", "a.jgw"), ("a.bmp", "a.bpw")],
+    [("a.tif", "a.tfw"), ("a.png", "a.pgw"), ("a.jpg", "a.jgw"), ("a.bmp", "a.bpw"), ("a.pgm", "a.pmw")],
 )
 def test_a_world_file_gives_meters_and_place(name: str, beside: str, tmp_path: Path) -> None:
     path = tmp_path / name
