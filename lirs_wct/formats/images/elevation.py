@@ -100,8 +100,6 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS, *, sized: bool = False
         info = _info(path, read_gdal(path, 0) if beside else None, pixels, sized)
     else:
         pixels, info = _read_by_gdal(path, max_pixels, sized)
-    if pixels.dtype.kind == "c":
-        raise SourceError(f"{path}: holds complex numbers, heights must be integers or real numbers")
     if info.georeference is None:
         return Raster(pixels, info)
     pixels, georeference = info.georeference.upright(pixels)
@@ -143,6 +141,8 @@ def _read_by_gdal(path: Path, max_pixels: int, sized: bool) -> tuple[NDArray[Any
         raise SourceError(f"{error}{HINTS.get(path.suffix.lower(), '')}") from error
     check_size(path, found.width, found.height, max_pixels)
     pixels = without_alpha(path, pixels_of(path, found))
+    if pixels.dtype.kind == "c":
+        raise SourceError(f"{path}: holds complex numbers, heights must be integers or real numbers")
     return pixels, _info(path, found, pixels, sized)
 
 
@@ -202,6 +202,8 @@ def _georeference(
     sizes = math.hypot(affine[0], affine[3]), math.hypot(affine[1], affine[4])
     if not all(0 < size < math.inf for size in sizes):
         raise SourceError(f"{path}: pixels must be above 0, got {sizes[0]:g} x {sizes[1]:g}")
+    if not (math.isfinite(affine[2]) and math.isfinite(affine[5])):
+        raise SourceError(f"{path}: its corner must be finite, got {affine[2]:g}, {affine[5]:g}")
     shape = pixels.shape[0], pixels.shape[1]
     if system is not None:
         return georeference_raster(path, system, affine, shape)
@@ -210,8 +212,6 @@ def _georeference(
         if sized:
             return None
         raise SourceError(
-    if not (math.isfinite(affine[2]) and math.isfinite(affine[5])):
-        raise SourceError(f"{path}: its corner must be finite, got {affine[2]:g}, {affine[5]:g}")
             f"{path}: names no coordinate system; its pixels of {sizes[0]:.6g} may be degrees or meters: "
             "give --pixel-size METERS, or the system (gdal_edit -a_srs EPSG:4326)"
         )
@@ -223,10 +223,11 @@ def _georeference(
 
 def _relief(pixels: NDArray[Any], info: RasterInfo) -> float:
     """Return the range of heights in a raster, meters."""
-    if pixels.ndim != 2 or pixels.dtype.kind == "c":
+    if pixels.ndim != 2:
         return 0.0
-    missing, _ = missing_heights(pixels, info.nodata, search=True)
-    known = pixels[~missing].astype(np.float64)
+    heights = pixels.astype(np.float64)
+    missing, _ = missing_heights(heights, info.nodata, search=True)
+    known = heights[~missing]
     return float(np.ptp(known)) * abs(info.scale) * (info.unit or 1.0) if known.size else 0.0
 
 
@@ -369,6 +370,9 @@ def _header(path: Path, file: TextIO) -> tuple[dict[str, float], str]:
     missing += [f"{a}llcorner" for a in "xy" if not {f"{a}llcorner", f"{a}llcenter"} & set(header)]
     if missing:
         raise SourceError(f"{path}: the header of an ASCII grid lacks {', '.join(missing)}")
+    for key in ("ncols", "nrows"):
+        if not (header[key] >= 1 and header[key].is_integer()):
+            raise SourceError(f"{path}: {key} must be a whole number above 0, got {header[key]:g}")
     return header, first
 
 
@@ -378,9 +382,6 @@ def _affine(path: Path, header: dict[str, float], rows: int) -> Affine:
         raise SourceError(f"{path}: cells must be above 0, got {dx:g} x {dy:g}")
     west = header["xllcenter"] if "xllcenter" in header else header["xllcorner"] + dx / 2
     south = header["yllcenter"] if "yllcenter" in header else header["yllcorner"] + dy / 2
-    for key in ("ncols", "nrows"):
-        if not (header[key] >= 1 and header[key].is_integer()):
-            raise SourceError(f"{path}: {key} must be a whole number above 0, got {header[key]:g}")
     return dx, 0.0, west, 0.0, -dy, south + dy * (rows - 1)
 
 
