@@ -70,7 +70,8 @@ def read_raster(path: str, max_pixels: int) -> Answer:
         return {
             "width": dataset.width,
             "height": dataset.height,
-            "bands": dataset.count,
+            "bands": sum(kind.name != "alpha" for kind in dataset.colorinterp),
+            "white": _white(dataset),
             "pages": max(1, len(dataset.subdatasets)),
             "nodata": dataset.nodata,
             "scale": dataset.scales[0],
@@ -110,15 +111,27 @@ def _pixels(dataset: Any) -> NDArray[Any]:
         order = [3, 2, 1, *([4] if kinds[3:4] == ["alpha"] else [])]
         return np.ascontiguousarray(np.moveaxis(dataset.read(order), 0, 2))
     band: NDArray[Any] = dataset.read(1)
-    if kinds == ["gray", "alpha"]:
-        return np.dstack([band] * 3 + [dataset.read(2)])
+    if kinds == ["gray", "alpha"] and band.dtype.kind == "u" and dataset.transform.is_identity:
+        return np.dstack([band] * 3 + [dataset.read(2)])  # a picture, not heights
     if dataset.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES" and band.dtype.kind == "u":
-        band = np.iinfo(band.dtype).max - band
-    if {flag.name for flag in dataset.mask_flag_enums[0]} == {"per_dataset"}:
-        missing = dataset.read_masks(1) == 0
-        if missing.any():
-            band = np.where(missing, np.nan, band.astype(np.float64))
-    return band
+        band = (_white(dataset) - band).astype(band.dtype)
+    if "alpha" in kinds:
+        shown = dataset.read(kinds.index("alpha") + 1)
+    elif {flag.name for flag in dataset.mask_flag_enums[0]} == {"per_dataset"}:
+        shown = dataset.read_masks(1)
+    else:
+        return band
+    return band if shown.all() else np.where(shown, band.astype(np.float64), np.nan)
+
+
+def _white(dataset: Any) -> float:
+    """Return the value of white in the pixels; 1 for real numbers."""
+    if dataset.colorinterp[0].name == "palette":
+        return 255.0
+    if not dataset.dtypes[0].startswith(("uint", "int")):
+        return 1.0
+    bits = dataset.tags(1, ns="IMAGE_STRUCTURE").get("NBITS")
+    return 2.0 ** int(bits) - 1 if bits else float(np.iinfo(dataset.dtypes[0]).max)
 
 
 def read_points(path: str, _: int) -> Answer:

@@ -13,7 +13,7 @@ from lirs_wct.files import first_bytes
 from lirs_wct.formats.limited import read_limited
 
 REFERRING = b"<VRTDataset"
-"""Begins a file that only refers to others."""
+"""Mark of a VRT, which only refers to other files."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class GdalRaster:
     Attributes:
         width: columns of pixels.
         height: rows of pixels.
-        bands: bands of the file.
+        bands: bands of the file without alpha.
+        white: value of white.
         pages: pictures in the file.
         nodata: value of pixels without a height, or None.
         scale: factor of the pixels.
@@ -38,6 +39,7 @@ class GdalRaster:
     width: int
     height: int
     bands: int
+    white: float
     pages: int
     nodata: float | None
     scale: float

@@ -53,11 +53,11 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
         SourceError: the file is missing, damaged, not a picture, smaller than 2x2 or larger than
             `max_pixels`.
     """
-    full = None
+    full: float | None
     if first_bytes(path).startswith(TIFF) or _is_huge(path):
         found = read_gdal(path, max_pixels)
         check_size(path, found.width, found.height, max_pixels)
-        pixels = pixels_of(path, found)
+        pixels, full = pixels_of(path, found), found.white
     else:
         with _open_picture(path) as picture:
             check_size(path, *picture.size, max_pixels)
@@ -114,9 +114,9 @@ def _decode(path: Path, picture: ImageFile.ImageFile, *, oriented: bool) -> tupl
     bands, shape = len(picture.getbands()), (picture.height, picture.width)
     clear = picture.info.get("transparency")
     if picture.format == "PNG" and bands > 1 and ";16" in str(arguments):  # Pillow would keep 8 bits
-        pixels = read_gdal(path, picture.width * picture.height).pixels
-        assert pixels is not None
-        return _with_alpha(pixels, clear), None
+        found = read_gdal(path, picture.width * picture.height)
+        assert found.pixels is not None
+        return _with_alpha(found.pixels, clear), found.white
     if codec not in ("ppm", "ppm_plain") or not isinstance(arguments, tuple):
         pixels = _to_array(ImageOps.exif_transpose(picture) if oriented else picture)
         return _with_alpha(pixels, clear if picture.mode.startswith("I") else None), None

@@ -4,10 +4,12 @@ import math
 import warnings
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import rasterio
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -291,6 +293,23 @@ def test_any_white_of_a_pnm(tmp_path: Path, maximum: int, bands: int) -> None:
         warnings.simplefilter("error")
         found = states(read_map_picture(tmp_path / "m.pnm", 0.1))
     assert found == [["#", "?", "?", "."] if maximum > 1 else ["#", "#", "#", "."]] * 2
+
+
+@pytest.mark.parametrize("profile", [{"nbits": 4}, {"nbits": 4, "photometric": "MINISWHITE"}, {"masked": 1}])
+def test_any_white_of_a_tiff(tmp_path: Path, profile: dict[str, Any]) -> None:
+    pixels = np.array([[0, 6, 12, 15]] * 3, np.uint8)
+    masked, white_first = profile.pop("masked", 0), "photometric" in profile
+    pixels = 15 - pixels if white_first else pixels * 17 if masked else pixels
+    shape = {"width": 4, "height": 3, "count": 1, "dtype": "uint8"}
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+        rasterio.open(tmp_path / "m.tif", "w", driver="GTiff", **shape, **profile) as file,
+    ):
+        file.write(pixels, 1)
+        if masked:
+            file.write_mask(np.arange(3)[:, None] + np.zeros(4) > 0)
+    first = ["?"] * 4 if masked else ["#", "?", "?", "."]
+    assert states(read_map_picture(tmp_path / "m.tif", 0.1)) == [first] + [["#", "?", "?", "."]] * 2
 
 
 def a_framed_map(folder: Path, keys: str, outside: tuple[int, int, int, int]) -> OccupancyGrid:
