@@ -66,6 +66,8 @@ def read_raster(path: str, max_pixels: int) -> Answer:
         if dataset.count == 0:
             names = ", ".join(name.rsplit(":", 1)[-1] for name in dataset.subdatasets) or "none"
             raise ValueError(f"holds several rasters ({names}), one is needed: gdal_translate cuts it out")
+        if dataset.transform.is_identity and dataset.gcps[0]:
+            raise ValueError("is placed by ground control points: gdalwarp gives it a regular grid")
         small = dataset.width * dataset.height <= max_pixels
         return {
             "width": dataset.width,

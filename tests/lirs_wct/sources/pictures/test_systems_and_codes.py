@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rasterio
 from PIL import Image
+from rasterio.control import GroundControlPoint
 from rasterio.transform import from_origin
 
 from lirs_wct.errors import SourceError
@@ -54,6 +55,45 @@ def test_a_world_file_gives_meters_and_place(name: str, beside: str, tmp_path: P
     assert world.surface.relief == pytest.approx(20, abs=1.0)  # of JPEG
     assert world.place is not None
     assert world.place.coordinates(0.0, 0.0) == pytest.approx((500_099, 5_299_921))
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.png", "a.pgm"])
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("2\n0\n0\nx\n5\n5\n", "a.wld: is damaged: a world file holds six numbers"),
+        ("2\n0\n0\n-2\n5\n", "a.wld: is damaged: a world file holds six numbers"),
+    ],
+)
+def test_a_damaged_world_file_is_refused(name: str, text: str, reason: str, tmp_path: Path) -> None:
+    Image.fromarray(np.rint(HILLS).astype(np.uint8)).save(tmp_path / name)
+    (tmp_path / "a.wld").write_text(text)
+    with pytest.raises(SourceError, match=f"^{tmp_path}/{reason}$"):
+        build_world(tmp_path / name)
+
+
+def test_a_pgm_with_statistics_beside_it_has_no_extent(tmp_path: Path) -> None:
+    Image.fromarray(np.rint(HILLS).astype(np.uint8)).save(tmp_path / "a.pgm")
+    (tmp_path / "a.pgm.aux.xml").write_text("<PAMDataset></PAMDataset>")
+    assert build(tmp_path / "a.pgm")[0].surface.size == pytest.approx((50, 50 * 79 / 99))
+
+
+@pytest.mark.parametrize("kind", ["uint8", "int16", "float32"])
+def test_alpha_hides_heights(kind: str, tmp_path: Path) -> None:
+    bands = np.stack([HILLS, np.full_like(HILLS, 255)]).astype(kind)
+    bands[:, :4] = [[[200]], [[0]]]
+    path = raster(tmp_path / "a.tif", bands, photometric="MINISBLACK", alpha="YES", **UTM)
+    world, told = build(path)
+    assert told == [
+        f"{path}: 400 of 8000 pixels have no height (NaN or nodata), filled from their nearest neighbors"
+    ]
+    assert world.surface.relief == pytest.approx(20, abs=0.5)
+
+
+def test_control_points_are_no_grid(tmp_path: Path) -> None:
+    points = [GroundControlPoint(r, c, 500_000 + c, 5_300_000 - r) for r, c in ((0, 0), (80, 0), (0, 100))]
+    with pytest.raises(SourceError, match=r"a\.tif: is placed by ground control points: gdalwarp gives"):
+        build_world(raster(tmp_path / "a.tif", HILLS, gcps=points, crs="EPSG:32632"))
 
 
 def test_a_sidecar_of_gdal_gives_meters_and_place(tmp_path: Path) -> None:
