@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lirs_wct.errors import SourceError
 
 SECONDS, SECONDS_PER_BYTE, WAIT = 5.0, 4e-6, 4
-"""Limit of CPU time: a constant, and per byte for all threads; wall time by CPU time, for busy machines."""
+"""Limit of CPU seconds in all threads: a constant, and per byte. The wall time may be WAIT times that."""
 MEMORY, MEMORY_PER_BYTE = 512 << 20, 200
 """Memory limit of a file in bytes; a LAZ file unpacks to some ten times its size, seldom to fifty times."""
 PIXEL_BYTES = 20
@@ -29,20 +29,18 @@ PROGRAM = Path(__file__).with_name("reader_process.py")
 
 
 def read_limited(
-    kind: Literal["raster", "points"], path: Path, max_pixels: int = 0
+    kind: Literal["raster", "las", "pcd"], path: Path, max_pixels: int = 0
 ) -> tuple[dict[str, Any], list[NDArray[Any]]]:
     """Return what the process reads: values by name, and arrays.
 
     Args:
         kind: of the reader.
-        path: file; its size scales the limits.
+        path: file that is there; its size scales the limits.
         max_pixels: a raster of more pixels is described without them.
 
     Raises:
         SourceError: the file cannot be read, or its reader exceeded a limit.
     """
-    if not path.is_file():
-        raise SourceError(f"{path}: no such file")
     size = path.stat().st_size
     seconds = round(SECONDS + SECONDS_PER_BYTE * size)
     memory = MEMORY + MEMORY_PER_BYTE * size + PIXEL_BYTES * max_pixels
@@ -61,8 +59,9 @@ def read_limited(
         timer.cancel()
         process.kill()
     if answer is None:
-        ending = "SIGXCPU" if monotonic() - began >= WAIT * seconds else _ending(process.returncode)
-        reason = f"takes more than {seconds} s" if ending.endswith("SIGXCPU") else ending
+        ending = _ending(process.returncode)
+        late = monotonic() - began >= WAIT * seconds or ending.endswith("SIGXCPU")
+        reason = f"takes more than {seconds} s" if late else ending
         raise SourceError(f"{path}: cannot be read: its reader {reason}")
     found, arrays = answer
     if "error" in found:

@@ -85,11 +85,11 @@ def _read_limited(path: Path) -> PointFile:
         begin = file.read(4)
     las = begin == LAS
     if not las and path.suffix.lower() != ".pcd":
-        raise SourceError(f"{path}: is not a LAS file: it begins with {begin!r}, those with {LAS!r}")
+        raise SourceError(f"{path}: is not a LAS file: it begins with {begin!r}, a LAS file with {LAS!r}")
     for package in ("laspy", "lazrs") if las else ("pypcd4",):
         if find_spec(package) is None:
             raise SourceError(f"{path}: needs the package {package}: {EXTRA}")
-    found, (xyz, *ground) = read_limited("points", path)
+    found, (xyz, *ground) = read_limited("las" if las else "pcd", path)
     wkt, vertical = found.get("wkt"), METERS.get(found.get("keys", {}).get(VERTICAL_UNITS, 0))
     system, unit = system_of_wkt(wkt) if wkt else (CoordinateSystem(), None)
     return PointFile(xyz, ground[0] if ground and ground[0].any() else None, system, vertical or unit)

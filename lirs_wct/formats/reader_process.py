@@ -5,6 +5,7 @@ Its answer on stdout is a line of JSON, then the arrays that it announces.
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -66,7 +67,9 @@ def read_raster(path: str, max_pixels: int) -> Answer:
         if dataset.count == 0:
             names = ", ".join(name.rsplit(":", 1)[-1] for name in dataset.subdatasets) or "none"
             raise ValueError(f"holds several rasters ({names}), one is needed: gdal_translate cuts it out")
-        if dataset.transform.is_identity and dataset.gcps[0]:
+        # The driver of PNM leaves its transform unset.
+        unplaced = dataset.transform.is_identity or dataset.driver == "PNM"
+        if unplaced and dataset.gcps[0]:
             raise ValueError("is placed by ground control points: gdalwarp gives it a regular grid")
         small = dataset.width * dataset.height <= max_pixels
         return {
@@ -79,10 +82,7 @@ def read_raster(path: str, max_pixels: int) -> Answer:
             "scale": dataset.scales[0],
             "offset": dataset.offsets[0],
             "unit": dataset.units[0] or "",
-            # The driver of PNM leaves its six numbers unset.
-            "transform": None
-            if dataset.transform.is_identity or dataset.driver == "PNM"
-            else tuple(dataset.transform)[:6],
+            "transform": None if unplaced else tuple(dataset.transform)[:6],
             "wkt": dataset.crs.to_wkt() if dataset.crs else "",
         }, [_pixels(dataset)] if small else []
 
@@ -136,14 +136,8 @@ def _white(dataset: Any) -> float:
     return 2.0 ** int(bits) - 1 if bits else float(np.iinfo(dataset.dtypes[0]).max)
 
 
-def read_points(path: str, _: int) -> Answer:
-    """Return the points (n, 3) of a file, with ground and system of LAS."""
-    with open(path, "rb") as file:  # noqa: PTH123  few imports
-        las = file.read(4) == b"LASF"
-    return _las_points(path) if las else _pcd_points(path)
-
-
-def _las_points(path: str) -> Answer:
+def read_las(path: str, _: int) -> Answer:
+    """Return the points (n, 3) of a LAS file, which of them are ground, and their system."""
     import laspy
 
     las = laspy.read(path)
@@ -164,10 +158,16 @@ def _las_points(path: str) -> Answer:
     return {"wkt": wkt, "keys": keys}, [xyz[kept], (kind == GROUND)[kept]]
 
 
-def _pcd_points(path: str) -> Answer:
+def read_pcd(path: str, _: int) -> Answer:
+    """Return the points (n, 3) of a PCD file."""
     from pypcd4 import PointCloud
 
-    loaded = PointCloud.from_path(path)
+    with open(path, "rb") as file:  # noqa: PTH123  few imports
+        data = file.read()
+    if b"\nCOUNT" not in data[:4096]:  # the format has a default, the library has none
+        types = re.search(rb"(?m)^TYPE( +\w)+", data) or [b""]
+        data = data.replace(types[0], types[0] + b"\nCOUNT" + b" 1" * len(types[0].split()[1:]), 1)
+    loaded = PointCloud.from_fileobj(io.BytesIO(data))
     announced, there = loaded.metadata.points, loaded.pc_data.size
     if announced != there:
         raise ValueError(f"is cut off: {announced} points announced, {there} there")
@@ -179,7 +179,7 @@ def _pcd_points(path: str) -> Answer:
     return {}, [np.asarray(loaded.numpy(("x", "y", "z")), np.float64).reshape(-1, 3)]
 
 
-READERS: dict[str, Callable[[str, int], Answer]] = {"raster": read_raster, "points": read_points}
+READERS: dict[str, Callable[[str, int], Answer]] = {"raster": read_raster, "las": read_las, "pcd": read_pcd}
 
 
 def main(kind: str, path: str, max_pixels: str, memory: str, seconds: str) -> None:
