@@ -43,9 +43,11 @@ def read_collada(data: bytes) -> Document:
     parts = [
         place_triangles(points, faces, matrix) for name, matrix in found for points, faces in tree.shape(name)
     ]
-    if tree.left:
-        named = ", ".join(dict.fromkeys(tree.left))
-        tree.notes.append(f"{len(tree.left)} of {len(found) + len(tree.left)} instances left out: {named}")
+    if tree.skipped:
+        named = ", ".join(dict.fromkeys(tree.skipped))
+        tree.notes.append(
+            f"{len(tree.skipped)} of {len(found) + len(tree.skipped)} instances left out: {named}"
+        )
     looks = tree.root.find(".//instance_material") is not None
     return Document([part for part in parts if len(part.faces)], looks, notes=tree.notes)
 
@@ -60,7 +62,7 @@ class _Shapes:
     Attributes:
         root: of the tree; tags are without namespaces.
         notes: simplified parts, a line each.
-        left: instances that are not read.
+        skipped: instances that are not read.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -69,7 +71,7 @@ class _Shapes:
         self.root = ElementTree.fromstring(data)
         for element in self.root.iter():
             element.tag = _local(element)
-        self.notes, self.left = list[str](), list[str]()
+        self.notes, self.skipped = list[str](), list[str]()
         self._ids = {(e.tag, e.get("id", "")): e for e in self.root.iter() if "id" in e.attrib}
         self._shapes: dict[str, list[tuple[FloatArray, IntArray]]] = {}
         self._visits = 0
@@ -101,14 +103,14 @@ class _Shapes:
             if element.tag == "node":
                 yield from self._below(element, matrix)
             elif element.tag in _INSTANCES and not url.startswith("#"):
-                self.left.append(f"`{url}` is in another file")
+                self.skipped.append(f"`{url}` is in another file")
             elif element.tag == "instance_node":
                 yield from self._below(self._target(element, "node"), matrix)
             elif element.tag == "instance_controller":
                 yield self._bound(url, matrix)
             elif element.tag == "instance_geometry":
                 if self._target(element, "geometry").find("mesh") is None:
-                    self.left.append(f"geometry `{url[1:]}` is no mesh")
+                    self.skipped.append(f"geometry `{url[1:]}` is no mesh")
                 else:
                     yield url[1:], matrix
 
@@ -169,7 +171,7 @@ def _polygons(primitive: Element, width: int) -> tuple[IntArray, IntArray, dict[
     def rows(*elements: Element) -> IntArray:
         return numbers(" ".join(e.text or "" for e in elements), np.int64).reshape(-1, width)
 
-    lists = [rows(e) for e in primitive.findall("p")]
+    lists = [np.empty((0, width), np.int64), *(rows(e) for e in primitive.findall("p"))]
     rings: dict[int, list[int]] = {}
     if primitive.tag == "polylist":
         counts = numbers(primitive.findtext("vcount") or "", np.int64)
@@ -177,14 +179,14 @@ def _polygons(primitive: Element, width: int) -> tuple[IntArray, IntArray, dict[
     if primitive.tag == "polygons":
         for ring in primitive.findall("ph"):
             each = [rows(e) for e in ring if e.tag in ("p", "h")]
-            rings[len(lists)] = np.cumsum([len(r) for r in each]).tolist()
+            rings[len(lists) - 1] = np.cumsum([len(r) for r in each]).tolist()
             lists.append(np.concatenate(each))
-        return np.concatenate(lists), np.array([len(e) for e in lists], np.int64), rings
+        return np.concatenate(lists), np.array([len(e) for e in lists[1:]], np.int64), rings
     if primitive.tag != "triangles":  # strips and fans
         lists = [
             each[strip_triangles(len(each), is_fan=primitive.tag == "trifans").ravel()] for each in lists
         ]
-    table = np.concatenate([np.empty((0, width), np.int64), *lists])
+    table = np.concatenate(lists)
     return table, np.full(len(table) // 3, 3), rings
 
 

@@ -20,7 +20,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 _READ = re.compile(
     r"KHR_(materials_|texture_|lights_|mesh_quantization|animation_|xmp)|(EXT|MSFT)_(texture|lights)"
 )
-"""Begins the names of extensions that do not change shapes, or that are read."""
+"""Prefixes of extensions that are read, or do not change shapes."""
 _PACKED = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
 _COPIES = "EXT_mesh_gpu_instancing"
 _KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -58,7 +58,7 @@ class _Scene:
         self.tree, binary = _chunks(data)
         self.notes, self._visits = list[str](), 0
         self._buffers = [
-            _uri_bytes(b["uri"], referenced) if "uri" in b else binary * (not i)
+            _uri_bytes(b["uri"], referenced) if "uri" in b else b"" if i else binary
             for i, b in enumerate(self.tree.get("buffers", []))
         ]
         self._refuse(name for name in self.tree.get("extensionsRequired", []) if not _READ.match(name))
@@ -140,7 +140,12 @@ class _Scene:
         if not buffer:
             self._refuse(_PACKED & {*view.get("extensions", {})})
         start = view.get("byteOffset", 0) + entry.get("byteOffset", 0)
-        return np.ndarray((count, width), kind, buffer, start, (view.get("byteStride", size * width), size))
+        try:
+            return np.ndarray(
+                (count, width), kind, buffer, start, (view.get("byteStride", size * width), size)
+            )
+        except (TypeError, ValueError) as error:  # by the version of NumPy
+            raise ValueError(f"is damaged: {count} numbers at byte {start} are not in its buffer") from error
 
 
 def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:

@@ -51,7 +51,10 @@ def read_ply(data: bytes) -> Document:
     corners = counts = np.empty(0, np.int64)
     for element in elements:
         if any(length for _, _, length in element.properties):
-            found, sizes, at = _lists(body, at, element)
+            try:
+                found, sizes, at = _lists(body, at, element)
+            except ValueError as error:
+                raise ValueError(f"is damaged or cut off in its {element.name} list: {error}") from error
             corners, counts = (found, sizes) if element.name == "face" else (corners, counts)
             continue
         kind = np.dtype([(name, kind) for name, kind, _ in element.properties])
@@ -102,7 +105,7 @@ def _lists(body: bytes, begin: int, element: PlyElement) -> tuple[IntArray, IntA
             if length is not None:
                 n = int(np.frombuffer(body, length, 1, at)[0])
                 if n < 0:
-                    raise ValueError("is damaged: a list has a negative length")
+                    raise ValueError("a length is negative")
                 lengths += [] if row else [(at, length, n)]
                 at += length.itemsize
             if name in ("vertex_index", "vertex_indices"):

@@ -182,6 +182,16 @@ def test_a_skin_and_morph_targets_are_named(tmp_path: Path) -> None:
         assert size(glb.write(tmp_path / "a.glb")) == [2, 1, 3]
 
 
+@pytest.mark.parametrize("start", [-200, 4, 10**6])
+def test_a_view_beyond_its_buffer(tmp_path: Path, start: int) -> None:
+    glb = Glb()
+    glb.tree["accessors"][1]["byteOffset"] = start
+    with pytest.raises(
+        SourceError, match=rf"a\.glb: .*36 numbers at byte {96 + start} are not in its buffer"
+    ):
+        read_upright(glb.write(tmp_path / "a.glb"))
+
+
 @pytest.mark.parametrize(
     ("nodes", "reason"),
     [
