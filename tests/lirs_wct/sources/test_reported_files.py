@@ -26,8 +26,7 @@ def extent(world: World) -> tuple[float, ...]:
 
 def area(world: World) -> float:
     assert world.solid is not None
-    a, b, c = (world.solid.vertices[world.solid.faces[:, k]] for k in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+    return float(world.solid.face_areas.sum())
 
 
 def cells(world: World) -> tuple[int, int]:
