@@ -22,13 +22,6 @@ MIDDLE = 0.05
 """Share of the range at both ends outside which an isolated level leaves no height."""
 ISOLATED = 20.0
 """Distance of an isolated level from the other heights, multiple of their range."""
-UNIT = {
-    SourceKind.PICTURE: "is the unit right? --size and --scale change it",
-    SourceKind.MESH: "is the unit right? --size and --scale change it",
-    SourceKind.MAP: "is the resolution in its YAML right?",
-    SourceKind.MAP_PICTURE: "is the unit right? --resolution changes it",
-}
-"""Question about an unusual width."""
 
 
 def warn_of_result(source: Source, world: World) -> None:
@@ -40,10 +33,11 @@ def warn_of_result(source: Source, world: World) -> None:
 def unusual_figures(world: World, kind: SourceKind) -> Iterator[str]:
     """Yield each unusual figure of a world with its likely cause in a source of a kind."""
     width, is_picture = max(world.surface.size), kind is SourceKind.PICTURE
+    change = " --size and --scale change it" if kind in (SourceKind.PICTURE, SourceKind.MESH) else ""
     if not NARROWEST <= width <= WIDEST:
         yield (
             f"the world is {width:.4g} m wide, usual are {NARROWEST:g} m to {WIDEST / 1000:g} km: "
-            f"{UNIT.get(kind, 'is the unit right?')}"
+            f"is the {'resolution' if isinstance(world.ground, LaserMap) else 'unit'} right?{change}"
         )
     if isinstance(world.ground, LaserMap):
         yield from _unusual_map(world.ground)
@@ -58,8 +52,7 @@ def unusual_figures(world: World, kind: SourceKind) -> Iterator[str]:
         yield f"the ground is flat, {relief:.3g} m of relief on {width:.4g} m{place}"
     if isinstance(world.ground, Terrain) and world.ground.no_ground is None:
         says = " --nodata VALUE says so" if is_picture else ""
-        for line in _isolated_level(world.surface.z):
-            yield line + says
+        yield from _isolated_level(world.surface.z, says)
 
 
 def _unusual_map(ground: LaserMap) -> Iterator[str]:
@@ -73,8 +66,8 @@ def _unusual_map(ground: LaserMap) -> Iterator[str]:
         yield f"none of its {grid.occupied.size} cells is free: {causes}"
 
 
-def _isolated_level(z: Float32Array) -> Iterator[str]:
-    """Yield the heights far outside all others."""
+def _isolated_level(z: Float32Array, says: str) -> Iterator[str]:
+    """Yield the heights far outside all others, with a hint."""
     low, high = float(z.min()), float(z.max())
     margin = MIDDLE * (high - low)
     below, above = z < low + margin, z > high - margin
@@ -87,5 +80,5 @@ def _isolated_level(z: Float32Array) -> Iterator[str]:
         side = "below" if few is below else "above"
         yield (
             f"{part.size} of {z.size} heights lie {gap:.4g} m {side} all others, "
-            f'which span {np.ptp(rest):.3g} m: do they mean "no height"?'
+            f'which span {np.ptp(rest):.3g} m: do they mean "no height"?{says}'
         )
