@@ -101,7 +101,7 @@ def read_metadata(path: Path) -> MapMetadata:
             MapMetadata(
                 image=path.parent / str(entry["image"]),
                 resolution=_number(entry, "resolution", math.nan),
-                origin=_pose(entry, "origin"),
+                origin=_origin(entry),
                 occupied_thresh=_number(entry, "occupied_thresh", OCCUPIED),
                 free_thresh=_number(entry, "free_thresh", WRITTEN_FREE),
                 negate=bool(_number(entry, "negate", 0.0)),
@@ -239,12 +239,11 @@ def _number(entry: dict[str, Entry], key: str, default: float) -> float:
     raise ValueError(f"{key} must be a number, got {value!r}")
 
 
-def _pose(entry: dict[str, Entry], key: str) -> Pose2:
-    value = entry[key]
-    try:
-        numbers = [float(item) for item in value] if isinstance(value, list) else []
-    except ValueError:
-        numbers = []
+def _origin(entry: dict[str, Entry]) -> Pose2:
+    value = entry["origin"]
+    numbers: list[float] = []
+    with suppress(ValueError):
+        numbers = [float(item) for item in value if isinstance(value, list)]
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{key} must be [x, y, yaw], got {value!r}")
+        raise ValueError(f"origin must be [x, y, yaw], got {value!r}")
     return Pose2(*numbers)

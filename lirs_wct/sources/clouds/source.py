@@ -55,8 +55,9 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
     count = np.bincount(grid.node_of(xyz), minlength=math.prod(grid.shape))
     _require_points(path, count == 0, grid.spacing)  # the ground filter takes long on empty ground
     chosen, method = _chosen(path, xyz, known, options)
-    heights = _top(grid, xyz) if options.cloud_surface == "top" else grid.mean(xyz[chosen])
-    far_from_points = _warn_gaps(path, np.isnan(heights), grid.spacing)
+    is_top = options.cloud_surface == "top"
+    heights = -grid.lowest(xyz * (1.0, 1.0, -1.0)) if is_top else grid.mean(xyz[chosen])
+    far_from_points = _far_nodes(path, np.isnan(heights), grid.spacing)
     base = options.zero or 0.0
     z = np.ascontiguousarray((fill_gaps(heights) - base)[::-1].astype(np.float32))
     surface = HeightField(z, (grid.spacing,) * 2, (grid.west, grid.south))
@@ -159,11 +160,7 @@ def _grid(path: Path, xyz: FloatArray, options: BuildOptions) -> NodeGrid:
     return grid
 
 
-def _top(grid: NodeGrid, xyz: FloatArray) -> FloatArray:
-    return -grid.lowest(xyz * (1.0, 1.0, -1.0))
-
-
-def _warn_gaps(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
+def _far_nodes(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
     """Warn of nodes without a point; return the nodes too far from points to be ground.
 
     Raises:
