@@ -148,7 +148,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     next write completes it. When the block raises, Ctrl-C included, the older folder stays unchanged.
 
     Raises:
-        OutputError: the folder cannot be written, or the user has a file of the name of a new one.
+        OutputError: the folder cannot be written, or a file of the user has the name of a new file.
     """
     target = path.resolve() if path.is_symlink() else path
     temporary = _temporary(target)
@@ -176,7 +176,7 @@ def _replace_files(folder: Path, new: Path, shown: Path) -> None:
     """Replace our files in a folder by new ones.
 
     Raises:
-        OutputError: the user has a file of the name of a new one; nothing is changed.
+        OutputError: a file of the user has the name of a new file; nothing is changed.
     """
     fresh, ours = read_manifest(new), read_manifest(folder)
     for name, digests in fresh.items():

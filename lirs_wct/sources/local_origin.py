@@ -32,6 +32,6 @@ def warn_of_origin(path: Path, origin: tuple[float, float]) -> None:
     if origin != (0.0, 0.0):
         x, y = origin
         warnings.warn(
-            f"{path}: lies far from its origin: {x:.0f}, {y:.0f} of its coordinates are 0, 0 of the world",
+            f"{path}: lies far from its origin: its point {x:.0f}, {y:.0f} becomes 0, 0 of the world",
             stacklevel=4,
         )

@@ -116,11 +116,7 @@ _PICTURE = re.compile(rb"\x89PNG|P[1-6fF]\s|GIF8|\xff\xd8\xff|BM|RIFF....WEBP", 
 
 
 def _world_file(path: Path) -> Affine | None:
-    """Return the six numbers of a world file beside a picture; None without one.
-
-    Raises:
-        SourceError: it holds no six numbers.
-    """
+    """Return the six numbers of a world file beside a picture; None without one."""
     suffix = path.suffix.lower()
     endings = (f"{suffix[:2]}{suffix[-1:]}w", f"{suffix}w", ".wld")
     for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):
@@ -169,7 +165,7 @@ def _named_unit(path: Path, name: str) -> float | None:
             return meters
     if not name.strip():
         return None
-    warnings.warn(f"{path}: its values are in {name.strip()!r}, which is taken for meters", stacklevel=2)
+    warnings.warn(f"{path}: its values are in {name.strip()!r}, which is taken for meters", stacklevel=5)
     return 1.0
 
 
@@ -202,7 +198,7 @@ def _georeference(
     sizes = math.hypot(affine[0], affine[3]), math.hypot(affine[1], affine[4])
     if not all(0 < size < math.inf for size in sizes):
         raise SourceError(f"{path}: pixels must be above 0, got {sizes[0]:g} x {sizes[1]:g}")
-    if not (math.isfinite(affine[2]) and math.isfinite(affine[5])):
+    if not all(map(math.isfinite, affine)):
         raise SourceError(f"{path}: its corner must be finite, got {affine[2]:g}, {affine[5]:g}")
     shape = pixels.shape[0], pixels.shape[1]
     if system is not None:
@@ -294,10 +290,10 @@ def _warn_turned(path: Path, georeference: Georeference) -> None:
         warnings.warn(
             f"{path}: is turned by {georeference.turn:.4g} deg; x of the world goes along its rows, "
             f"{georeference.heading:.4g} deg north of east",
-            stacklevel=2,
+            stacklevel=3,
         )
     if georeference.skewed:
-        warnings.warn(f"{path}: is skewed, which is left out; gdalwarp straightens it", stacklevel=2)
+        warnings.warn(f"{path}: is skewed, which is left out; gdalwarp straightens it", stacklevel=3)
 
 
 _KEYS = (

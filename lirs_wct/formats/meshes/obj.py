@@ -28,7 +28,7 @@ def read_obj(data: bytes) -> Document:
     """Read the faces of an OBJ; negative indices count back from the last vertex.
 
     Raises:
-        ValueError: a number is none.
+        ValueError: a word is not a number.
     """
     text = _plain(data)
     points = numbers(b" ".join(_POINT.findall(text)), np.float64).reshape(-1, 3)
