@@ -122,7 +122,7 @@ def _world_file(path: Path) -> Affine | None:
     for beside in path.parent.glob(f"{glob.escape(path.stem)}.*"):
         if beside.suffix.lower() in endings:
             try:
-                a, d, b, e, c, f = map(float, first_bytes(beside, 1024).split())
+                a, d, b, e, c, f = map(float, first_bytes(beside, 1024).replace(b",", b".").split())
             except ValueError as error:
                 raise SourceError(f"{beside}: is damaged: a world file holds six numbers") from error
             return a, b, c, d, e, f

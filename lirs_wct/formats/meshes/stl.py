@@ -20,7 +20,7 @@ from lirs_wct.progress import Progress, no_progress, track
 _CHUNK = 1 << 14
 _RECORD = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 _HEAD = 84
-_CORNER = re.compile(rb"\bvertex\s+([-+.\d]\S*\s+\S+\s+\S+)")  # a number, since the word may be in a name
+_CORNER = re.compile(rb"\bvertex\s+((?:[-+.\d]\S*|nan|inf)\s+\S+\s+\S+)")  # names may hold the word
 _END = re.compile(rb"\bend *(facet|solid)")
 
 

@@ -83,6 +83,14 @@ def test_text_however_it_is_written(tmp_path: Path, old: str, new: str) -> None:
     np.testing.assert_allclose(np.ptp(mesh.bounds, axis=0), (2, 3, 1))
 
 
+def test_text_with_a_corner_that_is_no_place(tmp_path: Path) -> None:
+    text = str(trimesh.exchange.stl.export_stl_ascii(cube()))
+    for word in ("nan", "-inf", "inf"):
+        (tmp_path / "a.stl").write_text(text.replace("vertex -1.0", f"vertex {word}", 1))
+        with pytest.raises(SourceError, match="has vertices that are not finite"):
+            read_mesh(tmp_path / "a.stl")
+
+
 @pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.77, 0.99])
 def test_text_that_is_cut_off(tmp_path: Path, share: float) -> None:
     text = str(trimesh.exchange.stl.export_stl_ascii(cube()))

@@ -48,7 +48,7 @@ def build(path: Path, **options: Any) -> tuple[World, list[str]]:
 def test_a_world_file_gives_meters_and_place(name: str, beside: str, tmp_path: Path) -> None:
     path = tmp_path / name
     Image.fromarray(np.rint(HILLS).astype(np.uint8)).save(path)
-    (tmp_path / beside).write_text("2\n0\n0\n-2\n500000\n5300000\n")
+    (tmp_path / beside).write_text("2,0\n0\n0\n-2\n500000\n5300000\n")
     world, told = build(path)
     assert told == []
     assert world.surface.size == pytest.approx((198, 158))
