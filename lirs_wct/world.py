@@ -14,11 +14,10 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.export_options import ExportOptions

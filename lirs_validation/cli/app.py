@@ -21,7 +21,7 @@ from lirs_validation.cli.progress import BAD_INPUT, INTERRUPTED, RUN_FAILED, err
 from lirs_validation.cli.typer_options import with_options
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.interrupts import is_interrupt, raise_interrupts
-from lirs_wct.errors import MapperError, WctError
+from lirs_wct.errors import ConfigError, MapperError, WctError
 
 NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Error numbers of a full disk."""
@@ -45,7 +45,6 @@ COMMANDS: Mapping[str, str] = {
     "compare": "reports:compare",
     "score": "reports:score",
     "info": "worlds:info",
-    "view": "worlds:view",
     "gui": "live:gui",
     "mappers": "mappers:mappers",
     "robot": "robot_card:robot",
@@ -58,6 +57,8 @@ COMMANDS: Mapping[str, str] = {
     "doctor": "doctor:doctor",
 }
 """Module and function of each command in `commands`, in order of use."""
+MOVED: Mapping[str, str] = {"view": "info SOURCE -o PICTURE.png"}
+"""New ways of old commands."""
 COMPLETION = "_LIRS_WCT_COMPLETE"
 """Environment variable with which a shell asks for completions."""
 
@@ -88,6 +89,9 @@ def _app_for(arguments: list[str]) -> typer.Typer:
     """Return the program with the command of a command line, or with all of them."""
     if COMPLETION in os.environ:
         return make_app()
+    for old in arguments[:1]:
+        if old in MOVED:
+            raise ConfigError(f"{old}: is now lirs-wct {MOVED[old]}")
     called = [argument for argument in arguments[:1] if argument in COMMANDS]
     return make_app(called) if called else make_app(listed_only=True)
 

@@ -33,8 +33,8 @@ class MapRecord:
         status: `lost` where the mapper lost its place or the scans contradict each other, `incomplete` where
             the trajectory leaves out scans; `reason` says when, and how many.
         log: scans, beams, laser, seconds, distance by odometry, skipped, left_out (scans), late, repaired,
-            inertial_readings, findings (deviations), unfit (the one that spoils a map; empty without), and of the
-            stamps how many went back, were repeated and were moved, and by how much at most.
+            inertial_readings, findings (deviations), unfit (the one that spoils a map; empty without), and of
+            the stamps how many went back, were repeated and were moved, and by how much at most.
         map: cells, resolution, meters, occupied cells, square meters known.
         trajectory: poses, the share of the scans that has one (scan_coverage), and the share that contradicts
             other passes (contradicted; null where not tested).

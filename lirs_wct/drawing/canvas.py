@@ -24,9 +24,8 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 

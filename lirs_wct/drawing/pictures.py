@@ -26,10 +26,8 @@ from lirs_wct.drawing.canvas import (
     title,
 )
 from lirs_wct.drawing.world_view import height_scale, view_figure
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import LaserScan, OccupancyGrid, Trajectory
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Trajectory
-from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
 
 EDGE = 6.0

@@ -38,7 +38,6 @@ from lirs_wct.drawing.canvas import (
     bare_figure,
     fewer_ticks,
     fit_size,
-    headline,
     height_colors,
     legend,
     length,
@@ -93,20 +92,6 @@ def view_figure(world: World) -> Drawing:
     _show_block(axes, block)
     title(axes, titles[1], above_legend=not stacked)
     _height_scale_beside(figure, world.surface, left + oblique.width, top, oblique.height)
-    return figure
-
-
-def oblique_figure(world: World) -> Drawing:
-    """Draw a large oblique view of a world."""
-    block = block_picture(world, width=1700)
-    size = fit_size(block.shape[1] / block.shape[0], Size(WIDTH - RIM - SCALE, TALL))
-    width = max(size.width + RIM + SCALE, WIDTH / 2)
-    text = f"{_wrap(world_title(world), width)}\n{_wrap(_seen_from(world), width)}"
-    head = 2 * RIM + 1.2 * LINE * (text.count("\n") + 1)
-    figure = bare_figure(width, head + max(size.height, LEAST) + RIM)
-    headline(figure, text, y=1 - RIM / figure.get_figheight())
-    _show_block(add_axes(figure, RIM, head, size), block)
-    _height_scale_beside(figure, world.surface, RIM + size.width, head, max(size.height, LEAST))
     return figure
 
 

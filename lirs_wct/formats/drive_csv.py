@@ -14,8 +14,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write, read_gzipped, write_gzipped
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu
+from lirs_wct.geometry import Imu, Pose2
 
 COMMANDS_HEADER = "time,v,omega"
 """Time of the command since the start, seconds; m/s; rad/s."""

@@ -8,9 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose2, Trajectory
-from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
+from lirs_wct.geometry import Imu, ImuReadings, LaserScan, PointCloud, Pose2, Trajectory
 
 
 @dataclass(frozen=True)

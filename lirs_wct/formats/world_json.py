@@ -17,11 +17,10 @@ from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.references import referenced_file
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
-from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 
 SCHEMA = 1

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.navigation.traversability import distance_to
 
 MARGIN = 0.22

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import SourceError
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.kernels import njit
 

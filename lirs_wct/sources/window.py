@@ -9,9 +9,8 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2
 
 Window = tuple[float, float, float]
 """Center x, y and side, meters."""

@@ -1,4 +1,4 @@
-"""Commands about worlds: `build`, `view`, `info`, `convert`."""
+"""Commands about worlds: `build`, `info`, `convert`."""
 
 from __future__ import annotations
 
@@ -72,23 +72,6 @@ def build(
     _say_what_was_built(world, folder, to)
 
 
-def view(
-    source: Source,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="PNG to write; default: NAME-view.png here.")
-    ] = None,
-    oblique: Annotated[bool, typer.Option("--oblique", help="Oblique view only.")] = False,
-    *,
-    options: SourceOptions,
-) -> None:
-    """Draw a picture of any source: hillshade, walls, start poses, and at an angle. No OpenGL needed."""
-    from lirs_wct.sources.build import build_world
-
-    with err.status(f"drawing {source}"):
-        world = build_world(source, options)
-    _draw(world, output or Path(f"{world.name}-view.png"), oblique)
-
-
 def info(
     source: Source,
     output: Annotated[
@@ -102,6 +85,8 @@ def info(
     """Print facts of a world: size, heights, slopes, walls in sight; of a log: rates, frames, faults."""
     from lirs_envs.robots.robot import make_robot
     from lirs_validation.cli.commands.info import facts_table, preflight_table, world_facts
+    from lirs_wct.drawing.world_view import view_figure
+    from lirs_wct.files import atomic_write
     from lirs_wct.sources.build import build_world
     from lirs_wct.sources.source import is_log
 
@@ -119,7 +104,9 @@ def info(
         facts = world_facts(world, robot)
     out.print(facts_table(world, facts))
     if output is not None:
-        _draw(world, output)
+        with atomic_write(output) as path:
+            view_figure(world).savefig(path, format="png")
+        out.print(f"{output}", soft_wrap=True, highlight=False)
 
 
 def convert(
@@ -160,13 +147,3 @@ def _say_what_was_built(world: World, folder: Path, to: str) -> None:
         )
     if not world.spawn_poses:
         out.print("start poses: none, no robot on wheels fits", highlight=False)
-
-
-def _draw(world: World, target: Path, oblique: bool = False) -> None:
-    from lirs_wct.drawing.world_view import oblique_figure, view_figure
-    from lirs_wct.files import atomic_write
-
-    with atomic_write(target) as path:
-        figure = oblique_figure(world) if oblique else view_figure(world)
-        figure.savefig(path, format="png")
-    out.print(f"{target}", soft_wrap=True, highlight=False)

@@ -16,8 +16,7 @@ from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import readable_lines
 from lirs_wct.formats.carmen.lines import LaserConfig, Message
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry import LaserScan, Pose2, Pose3
 
 SICK_INVALID = (81.87, 81.88, 81.89, 81.90, 81.91)
 """Codes of the SICK LMS for "no valid measurement" (dazzled, too noisy), read as NaN, meters."""

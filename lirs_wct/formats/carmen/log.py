@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +19,6 @@ from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, 
 from lirs_wct.formats.carmen.repairs import LEAP, in_file_order, odometry_of
 from lirs_wct.formats.laser_log import LaserLog, LogTopic
 
-DAY = 86_400.0
-"""Largest distance of a sound stamp from the median stamp, seconds."""
-FEW = 0.01
-"""Largest share of stamps that may be damaged; beyond it, all stamps count as sound."""
-REPEATED = "scan that is in the log already"
 REASONS = 5
 """Number of reasons that an error lists."""
 
@@ -52,7 +46,6 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
         raise SourceError(
             f"{path}: no usable laser scan (FLASER, ROBOTLASER1, ...) in this CARMEN log{_reasons(skipped)}"
         )
-    read, odoms = _in_time(_without_repeats(read, skipped), skipped), _in_time(odoms, skipped)
     scans, odoms, stamps = in_file_order(read, odoms)
     if back := int((np.diff(stamps.logged) < -LEAP).sum()):
         what = f"its clock goes back {back} times by more than {LEAP:g} s: its times are wrong"
@@ -75,7 +68,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
         repaired=dict(repaired),
         laser=laser,
         topics=(LogTopic(laser, (), np.array([m.stamp for m in read]), np.empty(0)),),
-        left_out=len(lines[laser]) - skipped[REPEATED] - len(found),
+        left_out=len(lines[laser]) - len(found),
     )
 
 
@@ -104,31 +97,9 @@ def _of_one_size(name: str, messages: list[Message], skipped: Counter[str]) -> l
     return [m for m in messages if len(m.ranges) == usual]
 
 
-def _in_time(messages: list[Message], skipped: Counter[str]) -> list[Message]:
-    """Drop the few messages whose stamps are more than a day from the median."""
-    if not messages:
-        return messages
-    stamps = np.array([m.stamp for m in messages])
-    away = np.abs(stamps - np.median(stamps)) > DAY
-    if not 0 < away.mean() <= FEW:
-        return messages
-    skipped["stamp more than a day from the others"] += int(away.sum())
-    return [m for m, far in zip(messages, away.tolist(), strict=True) if not far]
-
-
 def _late(stamps: FloatArray) -> int:
     """Count the lines whose stamp is before that of an earlier line."""
     return int((stamps < np.maximum.accumulate(stamps)).sum())
-
-
-def _without_repeats(messages: Sequence[Message], skipped: Counter[str]) -> list[Message]:
-    """Drop repeated scans: same stamp, ranges and poses."""
-    first: dict[tuple[object, ...], Message] = {}
-    for message in messages:
-        first.setdefault((message.stamp, message.base, message.laser, message.ranges.tobytes()), message)
-    if len(first) < len(messages):
-        skipped[REPEATED] += len(messages) - len(first)
-    return list(first.values())
 
 
 def _reasons(skipped: Counter[str]) -> str:

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import Float32Array, IntArray
 from lirs_wct.files import write_gzipped
 from lirs_wct.formats.carmen.laser import mount_comment
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry import LaserScan, Pose2
 
 INVALID = 81.91
 """Code of an invalid measurement, meters."""

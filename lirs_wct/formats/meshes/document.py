@@ -73,6 +73,8 @@ def numbers(text: str | bytes, kind: type[np.number[Any]]) -> NDArray[Any]:
     Raises:
         ValueError: a word is no number.
     """
+    if not text.strip():
+        return np.empty(0, kind)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         try:

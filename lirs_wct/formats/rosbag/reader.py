@@ -34,8 +34,7 @@ from lirs_wct.formats.rosbag.sensor_messages import (
 )
 from lirs_wct.formats.rosbag.topics import TRANSFORMS, Topics, of_kinds, of_robot
 from lirs_wct.formats.suffixes import Clock
-from lirs_wct.geometry.pose import Pose3, Trajectory
-from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
+from lirs_wct.geometry import Imu, ImuReadings, LaserScan, Pose3, Trajectory
 
 Vector = tuple[float, float, float]
 

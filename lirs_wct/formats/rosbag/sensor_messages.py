@@ -17,8 +17,7 @@ from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.formats.carmen.laser import CODE_BEAMS, CODE_SHARE, no_return, usual_reading
 from lirs_wct.formats.rosbag.frames import seconds
 from lirs_wct.formats.rosbag.open_bag import open_bag
-from lirs_wct.geometry.cloud import PointCloud
-from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry import PointCloud, Pose3
 from lirs_wct.geometry.scan import FARTHEST
 
 SAME_ANGLE = 1e-4

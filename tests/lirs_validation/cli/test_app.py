@@ -82,11 +82,16 @@ def test_build_spares_a_folder_that_is_not_its_own(files: Path, wct: Any) -> Non
 
 
 @pytest.mark.slow
-def test_view_draws_any_source_beside_it(files: Path, wct: Any) -> None:
+def test_info_draws_any_source(files: Path, wct: Any) -> None:
     before = (files / "good.png").read_bytes()
-    assert wct("view", "good.png")[0] == 0
+    assert wct("info", "good.png", "-o", "good-view.png")[0] == 0
     assert cv2.imread(str(files / "good-view.png")) is not None
     assert (files / "good.png").read_bytes() == before
+
+
+def test_an_old_command_names_the_new_way(wct: Any) -> None:
+    code, _, err = wct("view", "good.png")
+    assert (code, err.strip()) == (2, "lirs-wct: view: is now lirs-wct info SOURCE -o PICTURE.png")
 
 
 def test_no_command_shows_the_help_and_nothing_else(wct: Any) -> None:

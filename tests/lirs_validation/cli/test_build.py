@@ -181,7 +181,7 @@ def test_options_without_effect_are_told(folder: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("command", ["build", "info", pytest.param("view", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("command", ["build", "info"])
 def test_a_window_beyond_the_world_is_told_by_every_command(
     command: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

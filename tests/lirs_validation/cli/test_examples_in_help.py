@@ -33,7 +33,7 @@ def test_each_example_stands_on_a_line_of_the_help_and_its_parser_takes_it(name:
 
 
 def test_an_option_that_is_none_would_be_noticed() -> None:
-    with pytest.raises(typer.exceptions.TyperException), COMMANDS["view"].make_context("view", ["a", "--b"]):
+    with pytest.raises(typer.exceptions.TyperException), COMMANDS["info"].make_context("info", ["a", "--b"]):
         pass
 
 

@@ -68,7 +68,7 @@ def test_commands_are_listed_in_order_of_use() -> None:
         ("validate medium --attitude n", ["none"]),
         ("validate me", ["medium"]),
         ("build adv", ["advanced"]),
-        ("view worlds/ha", ["worlds/hall"]),
+        ("info worlds/ha", ["worlds/hall"]),
         ("map log.clf --second no", ["none"]),
         ("val", ["validate"]),
     ],

@@ -100,13 +100,6 @@ def resting(lines: list[str]) -> Pose2:
     return Pose2(x, y, yaw)
 
 
-@pytest.mark.slow
-def test_view_takes_logs(folder: Path) -> None:
-    assert run_command("view", "my room.clf", "-o", "pictures/room.png", "--mapper", "hector") == 0
-    assert (folder / "pictures" / "room.png").is_file()
-    assert len(maps(folder / "pictures")) == 1
-
-
 def test_info_of_a_log_maps_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = sorted(folder.rglob("*"))
     assert run_command("info", "my room.clf", "--range-max", "9") == 0

@@ -9,7 +9,7 @@ import trimesh
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from lirs_wct.drawing.canvas import Drawing
-from lirs_wct.drawing.world_view import oblique_figure, view_figure
+from lirs_wct.drawing.world_view import view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -76,10 +76,9 @@ FAST = ("tower", "wide terrain", "wide map")
 )
 def test_nothing_leaves_the_figure_and_panels_stay_apart(name: str) -> None:
     world = WORLDS[name]()
-    canvas, alone = drawn(view_figure(world)), drawn(oblique_figure(world))
-    for each in (canvas, alone):
-        assert min(margins(each)) >= 0.0
-        assert max(each.figure.get_size_inches()) <= 13.0
+    canvas = drawn(view_figure(world))
+    assert min(margins(canvas)) >= 0.0
+    assert max(canvas.figure.get_size_inches()) <= 13.0
     above, oblique = canvas.figure.axes[:2]
     box, (width, depth) = above.get_window_extent(), world.surface.size
     assert box.width / box.height == pytest.approx(width / depth, rel=0.12)
