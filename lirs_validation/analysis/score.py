@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from lirs_validation.metrics.alignment import (
     MAX_GAP,
     StartAlignment,
     associated,
+    nearest,
     rigid_alignment,
     start_alignment,
 )
@@ -44,12 +46,16 @@ TOLD_APART = 0.2
 SAME_RESOLUTION = 1e-6
 SAME = 1e-3
 """Poses within this time of a scan are of the scan, seconds."""
-GAP = 1.5
-"""Largest distance of two poses between which a scan's pose is interpolated, in periods of the scans."""
+GAP, KEYFRAME_GAP = 1.5, 2.0
+"""Largest distance of two poses between which a scan's pose is interpolated, in periods of the scans, or
+seconds if that is more."""
+UPRIGHT, SPREAD = math.cos(math.radians(45)), 0.05
+"""Least vertical part of an upright z axis, and least ratio of a path's width to its length by which a fit in
+space finds the axes."""
 STEP, WINDOW = 0.05, 0.5
 """Sampling of the motion, and time over which a speed and a turn are measured, seconds."""
-OVERLAP = 0.5
-"""Least share of the shorter trajectory that lies within the other."""
+OVERLAP, LEAST_COMMON = 0.5, 3.0
+"""Least share of the shorter trajectory that lies within the other, and least time, seconds."""
 CLEAR = 0.5
 """Least correlation of the motions at the right offset."""
 
@@ -107,8 +113,8 @@ def score(
 
     Args:
         run: the run.
-        trajectory: TUM file or ROS bag, poses of base_link. Poses of another rate are interpolated at the
-            scans.
+        trajectory: TUM, EuRoC or KITTI file, or ROS bag, poses of base_link. Poses of another rate, and
+            keyframes at most 2 s apart, are interpolated at the scans. Axes of a camera are turned.
         topic: of a bag: where its poses are; None = transforms from map to base_link, else the only topic.
         map_yaml: ROS map.
         frame: of both: `map`, whose origin is the first base pose; `world`, as the run's own files; `auto`:
@@ -123,10 +129,12 @@ def score(
     truth = recorded_truth(run.folder)
     estimate, given, offset = None, 0, 0.0
     if trajectory is not None:
-        read = read_trajectory(trajectory, topic)
+        read = read_trajectory(trajectory, topic, scans=truth.stamps)
         given, offset = len(read), _offset(trajectory, truth, read, time_offset)
         estimate = interpolate_poses(replace(read, stamps=read.stamps + offset), truth.stamps)
         _check_stamps(trajectory, estimate, truth)
+        if frame in ("auto", "align") and (turned := _upright(trajectory, estimate, truth)):
+            estimate, frame = turned, "align"
         frame = frame_of(trajectory, estimate, truth, frame)
     if frame == "auto":
         frame = "map" if map_yaml is None else frame_of_map(run, map_yaml, truth)
@@ -216,6 +224,41 @@ def frame_of(
         f"{path}: another frame: at {estimate.stamps[j[0]]:.2f} s it begins at {_pose_text(first)}, where "
         f"the run was at {places}; the map frame's origin is the first base pose; {hint}"
     )
+
+
+def _upright(path: Path, estimate: Trajectory, truth: Trajectory) -> Trajectory | None:
+    """Return an estimate in a frame with z up; None if it has one, or its path does not tell.
+
+    The axes follow from the best fit in space. Those of the body count as named like those of the frame, as
+    in the trajectories of cameras.
+    """
+    i, j = associated(truth.stamps, estimate.stamps)
+    true, found = (t.positions[k] - t.positions[k].mean(axis=0) for t, k in ((truth, i), (estimate, j)))
+    spread = np.linalg.svd(found, compute_uv=False)
+    if len(i) < 3 or spread[1] < SPREAD * spread[0]:
+        return None
+    turn, _ = Rotation.align_vectors(true, found)
+    up = turn.inv().apply((0.0, 0.0, 1.0))
+    if up[2] > UPRIGHT:
+        return None
+    z, heading = _main_axis(up), truth.pose2(int(i[0])).yaw
+    x = _main_axis((1 - np.abs(z)) * turn.inv().apply((math.cos(heading), math.sin(heading), 0.0)))
+    names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (x, z)]
+    warnings.warn(
+        f"{path}: its axes are {names[0]} ahead, {names[1]} up: moved to the best fit", stacklevel=2
+    )
+    body = Rotation.from_matrix(np.column_stack((x, np.cross(z, x), z)))
+    turned = turn * Rotation.from_quat(estimate.quaternions, scalar_first=True) * body
+    positions = turn.apply(estimate.positions)
+    return Trajectory(estimate.stamps, positions, turned.as_quat(scalar_first=True))
+
+
+def _main_axis(direction: FloatArray) -> FloatArray:
+    """Return the coordinate axis nearest to a direction (3,), with its sign."""
+    axis = np.zeros(3)
+    k = int(np.argmax(np.abs(direction)))
+    axis[k] = np.sign(direction[k])
+    return axis
 
 
 def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map", "world"]:
@@ -308,27 +351,21 @@ def interpolate_poses(trajectory: Trajectory, stamps: FloatArray) -> Trajectory:
     """Return the poses at the stamps of scans (n,).
 
     Stamps whose neighboring poses are too far apart are left out. A trajectory is returned as it is if all
-    its poses have a scan, or most are too far apart.
+    scans have a pose, or most poses are too far apart.
     """
-    most = GAP * float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    gaps = np.diff(trajectory.stamps)
-    if not len(gaps) or np.median(gaps) > most or _have_scans(trajectory.stamps, stamps):
+    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    most, gaps = max(GAP * period, KEYFRAME_GAP), np.diff(trajectory.stamps)
+    own = np.abs(trajectory.stamps[nearest(trajectory.stamps, stamps)] - stamps) <= SAME
+    if not len(gaps) or np.median(gaps) > most or own.all():
         return trajectory
-    after = np.searchsorted(trajectory.stamps, stamps)
-    inside = (after > 0) & (after < len(trajectory))
-    known = stamps[inside][gaps[after[inside] - 1] <= most]
+    after = np.clip(np.searchsorted(trajectory.stamps, stamps), 1, len(gaps))
+    inside = (stamps >= trajectory.stamps[0]) & (stamps <= trajectory.stamps[-1])
+    known = stamps[inside & (own | (gaps[after - 1] <= most))]
     if not len(known):
         return trajectory
     columns = [np.interp(known, trajectory.stamps, column) for column in trajectory.positions.T]
     turns = Slerp(trajectory.stamps, Rotation.from_quat(trajectory.quaternions, scalar_first=True))
     return Trajectory(known, np.column_stack(columns), turns(known).as_quat(scalar_first=True))
-
-
-def _have_scans(poses: FloatArray, scans: FloatArray) -> bool:
-    """Return whether every pose has the stamp of a scan."""
-    near = np.clip(np.searchsorted(scans, poses), 1, len(scans) - 1)
-    distance = np.minimum(np.abs(scans[near] - poses), np.abs(scans[near - 1] - poses))
-    return bool((distance <= SAME).all())
 
 
 def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
@@ -342,13 +379,13 @@ def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
     """
     start = float(truth.stamps[0] - estimate.stamps[0])
     true, found = (_motion(t, np.arange(*_span(t), STEP)) for t in (truth, estimate))
-    if min(len(true), len(found)) < 2 or not (true.std(axis=0) > 0).all():
+    if min(len(true), len(found)) * STEP < LEAST_COMMON or not (true.std(axis=0) > 0).all():
         raise SourceError("too short to find its time offset: give it in seconds")
     a, b = ((m - m.mean(axis=0)) / np.maximum(m.std(axis=0), 1e-9) for m in (true, found))
     lags = correlation_lags(len(a), len(b))
     common = correlate(np.ones(len(a)), np.ones(len(b)))
     total = sum(correlate(a[:, k], b[:, k]) for k in range(2)) / (2 * np.maximum(common, 1))
-    total[common < OVERLAP * min(len(a), len(b))] = -1
+    total[common < max(OVERLAP * min(len(a), len(b)), LEAST_COMMON / STEP)] = -1
     best = int(np.argmax(total))
     if total[best] < CLEAR:
         raise SourceError(
@@ -369,10 +406,17 @@ def _span(trajectory: Trajectory) -> tuple[float, float]:
 
 
 def _motion(trajectory: Trajectory, stamps: FloatArray) -> FloatArray:
-    """Return (n, 2) distance and turn within a window around each stamp, meters and radians."""
-    before, after = (trajectory.planar_at(stamps + shift) for shift in (-WINDOW / 2, WINDOW / 2))
-    step = after - before
-    return np.column_stack((np.hypot(step[:, 0], step[:, 1]), step[:, 2]))
+    """Return (n, 2) distance and angle within a window around each stamp, meters and radians.
+
+    Both are the same in any frame, also in that of a camera.
+    """
+    turns = Slerp(trajectory.stamps, Rotation.from_quat(trajectory.quaternions, scalar_first=True))
+    ends = [np.clip(stamps + shift, *trajectory.stamps[[0, -1]]) for shift in (-WINDOW / 2, WINDOW / 2)]
+    before, after = (
+        np.column_stack([np.interp(t, trajectory.stamps, c) for c in trajectory.positions.T]) for t in ends
+    )
+    angle = (turns(ends[0]).inv() * turns(ends[1])).magnitude()
+    return np.column_stack((np.linalg.norm(after - before, axis=1), angle))
 
 
 def _difference(truth: Trajectory, estimate: Trajectory, offset: float) -> float:

@@ -5,6 +5,7 @@ A log that is a source of worlds is mapped once; later worlds are built from its
 
 from __future__ import annotations
 
+import codecs
 import hashlib
 import json
 import math
@@ -41,6 +42,7 @@ from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsiste
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.provenance import is_stale
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
+from lirs_wct.arrays import FloatArray
 from lirs_wct.files import atomic_folder, atomic_write, check_writable, readable_lines
 from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
@@ -48,7 +50,7 @@ from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.topics import ANY
 from lirs_wct.formats.suffixes import METADATA, is_bag_file
-from lirs_wct.formats.tum import read_tum, write_tum
+from lirs_wct.formats.tum import read_poses_of, write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
@@ -332,8 +334,10 @@ def _measure_time(seconds: dict[str, float], name: str) -> Iterator[None]:
     seconds[name] = time.perf_counter() - begun
 
 
-def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic") -> Trajectory:
-    """Read a trajectory from a TUM file or a bag.
+def read_trajectory(
+    path: Path, topic: str | None = None, flag: str = "--topic", scans: FloatArray | None = None
+) -> Trajectory:
+    """Read a trajectory from a TUM, EuRoC or KITTI file, or a bag.
 
     A bag holds transforms from map to base_link, or a topic of poses.
 
@@ -341,6 +345,7 @@ def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic")
         path: of file or bag.
         topic: of a bag, which holds the poses; None = see `read_poses`.
         flag: option of the topic, for messages.
+        scans: (n,) Stamps of the scans, seconds, which a KITTI file lacks.
 
     Raises:
         SourceError: it is neither, or has no such topic, or holds no poses.
@@ -352,13 +357,13 @@ def read_trajectory(path: Path, topic: str | None = None, flag: str = "--topic")
         return read_poses(path, topic, flag)
     if topic is not None:
         raise ConfigError(f"{path}: {flag} can be given for a ROS bag only, this is none")
-    return read_tum(path)
+    return read_poses_of(path, scans)
 
 
 def read_reference(path: Path, topic: str | None = None) -> Trajectory:
     """Read a reference trajectory.
 
-    The file is a TUM file, a bag, or a CARMEN log with corrected poses (as of a pose graph's nodes).
+    The file is a TUM or EuRoC file, a bag, or a CARMEN log with corrected poses (as of a pose graph's nodes).
 
     Raises:
         SourceError: it is none of these, or holds no poses.
@@ -367,7 +372,7 @@ def read_reference(path: Path, topic: str | None = None) -> Trajectory:
     if is_bag(path) or topic is not None:
         return read_trajectory(path, topic, "--reference-topic")
     if _begins_with_a_number(path):
-        return read_tum(path)
+        return read_poses_of(path)
     track = read_carmen(path).track
     if len(track) == 0:
         raise SourceError(f"{path}: holds no poses that change, a reference trajectory does")
@@ -377,7 +382,7 @@ def read_reference(path: Path, topic: str | None = None) -> Trajectory:
 def _begins_with_a_number(path: Path) -> bool:
     """Return whether a file begins with a number, after comments."""
     for line in readable_lines(path):
-        tokens = line.split(None, 1)
+        tokens = line.removeprefix(codecs.BOM_UTF8).replace(b",", b" ").split(None, 1)
         if tokens and not tokens[0].startswith(b"#"):
             try:
                 float(tokens[0])

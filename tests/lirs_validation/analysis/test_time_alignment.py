@@ -61,8 +61,11 @@ def test_poses_of_another_rate_are_interpolated() -> None:
     assert len(found) == pytest.approx(580, abs=1)
     same = truth.planar_at(found.stamps)
     np.testing.assert_allclose(found.planar_at(found.stamps), same, atol=2e-3)
-    thinned = drive(scans[::3])
-    assert interpolate_poses(thinned, scans) is thinned
+    keyframes = interpolate_poses(drive(scans[::3]), scans)
+    np.testing.assert_array_equal(keyframes.stamps, scans[:598])
+    np.testing.assert_allclose(keyframes.xy, truth.xy[:598], atol=5e-3)
+    sparse = drive(scans[::25])
+    assert interpolate_poses(sparse, scans) is sparse
     gap = np.concatenate((np.arange(0.03, 20, 1 / 30), np.arange(30, 58, 1 / 30)))
     kept = interpolate_poses(drive(gap), scans).stamps
     assert not ((kept > 20.1) & (kept < 29.9)).any()
