@@ -180,7 +180,7 @@ class RunConfig(Options):
     robot: str = option("husky", "Robots.", axis=read_names, metavar="R,R,...", panel=AXES, names=_robots)
     mapper: str = option(
         "hector",
-        "SLAM methods (lirs-wct mappers lists them); module:Class for your own.",
+        "SLAM methods (lirs-wct mappers lists them); module:Class or file.py:Class for your own.",
         axis=read_names,
         metavar="M,M,...",
         panel=AXES,

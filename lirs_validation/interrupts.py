@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from types import FrameType
 
 CALLBACK, LATER = "_raw_object_cache", 0.05
@@ -36,7 +38,22 @@ def end_with(parent: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _interrupt)  # a mapper's own `sys.exit` ends nothing but its run
+    if sys.platform != "win32":
+        os.register_at_fork(after_in_child=_handle_as_usual)
     threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
+
+
+def _handle_as_usual() -> None:
+    """Handle signals as Python does: a pool of processes ends its own by SIGTERM."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def end_group(leader: int) -> None:
+    """Kill the processes that the leader of a group left behind."""
+    if sys.platform != "win32":
+        with suppress(OSError):  # there are none
+            os.killpg(leader, signal.SIGKILL)
 
 
 def raise_interrupts() -> None:
@@ -59,4 +76,6 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 def _die_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(1.0)
+    if sys.platform != "win32" and os.getpgrp() == os.getpid():
+        end_group(os.getpid())
     os._exit(1)

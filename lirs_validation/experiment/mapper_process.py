@@ -22,7 +22,7 @@ from weakref import finalize
 from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
 from lirs_validation.experiment.mapper_loading import MapperSpec, interpreter_of, mapper_named, warm_up_mapper
 from lirs_validation.experiment.mapper_under_test import METHODS, Estimate, MapperUnderTest, SensorReadings
-from lirs_validation.interrupts import end_with
+from lirs_validation.interrupts import end_group, end_with
 from lirs_wct.errors import MapperError, WctError
 from slam_baselines.mapper import CLOUD_MAPPERS
 
@@ -211,17 +211,17 @@ def _start_process(far: Connection, python: str | None, errors: IO[bytes] | None
 
 
 def _end(process: subprocess.Popen[bytes], pipe: Connection) -> None:
-    """End a process.
+    """End a process and those that it started.
 
     An idle one ends by itself; a working one is interrupted, and killed in the end.
     """
     pipe.close()
-    for end, patience in ((process.terminate, IDLE_END), (process.kill, PATIENCE)):
+    for end, patience in ((process.terminate, IDLE_END), (process.kill, PATIENCE), (lambda: None, None)):
         with suppress(subprocess.TimeoutExpired):
             process.wait(patience)
-            return
+            break
         end()
-    process.wait()
+    end_group(process.pid)
 
 
 def serve(handle: int, parent: int) -> None:

@@ -1,4 +1,4 @@
-"""Loading of the user's own classes, named as `module:name`."""
+"""Loading of the user's own classes, named as `module:name` or `file.py:name`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from importlib.machinery import PathFinder
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,19 +32,19 @@ def importable(folder: Path) -> Iterator[None]:
 
 
 def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
-    """Return the class or function that `module:name` names.
+    """Return the class or function that `module:name` or `file.py:name` names.
 
-    The module is looked for in the current folder too, which is on `sys.path` only while it is imported.
+    A module is looked for in the current folder too, which is on `sys.path` only while it is imported.
 
     Args:
-        name: `module:name`.
+        name: `module:name` or `file.py:name`.
         what: kind of the made object, such as "mapper".
         method: of the made object; if the name is unknown, the error lists classes with this method.
 
     Raises:
         ConfigError: the module cannot be imported, or has nothing of that name that can be called.
     """
-    module_name, _, attribute = name.partition(":")
+    module_name, _, attribute = name.rpartition(":")
     module = _module(module_name, name, what)
     found: Any = getattr(module, attribute, None)
     if callable(found):
@@ -75,6 +76,8 @@ def own_source_file(name: str) -> Path | None:
     if ":" not in name:
         return None
     folders, found = [str(Path.cwd()), *sys.path], None
+    if (file := name.rpartition(":")[0]).endswith(".py"):
+        return Path(file)
     for part in name.partition(":")[0].split("."):
         found = PathFinder.find_spec(part, folders)
         if found is None:
@@ -96,11 +99,26 @@ def keywords_taken(maker: Callable[..., Any], offered: Mapping[str, Any]) -> dic
     return {key: value for key, value in offered.items() if key in names}
 
 
+def _module_of_file(file: Path) -> ModuleType:
+    """Import a file under its stem; it may import its neighbors."""
+    spec = spec_from_file_location(file.stem, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[file.stem] = module_from_spec(spec)
+    with importable(file.resolve().parent):
+        spec.loader.exec_module(module)
+    return module
+
+
 def _module(module: str, name: str, what: str) -> ModuleType:
     here = Path.cwd()
     try:
+        if module.endswith(".py"):
+            return _module_of_file(Path(module))
         with importable(here):
             return importlib.import_module(module)
+    except FileNotFoundError as error:
+        raise ConfigError(f"{what} {name!r}: {module}: no such file") from error
     except ModuleNotFoundError as error:
         if error.name is not None and (module == error.name or module.startswith(f"{error.name}.")):
             raise ConfigError(

@@ -1,7 +1,9 @@
 """Mappers as users may write them: one that works, and some that do what no mapper may."""
 
+import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import time
 import warnings
@@ -48,6 +50,22 @@ class Slow(Own):
     def update(self, scan: Any, odometry: Any, imu: Any) -> Pose2:
         time.sleep(0.002)  # the simulation gets ahead
         return super().update(scan, odometry, imu)
+
+
+class Pooled(Own):
+    def act(self, scan: Any, odometry: Any, imu: Any) -> None:
+        with multiprocessing.get_context("fork").Pool(2) as pool:
+            pool.map(abs, [1, 2])
+
+
+class LeavesChild(Own):
+    """Starts a process and leaves it; its number is the map's first value."""
+
+    def act(self, scan: Any, odometry: Any, imu: Any) -> None:
+        self.child = subprocess.Popen(["sleep", "1000"]).pid
+
+    def map(self) -> OccupancyGrid:
+        return OccupancyGrid(np.full((8, 8), self.child, np.float32), 0.05, Pose2())
 
 
 class Still:

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
@@ -9,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,12 +20,13 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, validate
 from lirs_validation.experiment.evaluation import evaluate_rtf
 from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.mapper_loading import mapper_named, source_file
 from lirs_validation.experiment.mapper_process import MapperProcess
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
 from lirs_validation.experiment.run import prepare
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.scan import LaserScan
 from tests.lirs_validation.experiment.mapper_processes import mapper_processes
 
 MADE = """
@@ -237,3 +240,41 @@ def test_two_processes_at_a_time_in_one_program(observations: list[Observation])
     for thread in threads:
         thread.join()
     assert told == [20, 20]
+
+
+def observed(mapper: str) -> MapperProcess:
+    """Return a mapper's process after the scan at which it acts."""
+    process = MapperProcess(config(mapper))
+    process.wait_until_ready()
+    scan = LaserScan(np.ones(9, np.float32), -0.4, 0.1, 0.1, 9.0, 0.0)
+    for k in range(6):
+        process.observe(SensorReadings(replace(scan, stamp=0.1 * k), Pose2(0.1 * k), None))
+    return process
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no fork")
+def test_a_mapper_may_use_a_pool_of_processes() -> None:
+    with closing(observed("own_mappers:Pooled")) as process:
+        assert process.stats.received == 6
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no process groups")
+def test_what_a_mapper_leaves_behind_ends_with_it() -> None:
+    with closing(observed("own_mappers:LeavesChild")) as process:
+        child = int(process.map().log_odds[0, 0])
+        assert not gone(child)
+    until(lambda: gone(child), 5.0)
+
+
+def test_a_mapper_may_be_named_by_its_file(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    (folder / "their_own.py").write_text("from helper_of_mine import Own\n\n\nclass Theirs(Own): ...\n")
+    shutil.copy(Path(__file__).parent / "own_mappers.py", folder / "helper_of_mine.py")
+    with closing(observed("mine/their_own.py:Theirs")) as process:
+        assert process.stats.received == 6
+    assert source_file("mine/their_own.py:Theirs") == Path("mine/their_own.py")
+    with pytest.raises(ConfigError, match=r"mine/none\.py:Theirs'.*: mine/none\.py: no such file"):
+        mapper_named("mine/none.py:Theirs", 1)
+    with pytest.raises(ConfigError, match="their_own has no class 'Other'; classes with update: Own, Theirs"):
+        mapper_named("mine/their_own.py:Other", 1)
