@@ -210,10 +210,6 @@ class RandomProposer:
 class CmaProposer:
     """CMA-ES with restarts.
 
-    Args:
-        limits: of the parameters.
-        rng: of all random numbers.
-
     Raises:
         ConfigError: the package `cma` is not installed.
     """

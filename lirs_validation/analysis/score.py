@@ -227,9 +227,9 @@ def frame_of(
 
 
 def _upright(path: Path, estimate: Trajectory, truth: Trajectory) -> Trajectory | None:
-    """Return an estimate in a frame with z up; None if it has one, or its path does not tell.
+    """Return an estimate turned to z up; None if it is upright already.
 
-    The axes follow from the best fit in space. Those of the body count as named like those of the frame, as
+    The axes follow from the best fit in space, which a straight path does not have. Those of the body count as named like those of the frame, as
     in the trajectories of cameras.
     """
     i, j = associated(truth.stamps, estimate.stamps)

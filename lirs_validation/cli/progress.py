@@ -89,12 +89,7 @@ def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> 
 
 
 class ProgressLines:
-    """Lines of progress in a log file; none in a terminal, which has the bar.
-
-    Args:
-        console: that the lines are written to.
-        clock: seconds that pass.
-    """
+    """Lines of progress in a log file; none in a terminal, which has the bar."""
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console, self._clock = console, clock

@@ -49,11 +49,7 @@ class Driver(Protocol):
 
 
 class WrappedDriver:
-    """Base of drivers around another one, with its start, frame and end.
-
-    Args:
-        driver: the other one.
-    """
+    """Base of drivers around another one, with its start, frame and end."""
 
     def __init__(self, driver: Driver) -> None:
         self._driver = driver

@@ -182,14 +182,7 @@ class Bridge:
 
 
 class ClientMapper(MapperUnderTest):
-    """The client as the mapper of a drive, by its transforms and its /map.
-
-    Args:
-        bridge: to the client.
-        name: of the client.
-        reads_clouds: whether the lidar has rings; then poses are in space, and clouds make the map.
-        T_start_map: client's map frame in the frame of the start pose; identity if its map begins there.
-    """
+    """The client as the mapper of a drive, by its transforms and its /map."""
 
     def __init__(self, bridge: Bridge, name: str, *, reads_clouds: bool, T_start_map: Pose2) -> None:
         self.name, self.reads_clouds, self.requires_odometry = name, reads_clouds, False

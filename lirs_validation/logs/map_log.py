@@ -50,7 +50,7 @@ from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.topics import ANY
 from lirs_wct.formats.suffixes import METADATA, is_bag_file
-from lirs_wct.formats.tum import read_poses_of, write_tum
+from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
@@ -357,7 +357,7 @@ def read_trajectory(
         return read_poses(path, topic, flag)
     if topic is not None:
         raise ConfigError(f"{path}: {flag} can be given for a ROS bag only, this is none")
-    return read_poses_of(path, scans)
+    return read_tum(path, scans)
 
 
 def read_reference(path: Path, topic: str | None = None) -> Trajectory:
@@ -372,7 +372,7 @@ def read_reference(path: Path, topic: str | None = None) -> Trajectory:
     if is_bag(path) or topic is not None:
         return read_trajectory(path, topic, "--reference-topic")
     if _begins_with_a_number(path):
-        return read_poses_of(path)
+        return read_tum(path)
     track = read_carmen(path).track
     if len(track) == 0:
         raise SourceError(f"{path}: holds no poses that change, a reference trajectory does")

@@ -32,7 +32,7 @@ SHAKY = 0.05
 
 
 @dataclass(frozen=True)
-class Finding:
+class Deviation:
     """Deviation of a log.
 
     Attributes:
@@ -60,12 +60,12 @@ class Preflight:
     """
 
     facts: tuple[tuple[str, str], ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[Deviation, ...]
     repairs: tuple[str, ...]
 
     @property
     def unfit(self) -> str:
-        """First reason why a map of the log will be wrong, with its remedy; empty without one."""
+        """First reason why a map will be wrong, with its remedy; else empty."""
         return next((str(finding) for finding in self.findings if finding.unfit), "")
 
     @property
@@ -138,16 +138,16 @@ def _common(a: LogTopic, b: LogTopic) -> float:
     return float(min(a.stamps.max(), b.stamps.max()) - max(a.stamps.min(), b.stamps.min()))
 
 
-def _pauses(log: LaserLog) -> Iterator[Finding]:
+def _pauses(log: LaserLog) -> Iterator[Deviation]:
     for topic in log.topics:
         steps = np.diff(topic.stamps)
         usual = float(np.median(steps)) if len(steps) else 0.0
         long = steps[steps > max(PAUSE, PERIODS * usual)]
         if len(long):
-            yield Finding(f"{topic.name} has pauses of up to {long.max():.1f} s: {len(long)}")
+            yield Deviation(f"{topic.name} has pauses of up to {long.max():.1f} s: {len(long)}")
 
 
-def _clock_faults(log: LaserLog) -> Iterator[Finding]:
+def _clock_faults(log: LaserLog) -> Iterator[Deviation]:
     """Yield clocks that differ, and odometry that does not span the scans."""
     if len(log.topics) < 2 or not len(log.track):
         return
@@ -156,53 +156,55 @@ def _clock_faults(log: LaserLog) -> Iterator[Finding]:
     if lags[0] is not None and lags[1] is not None and abs(lags[0] - lags[1]) > LAG:
         apart = f"{abs(lags[0] - lags[1]):.2f} s"
         older, other = (scans, odometry) if lags[0] > lags[1] else (odometry, scans)
-        yield Finding(
+        yield Deviation(
             f"stamps of {older.name} are {apart} older than those of {other.name}", "--time receive", True
         )
     begin, end = odometry.stamps.min() - scans.stamps.min(), scans.stamps.max() - odometry.stamps.max()
     if begin > LATE:
-        yield Finding(f"odometry begins {begin:.1f} s after the scans: those before it are left out")
+        yield Deviation(f"odometry begins {begin:.1f} s after the scans: those before it are left out")
     if end > LATE:
-        yield Finding(f"odometry ends {end:.1f} s before the scans: those after it are left out")
+        yield Deviation(f"odometry ends {end:.1f} s before the scans: those after it are left out")
 
 
-def _odometry_faults(log: LaserLog) -> Iterator[Finding]:
+def _odometry_faults(log: LaserLog) -> Iterator[Deviation]:
     if not len(log.track):
         what = "no odometry, or one that never changes"
-        yield Finding(what, "--mapper hector maps without")
+        yield Deviation(what, "--mapper hector maps without")
         return
     steps = np.linalg.norm(np.diff(log.track.xy, axis=0), axis=1)
     jumps = steps[steps > np.maximum(JUMP, FAST * np.diff(log.track.stamps))]
     if len(jumps):
-        yield Finding(f"odometry has jumps of up to {jumps.max():.1f} m: {len(jumps)}", unfit=True)
+        yield Deviation(f"odometry has jumps of up to {jumps.max():.1f} m: {len(jumps)}", unfit=True)
 
 
-def _scan_faults(log: LaserLog) -> Iterator[Finding]:
+def _scan_faults(log: LaserLog) -> Iterator[Deviation]:
     if not log.scans:
         return
     up = np.array([scan.T_base_laser.rotation[2, 2] for scan in log.scans])
     tilt = float(np.degrees(np.median(np.arccos(np.clip(np.abs(up), 0.0, 1.0)))))
     if tilt > np.degrees(TILTED):
-        yield Finding(
+        yield Deviation(
             f"the transforms mount the laser at {tilt:.0f} deg to the ground",
             "--scan-topic of a level laser",
             True,
         )
     seeing = np.mean([scan.hits.sum() >= FEW_RETURNS for scan in log.scans])
     if seeing < SEEING:
-        yield Finding(
+        yield Deviation(
             f"{100 * (1 - seeing):.0f} % of the scans have fewer than {FEW_RETURNS} returns", unfit=True
         )
 
 
-def _inertial_faults(log: LaserLog) -> Iterator[Finding]:
+def _inertial_faults(log: LaserLog) -> Iterator[Deviation]:
     gyro = _gyro_at_rest(log)
     if gyro is not None and max(gyro) > SHAKY:
-        yield Finding(f"the gyroscope at rest shows {gyro[1]:.3f} rad/s with a noise of {gyro[0]:.3f} rad/s")
+        yield Deviation(
+            f"the gyroscope at rest shows {gyro[1]:.3f} rad/s with a noise of {gyro[0]:.3f} rad/s"
+        )
 
 
 def _gyro_at_rest(log: LaserLog) -> tuple[float, float] | None:
-    """Return noise and mean of the gyroscope while the odometry rests, rad/s; None without such readings."""
+    """Return noise and mean of the gyroscope at rest, rad/s; None without readings."""
     if log.inertial is None or len(log.track) < 2:
         return None
     rates = log.inertial.angular_velocity[_rests(log, log.inertial.stamps)]
@@ -220,7 +222,7 @@ def _rests(log: LaserLog, stamps: FloatArray) -> BoolArray:
 
 
 def _motion(log: LaserLog) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return begins of windows (n,), and the odometry's speed and turn rate in them, s, m/s and rad/s."""
+    """Return begins (n,) of windows, s, with speed and turn rate in them, m/s and rad/s."""
     begins = np.arange(log.track.stamps[0], log.track.stamps[-1], WINDOW)
     steps = np.diff(log.track.planar_at(begins), axis=0) / WINDOW
     return begins[:-1], np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])

@@ -169,10 +169,6 @@ def damaged_files(folder: Path, entry: Mapping[str, Any]) -> list[str]:
     """Return missing, empty or truncated files of a run's folder.
 
     Of a record without sizes, as older versions wrote them, that is every file.
-
-    Args:
-        folder: of the run.
-        entry: its record as nested dicts.
     """
     expected: tuple[str, ...] = WITHOUT if entry["status"] in ("error", "timeout") else WITH_RESULTS
     if expected is WITH_RESULTS:

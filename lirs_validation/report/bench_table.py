@@ -59,7 +59,7 @@ def bench_table(results: Sequence[PolicyResult], task: str) -> ReportTable:
         caption += " *: gets simulator-only data."
     if len({result.score.count for result in results}) > 1:
         caption += " Not every policy has run on every task: their scores do not compare."
-    return ReportTable("bench", "", caption, HEADINGS, rows, drop=("failed", "collision"))
+    return ReportTable("bench", "", caption, HEADINGS, rows)
 
 
 def _row(result: PolicyResult, bound: PolicyResult | None) -> tuple[str, ...]:

@@ -38,7 +38,6 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> ReportTable
         HEADINGS,
         tuple(rows),
         styles=tuple(styles),
-        drop=("95 %", "p"),
         keep=("verdict",),
     )
 

@@ -63,12 +63,7 @@ class PagePicture:
 
 
 def page(report: Report, command: str) -> str:
-    """Return the report as HTML.
-
-    Args:
-        report: its contents.
-        command: the command line that makes it.
-    """
+    """Return the report as HTML."""
     context = {"report_command": command} | _context(report)
     context["contents"] = _contents(context)
     return render("report.html.j2", **context)

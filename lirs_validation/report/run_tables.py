@@ -69,8 +69,6 @@ ALWAYS = ("world", "robot", "mapper", "seed", "status")
 """Columns that are always shown."""
 DECIDING = ("verdict", *(m.short or m.heading for m in metrics_named((ATE, ODOMETRY_ATE, "map.f1"))))
 """Columns of the table of runs that a narrow screen never hides."""
-LEAST = ("driven [m]",)
-"""Columns that a narrow screen hides first."""
 
 
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
@@ -281,7 +279,6 @@ def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
         tuple(rows),
         len(facts),
         styles=tuple(map(_style, entries)),
-        drop=LEAST,
         keep=DECIDING,
     )
     return table.with_common_in_title(RUN_AXES, unnamed=("robot", "mapper"))

@@ -23,8 +23,6 @@ UNBOUNDED = 100_000
 """Width of a screen that fits every table, characters."""
 BETWEEN_WORDS = re.compile(r"(?<=[\w,.]) (?=\w)| (?=\[)")
 """Line breaks of headings: between words and before a unit, not within `99.9 %` or `b - a`."""
-FEWEST = 2
-"""Smallest number of shown number columns."""
 INTERVALS = "intervals (±)"
 """Name of the intervals of means among the hidden columns."""
 
@@ -79,8 +77,8 @@ Content = str | MetricSpread
 class ReportTable:
     """A table of results; rich prints it so that it fits the screen.
 
-    A table that is too wide loses the intervals of its means, then columns, which the caption lists: first
-    those in `drop`, then metrics that the table of runs omits, then the last ones. Remarks are lines below.
+    A table that is too wide loses the intervals of its means, then its last columns, which the caption lists.
+    Remarks are lines below.
 
     Attributes:
         key: short name, for links and files.
@@ -91,7 +89,6 @@ class ReportTable:
         text_columns: number of leading columns that hold text; the first is the row's heading.
         remarks: whether the last column holds text, too.
         styles: style of each row on the screen; empty = plain.
-        drop: headings that a narrow screen hides first.
         keep: headings that a narrow screen never hides.
     """
 
@@ -103,7 +100,6 @@ class ReportTable:
     text_columns: int = 1
     remarks: bool = False
     styles: tuple[str, ...] = ()
-    drop: tuple[str, ...] = ()
     keep: tuple[str, ...] = ()
 
     def is_text(self, column: int) -> bool:
@@ -178,23 +174,11 @@ class ReportTable:
         yield self._draw(names, whole=False)
 
     def _hidden_in_order(self) -> list[str]:
-        """Return what a narrow screen hides: intervals, then columns, the first to hide first."""
+        """Return what a narrow screen hides: intervals, then columns of numbers, the last one first."""
         spreads = (cell for row in self.rows for cell in row if isinstance(cell, MetricSpread))
         intervals = [INTERVALS] if any(spread.has_interval for spread in spreads) else []
-        columns = range(len(self.headings))
-        numbers = [k for k in columns if not self.is_text(k) and self.headings[k] not in self.keep]
-        fewest = max(0, FEWEST - sum(heading in self.keep for heading in self.headings))
-        dropped = sorted(numbers, key=self._rank)[: max(0, len(numbers) - fewest)]
-        return intervals + [self.headings[k] for k in dropped]
-
-    def _rank(self, column: int) -> tuple[int, int]:
-        """Return a column's rank: `drop`, metrics outside the table of runs, others."""
-        heading = self.headings[column]
-        if heading in self.drop:
-            return 0, self.drop.index(heading)
-        contents = [row[column] for row in self.rows]
-        detail = any(isinstance(c, MetricSpread) and "runs" not in c.metric.selections for c in contents)
-        return 1 if detail else 2, -column
+        numbers = [h for k, h in enumerate(self.headings) if not self.is_text(k) and h not in self.keep]
+        return intervals + numbers[::-1][: len(numbers) if self.keep else max(0, len(numbers) - 2)]
 
     def _draw(self, hidden: Sequence[str], *, whole: bool) -> Table:
         """Return a table for the screen without the hidden parts.

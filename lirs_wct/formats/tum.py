@@ -1,4 +1,4 @@
-"""Trajectories in the TUM format, as evo reads: `stamp x y z qx qy qz qw`; those of others in more forms."""
+"""Trajectories: TUM as evo reads (`stamp x y z qx qy qz qw`), EuRoC and KITTI."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write, read_gzipped
 from lirs_wct.geometry.pose import Trajectory
 
@@ -34,25 +34,8 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
         np.savetxt(temporary, rows, fmt="%.9f", header=HEADER, comments="")
 
 
-def read_tum(path: Path) -> Trajectory:
-    """Read a trajectory, gzipped or not.
-
-    Raises:
-        SourceError: missing or damaged, or not eight finite numbers a line with stamps that increase.
-    """
-    data = read_gzipped(path)
-    try:
-        lines = [line.split() for line in data.decode().splitlines()]
-        rows = [[float(word) for word in words] for words in lines if words and words[0][0] != "#"]
-    except ValueError as error:
-        raise SourceError(f"{path}: not a TUM trajectory: {error}") from error
-    if not rows or any(len(row) != 8 for row in rows) or not np.isfinite(rows).all():
-        raise SourceError(f"{path}: a TUM trajectory has eight finite numbers a line")
-    return _checked(path, np.array(rows))
-
-
-def read_poses_of(path: Path, scans: FloatArray | None = None) -> Trajectory:
-    """Read another program's trajectory: TUM, EuRoC (commas, nanoseconds) or KITTI (12 numbers a line).
+def read_tum(path: Path, scans: FloatArray | None = None) -> Trajectory:
+    """Read a trajectory: TUM, EuRoC (commas, nanoseconds) or KITTI (12 numbers a line).
 
     Stamps may be out of order or repeat; of equal stamps the last pose counts, and a warning says so.
 
@@ -84,7 +67,7 @@ def read_poses_of(path: Path, scans: FloatArray | None = None) -> Trajectory:
     if unordered or equal:
         said = f"stamps go back {unordered} times, {equal} poses of equal stamps are left out"
         warnings.warn(f"{path}: {said}", stacklevel=2)
-    return _checked(path, rows[::-1][last])
+    return _trajectory(path, rows[::-1][last])
 
 
 def _kitti(path: Path, rows: FloatArray, scans: FloatArray | None) -> Trajectory:
@@ -94,25 +77,14 @@ def _kitti(path: Path, rows: FloatArray, scans: FloatArray | None) -> Trajectory
         raise SourceError(f"{path}: a KITTI file has no stamps: needs {wanted}, got {len(rows)} poses")
     matrices = rows.reshape(-1, 3, 4)
     quaternions = Rotation.from_matrix(matrices[:, :, :3]).as_quat()
-    return _checked(path, np.column_stack((scans, matrices[:, :, 3], quaternions)))
-
-
-def _checked(path: Path, rows: FloatArray) -> Trajectory:
-    """Build a trajectory from rows (n, 8) of a TUM file within the legal range."""
-    if not np.isfinite(rows).all():
-        raise SourceError(f"{path}: not a trajectory: its numbers must be finite")
-    if (farthest := float(np.abs(rows[:, 1:4]).max())) > FARTHEST:
-        raise SourceError(f"{path}: a position must be within {FARTHEST:.0e} m, got {farthest:.3g} m")
-    return _trajectory(path, rows)
+    return _trajectory(path, np.column_stack((scans, matrices[:, :, 3], quaternions)))
 
 
 def _trajectory(path: Path, rows: FloatArray) -> Trajectory:
-    """Build a trajectory from rows (n, 8) in the column order of the file."""
-    quaternions = np.roll(rows[:, 4:], 1, axis=1)
-    length = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    if not length.all():
-        raise SourceError(f"{path}: not a TUM trajectory: a quaternion is zero")
-    try:
-        return Trajectory(rows[:, 0], rows[:, 1:4], quaternions / length)
-    except ConfigError as error:
-        raise SourceError(f"{path}: not a TUM trajectory: {error}") from error
+    """Build a trajectory from rows (n, 8) of a TUM file, with rising stamps."""
+    length = np.linalg.norm(rows[:, 4:], axis=1, keepdims=True)
+    if not (np.isfinite(rows).all() and length.all()):
+        raise SourceError(f"{path}: not a trajectory: its numbers must be finite, and no quaternion zero")
+    if (farthest := float(np.abs(rows[:, 1:4]).max())) > FARTHEST:
+        raise SourceError(f"{path}: a position must be within {FARTHEST:.0e} m, got {farthest:.3g} m")
+    return Trajectory(rows[:, 0], rows[:, 1:4], np.roll(rows[:, 4:], 1, axis=1) / length)

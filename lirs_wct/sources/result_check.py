@@ -31,7 +31,7 @@ def warn_of_result(source: Source, world: World) -> None:
 
 
 def unusual_figures(world: World, kind: SourceKind) -> Iterator[str]:
-    """Yield each unusual figure of a world with its likely cause in a source of a kind."""
+    """Yield each unusual figure of a world with its likely cause."""
     width, is_picture = max(world.surface.size), kind is SourceKind.PICTURE
     change = " --size and --scale change it" if kind in (SourceKind.PICTURE, SourceKind.MESH) else ""
     if not NARROWEST <= width <= WIDEST:

@@ -23,9 +23,6 @@ class CloudOdometry:
     """A `CloudMapper` of a function that registers one sweep after the other.
 
     The inertial unit is not used. A sweep without any return leaves the pose as it was.
-
-    Args:
-        register: the odometry.
     """
 
     reads_clouds = True
@@ -92,9 +89,6 @@ class TimedOdometry:
 
     The map frame is the first base pose. An inertial system first measures gravity while the robot stands
     still: there, the first pose that differs from the initial one counts.
-
-    Args:
-        system: that registers the sweeps.
     """
 
     reads_clouds = True

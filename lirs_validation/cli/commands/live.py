@@ -1,4 +1,4 @@
-"""The commands `live` and `gui`: a ROS 2 system drives and maps in a world; the live page in a browser."""
+"""The commands `live` and `gui`: a ROS 2 system in a world, and the live page."""
 
 from __future__ import annotations
 

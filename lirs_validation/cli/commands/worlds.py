@@ -82,7 +82,7 @@ def info(
     given: Annotated[dict[str, Any], LogOptions],
     world_options: SourceOptions,
 ) -> None:
-    """Print facts of a world: size, heights, slopes, walls in sight; of a log: rates, frames, faults."""
+    """Print facts of a world (size, slopes, walls) or of a log (rates, frames, faults)."""
     from lirs_envs.robots.robot import make_robot
     from lirs_validation.cli.commands.info import facts_table, preflight_table, world_facts
     from lirs_wct.drawing.world_view import view_figure

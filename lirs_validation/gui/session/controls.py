@@ -139,10 +139,6 @@ def _kind(written: Any, option: Option, default: Any) -> tuple[Kind, tuple[str, 
 def read_controls(values: Mapping[str, bool | float | str], pixels: int) -> SourceOptions:
     """Return the options of a page's controls.
 
-    Args:
-        values: of the controls, by option.
-        pixels: the server's limit for pictures.
-
     Raises:
         ConfigError: a value is not legal, or two options contradict.
         SourceError: more pixels are asked for than the server allows.

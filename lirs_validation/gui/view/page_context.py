@@ -26,11 +26,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Guard:
-    """Wrap the callbacks of one page, and show their errors and hints there.
-
-    Args:
-        client: the page.
-    """
+    """Wrap the callbacks of one page, and show their errors and hints there."""
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client

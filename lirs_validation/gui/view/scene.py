@@ -68,12 +68,7 @@ class Detail:
 
 
 class WorldScene:
-    """The world of a page.
-
-    Args:
-        client: the page.
-        detail: triangles that it is given.
-    """
+    """The world of a page."""
 
     def __init__(self, client: viser.ClientHandle, detail: Detail) -> None:
         self._client, self._detail = client, detail

@@ -130,7 +130,7 @@ def _decode(path: Path, picture: ImageFile.ImageFile, *, oriented: bool) -> tupl
 
 
 def _with_alpha(pixels: NDArray[Any], clear: int | tuple[int, ...] | None) -> NDArray[Any]:
-    """Return BGRA pixels in which one gray or RGB color is clear, or the same pixels without one."""
+    """Return BGRA pixels in which one color is clear, or the same pixels without one."""
     if clear is None:
         return pixels
     colors = pixels if pixels.ndim == 3 else np.dstack([pixels] * 3)

@@ -32,7 +32,7 @@ viewer. Z_UP: x is right, -y to the viewer (COLLADA 1.4.1, <up_axis>)."""
 
 
 def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMesh:
-    """Read a mesh with merged vertices, z up, in meters, without triangles of two equal corners.
+    """Read a mesh with merged vertices, z up, in meters, without degenerate triangles.
 
     A GLB has y up by its standard. A COLLADA file states its up axis and unit. Other formats state neither,
     and count as z up in meters. `up` replaces the file's own axis.

@@ -103,7 +103,7 @@ class Frames:
         return next(iter((*named, *in_odom, *moving, *on_tf)), "")
 
     def odometry(self, base: str) -> tuple[list[Step], str]:
-        """Return the poses of a base in the odometry frame, and that frame, else the topmost one."""
+        """Return the poses of a base in the odometry frame or the topmost one, and that frame."""
         chain = self.chain(base)
         top = next((k for k, name in enumerate(chain) if _is_odom(name)), len(chain) - 1)
         names = chain[:top]
@@ -152,7 +152,7 @@ class Frames:
         return Trajectory.from_poses(stamps, [self._pose(chain, t) for t in stamps])
 
     def _pose(self, chain: Sequence[str], t: float) -> Pose3:
-        """Return the pose at a stamp of the first frame of a chain in the parent of the last."""
+        """Return the pose of a chain's first frame in the last one's parent at a stamp."""
         T = Pose3()
         for name in chain:
             T = _interpolate(*self._edge(name), t) @ T

@@ -1,4 +1,4 @@
-"""An MCAP file of ROS 1 or 2, read in the order of its records, also without index or end."""
+"""An MCAP file of ROS 1 or 2, also without index or end."""
 
 from __future__ import annotations
 

@@ -233,7 +233,7 @@ def _log(path: Path, c: _Contents, range_max: float | None) -> LaserLog:
 
 
 def _base(c: _Contents) -> str:
-    """Return the base frame: that of the odometry, if transforms lead from it to the laser."""
+    """Return the odometry's base frame if transforms lead from it to the laser, else another."""
     own = c.odometry_frames[1]
     if own and c.frames.mounts(own, c.lasers[0], ()) is not None:
         return own
@@ -259,7 +259,7 @@ def _mounts(c: _Contents, base: str, stamps: Sequence[float]) -> list[Pose3]:
 
 
 def _motion_text(mounts: Sequence[Pose3]) -> str:
-    """Return the extent of a moving mount in words; empty below a millimeter and a tenth of a degree."""
+    """Return the extent of a moving mount in words; empty below 1 mm and 0.1 deg."""
     if len({id(T) for T in mounts}) == 1:
         return ""
     first = mounts[0]

@@ -153,7 +153,7 @@ class RangeDecoder:
         return none
 
     def _find_codes(self, ranges: Float32Array, range_max: float, range_min: float) -> float:
-        """Find the codes in readings (scans, beams); return the least that is no 0, else FARTHEST."""
+        """Find the codes in readings (scans, beams); return the least above 0, else FARTHEST."""
         limit = no_return(ranges, FARTHEST)
         if limit == FARTHEST > range_max:
             limit = _noisy_maximum(ranges, range_max)
@@ -166,7 +166,7 @@ class RangeDecoder:
         return limit
 
     def _add_code(self, ranges: Float32Array, low: float, high: float) -> None:
-        """Add the most frequent reading between two as a code, with all of them unless they are equal."""
+        """Add the most frequent reading between two as a code; with noise, all of them."""
         inside = ranges[(ranges >= low) & (ranges <= high)]
         code = usual_reading(inside) or 0.0
         exact = np.abs(inside - code) <= SAME_RANGE
@@ -180,7 +180,7 @@ def _is_code(readings: BoolArray) -> bool:
 
 
 def _noisy_maximum(ranges: Float32Array, range_max: float) -> float:
-    """Return the least of the readings that are range_max with noise, meters; FARTHEST without such readings.
+    """Return the least reading that is range_max with noise, meters; else FARTHEST.
 
     They come in most scans, and the histogram is much denser there than in the meter below.
     """

@@ -75,7 +75,7 @@ class Topics:
 
 
 def of_robot(scan: str, topics: Sequence[str]) -> list[str]:
-    """Return the topics in the namespaces around that of the scans; all if there are none."""
+    """Return the topics in the namespaces around the scans'; all if there are none."""
     around = [name for name in topics if _namespace(scan).startswith(_namespace(name))]
     return around or list(topics)
 
