@@ -229,8 +229,8 @@ def frame_of(
 def _upright(path: Path, estimate: Trajectory, truth: Trajectory) -> Trajectory | None:
     """Return an estimate turned to z up; None if it is upright already.
 
-    The axes follow from the best fit in space, which a straight path does not have. Those of the body count as named like those of the frame, as
-    in the trajectories of cameras.
+    The axes follow from the best fit in space, which a straight path does not have. Those of the body count
+    as named like those of the frame, as in the trajectories of cameras.
     """
     i, j = associated(truth.stamps, estimate.stamps)
     true, found = (t.positions[k] - t.positions[k].mean(axis=0) for t, k in ((truth, i), (estimate, j)))

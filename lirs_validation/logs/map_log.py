@@ -292,10 +292,8 @@ def check_log_file(log: str | Path, **log_options: Any) -> Preflight:
     Raises:
         WctError: the log or an option cannot be used.
     """
-    config = MapConfig(log=str(log), **log_options)
-    if is_bag(Path(config.log)) and config.imu_topic is None:
-        config = replace(config, imu_topic=ANY)
-    return check_log_data(read_log(config))
+    inertial = {"imu_topic": ANY} if is_bag(Path(log)) else {}
+    return check_log_data(read_log(MapConfig(log=str(log), **inertial | log_options)))
 
 
 def folder_name(config: MapConfig) -> str:
