@@ -13,8 +13,8 @@ from lirs_wct.formats.laser_log import LaserLog, LogTopic
 
 TILTED = math.radians(20)
 """Smallest angle between the scan plane and the ground at which a scan is no plan of the place."""
-LAG = 0.3
-"""Smallest difference of two clocks that spoils a map, seconds."""
+LAG, ANOTHER = 0.3, 60.0
+"""Smallest difference of two clocks that spoils a map, and from which one is no wall clock, seconds."""
 PAUSE, PERIODS = 1.0, 5.0
 """Shortest pause of a topic, seconds, and in its periods."""
 LATE = 0.5
@@ -123,7 +123,7 @@ def _topic_text(topic: LogTopic) -> str:
     rate = f", {(len(topic.stamps) - 1) / seconds:.1f} Hz" if seconds > 0 else ""
     frames = f", {', '.join(topic.frames)}" if any(topic.frames) else ""
     lag = _lag(topic)
-    late = "" if lag is None else f", stamps {1000 * lag:.0f} ms before reception"
+    late = "" if lag is None or abs(lag) > ANOTHER else f", stamps {1000 * lag:.0f} ms before reception"
     return f"{len(topic.stamps)} messages{rate}{frames}{late}"
 
 

@@ -51,8 +51,9 @@ class McapFile:
                 raise ValueError(f"{path.name}: not an MCAP file")
             file.seek(max(0, file.seek(0, 2) - len(MAGIC)))
             whole = file.read() == MAGIC
+            file.seek(0)
+            summary = make_reader(file).get_summary() if whole else None
         self.fault = "" if whole else "its end is missing"
-        summary = self._summary() if whole else None
         statistics = summary and summary.statistics
         self.message_count = statistics.message_count if statistics else None
         if summary is None or (not summary.channels and self.message_count != 0):
@@ -85,10 +86,6 @@ class McapFile:
                 connection = self._connections.get(record.channel_id)
                 if connection is not None and id(connection) in chosen:
                     yield connection, record.log_time, record.data
-
-    def _summary(self) -> Summary | None:
-        with self._path.open("rb") as file:
-            return make_reader(file).get_summary()
 
     def _records(self) -> Iterator[McapRecord]:
         """Yield the records; of a file without end, those before it."""

@@ -78,17 +78,13 @@ class Bag:
                     self.faults.append(reason)
                 return
             try:
-                message = _decoder(connection.msgdef, connection.msgtype, _is_ros1(connection))(
-                    decompress_message(data)
-                )
+                encoding = getattr(connection.ext, "serialization_format", "ros1")
+                decode = _decoder(connection.msgdef, connection.msgtype, encoding == "ros1")
+                message = decode(decompress_message(data))
             except Exception:
                 self.undecoded[connection.topic] += 1
                 continue
             yield connection.topic, received, message
-
-
-def _is_ros1(connection: Connection) -> bool:
-    return getattr(connection.ext, "serialization_format", "ros1") == "ros1"
 
 
 def _of_topics(reader: Reader, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:

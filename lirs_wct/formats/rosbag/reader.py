@@ -106,7 +106,9 @@ def read_bag(
             fault = _time_fault(contents) if time == "header" else ""
             if fault:
                 bag.undecoded.clear()
-                contents = _contents(bag, topics, by_header=False)
+                stamps, received = contents.stamps[0], contents.received[contents.names[0]]
+                lag = float(np.median(np.subtract(received, stamps))) if len(set(stamps)) > 1 else 0.0
+                contents = _contents(bag, topics, by_header=False, lag=lag)
                 contents.repaired[f"{fault}: times of reception are taken"] = len(contents.scans)
         except SourceError as error:
             damaged = f" (damaged: {'; '.join(bag.faults)})" if bag.faults else ""
@@ -142,13 +144,14 @@ def _common(a: Sequence[float], b: Sequence[float]) -> float:
     return (min(a1, b1) - max(a0, b0)) / shorter if shorter > 0 else float(a0 <= b1 and b0 <= a1)
 
 
-def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
+def _contents(bag: Bag, topics: Topics, *, by_header: bool, lag: float = 0.0) -> _Contents:
     """Return the messages of the topics, in the order of the bag.
 
     Args:
         bag: the open bag.
         topics: topics from the user.
         by_header: whether stamps come from headers; else they are times of reception.
+        lag: Seconds from the scans' clock to that of reception; unless 0, scans keep their stamps.
     """
     scan, odometry, imu = names = topics.choose(bag.path, bag.kinds)
     contents = _Contents(names, topics.clouds)
@@ -157,12 +160,13 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
     wanted = {scan, odometry, imu, *(static if odometry else transforms)} - {None}
 
     for line, (topic, received, message) in enumerate(bag.messages(wanted)):
-        stamp = None if by_header else received / 1e9
+        stamp = None if by_header else received / 1e9 - lag
+        scanned = None if lag else stamp
         before = len(contents.scans), len(contents.odometry), len(contents.imu)
         if topic == scan and topics.clouds:
-            _add_cloud(contents, line, message, stamp)
+            _add_cloud(contents, line, message, scanned)
         elif topic == scan:
-            _add_scan(contents, line, message, stamp)
+            _add_scan(contents, line, message, scanned)
         elif topic == odometry:
             _add_odometry(contents, line, message, stamp)
         elif topic == imu:
@@ -173,7 +177,7 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool) -> _Contents:
             contents.received[topic].append(received / 1e9)
     if odometry and contents.scans and _needs_transforms(contents):
         for line, (_, received, message) in enumerate(bag.messages(set(transforms) - static)):
-            stamp = None if by_header else received / 1e9
+            stamp = None if by_header else received / 1e9 - lag
             contents.frames.add(line, message, static=False, received=stamp)
     if not odometry and contents.scans:
         base = contents.frames.base(contents.lasers[0])
@@ -383,6 +387,9 @@ def _add_reading(contents: _Contents, m: Any, stamp: float | None) -> None:
     q, w, a = m.orientation, m.angular_velocity, m.linear_acceleration
     attitude = None if m.orientation_covariance[0] == -1 else (q.w, q.x, q.y, q.z)
     time = seconds(m.header.stamp) if stamp is None else stamp
+    if not math.isfinite(sum((q.w, q.x, q.y, q.z, w.x, w.y, w.z, a.x, a.y, a.z))):
+        contents.skipped["inertial reading that is not finite"] += 1
+        return
     if not contents.imu:
         variances = m.angular_velocity_covariance[0], m.linear_acceleration_covariance[0]
         contents.imu_sigmas = math.sqrt(max(0.0, variances[0])), math.sqrt(max(0.0, variances[1]))

@@ -127,7 +127,7 @@ def test_a_share_of_false_cells_decides_only_next_to_that_of_the_true_poses() ->
 
 
 def test_a_log_of_one_pass_states_its_walls_and_what_they_do_not_tell() -> None:
-    log = {"name": "hall", "status": "ok", "reason": "", "config": {"mapper": "hector"}}
+    log = {"name": "hall", "status": "ok", "reason": "", "config": {"mapper": "hector"}, "log": {}}
     sentence = judge_log(log | {"quality": {"revisit_residual": None, "wall_thickness": 0.021}}).sentence
     assert "No place is seen by two passes, so that its path cannot be checked" in sentence
     assert "walls are 0.021 m thick" in sentence
