@@ -7,7 +7,7 @@
 A row per method, a column per world: the ATE of each seed, in space for 3D systems and in the plane for
 planar methods, and the median time of a scan. The first rows are the odometry of the same drives. A run that
 takes longer than the wall limit is "too slow". With a folder the runs stay there, and the same command goes
-on where it was. `lirs-wct mappers --install NAME` installs rko-lio and evalio. Without sources: the bundled
+on where it was. `pip install` rko-lio and evalio into this environment. Without sources: the bundled
 worlds, and two DEMs (smooth, with relief) and two laser maps of the data folder.
 """
 

@@ -30,7 +30,6 @@ class Method(NamedTuple):
         resolution: field of the configuration that is the edge of the map's cell, meters; empty = none.
         package: import name of a needed package that is none of our dependencies.
         extra: of this package that installs it; empty = none does.
-        requirements: pip's arguments that install it into an environment of its own.
         license: of the package.
         needs: of the sensors' data, besides point clouds.
         options: fixed fields of its configuration.
@@ -42,7 +41,6 @@ class Method(NamedTuple):
     resolution: str = ""
     package: str = ""
     extra: str = ""
-    requirements: tuple[str, ...] = ()
     license: str = ""
     needs: str = ""
     options: Mapping[str, Any] = MappingProxyType({})
@@ -51,7 +49,7 @@ class Method(NamedTuple):
     def install(self) -> str:
         """Command that installs the needed package."""
         if not self.extra:
-            return f"lirs-wct mappers --install {self.distribution}"
+            return f"pip install {self.distribution} into an environment, --mapper-python ITS/bin/python"
         return f"pip install '.[{self.extra}]'"
 
     @property
@@ -97,7 +95,6 @@ def _evalio(pipeline: str, needs: str = "") -> Method:
         "EvalioConfig",
         "make_evalio",
         package="evalio",
-        requirements=("--no-deps", "evalio>=0.6,<0.7", "numpy"),  # its own are for data sets
         license="MIT, pipeline's own",
         needs=needs,
         options={"pipeline": pipeline},
@@ -111,7 +108,6 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         "make_kiss_icp",
         package="kiss_icp",
         extra="slam",
-        requirements=("kiss-icp>=1.2",),
         license="MIT",
     ),
     "genz-icp": Method(
@@ -120,7 +116,6 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         "make_genz_icp",
         package="genz_icp",
         extra="slam",
-        requirements=("genz-icp>=0.3",),
         license="MIT",
     ),
     "small-gicp": Method(
@@ -129,7 +124,6 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         "make_small_gicp",
         package="small_gicp",
         extra="slam",
-        requirements=("small_gicp>=1.0", "numpy"),
         license="MIT",
     ),
     "rko-lio": Method(
@@ -137,7 +131,6 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         "RkoLioConfig",
         "make_rko_lio",
         package="rko_lio",
-        requirements=("rko_lio>=0.4,<0.5",),
         license="MIT",
         needs=_INERTIAL,
     ),

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import subprocess
 import sys
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.machinery import PathFinder
@@ -115,25 +113,20 @@ def _check_methods(mapper: Any, name: str) -> Mapper | CloudMapper:
 def interpreter_of(mapper: str, given: str | None = None) -> str | None:
     """Return the interpreter that runs a third-party mapper; None = this one.
 
-    A system that is not installed here is looked for in its private environment.
-
     Args:
         mapper: its name, or `module:name` of your own.
-        given: path or name of an interpreter; None = choose.
+        given: path or name of an interpreter; None = this one.
 
     Raises:
         ConfigError: the given one cannot be used, or lacks the mapper's package.
     """
     method = CLOUD_MAPPERS.get(mapper)
-    if given is not None:
-        python = _usable(given)
-        if method is not None and not _holds(python, method):
-            raise ConfigError(f"{given}: has no package {method.distribution}, which {mapper} needs")
-        return python
-    if method is None or method.installed:
+    if given is None:
         return None
-    private = environment_python(method)
-    return str(private) if private.exists() and _holds(str(private), method) else None
+    python = _usable(given)
+    if method is not None and not _holds(python, method):
+        raise ConfigError(f"{given}: has no package {method.distribution}, which {mapper} needs")
+    return python
 
 
 def package_versions(mapper: str, given: str | None = None) -> dict[str, str]:
@@ -145,49 +138,6 @@ def package_versions(mapper: str, given: str | None = None) -> dict[str, str]:
     path = sys.path if python is None else search_path(python)
     found = next(iter(distributions(name=method.distribution, path=list(path))), None)
     return {} if found is None else {method.distribution: found.version}
-
-
-def is_installed(method: Method) -> bool:
-    """Return whether a system is installed here, or in its private environment."""
-    private = environment_python(method)
-    with suppress(ConfigError):  # an environment that is broken
-        return method.installed or (private.exists() and _holds(str(private), method))
-    return False
-
-
-def environment_python(method: Method) -> Path:
-    """Return the path of the interpreter in a system's private environment, which may not exist."""
-    data = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
-    folder = data / "lirs-wct" / "mappers" / method.package
-    return folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
-
-
-def install(name: str) -> Path:
-    """Create the private environment of a system; return its folder.
-
-    Args:
-        name: of a mapper of CLOUD_MAPPERS, or of its package.
-
-    Raises:
-        ConfigError: there is no such system, or its installation failed.
-    """
-    named = dict(CLOUD_MAPPERS) | {method.distribution: method for method in CLOUD_MAPPERS.values()}
-    if name not in named:
-        raise unknown_name("system", name, named)
-    method = named[name]
-    python = environment_python(method)
-    folder = python.parents[1]
-    pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    for command in ([sys.executable, "-m", "venv", "--clear", str(folder)], [*pip, *method.requirements]):
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            shutil.rmtree(folder, ignore_errors=True)
-            errors = [line for line in (done.stderr + done.stdout).splitlines() if line.strip()]
-            raise ConfigError(f"{name}: cannot be installed: {errors[-1] if errors else command}")
-    search_path.cache_clear()
-    if not _holds(str(python), method):
-        raise ConfigError(f"{folder}: {' '.join(method.requirements)} did not install {method.package}")
-    return folder
 
 
 @cache

@@ -213,7 +213,7 @@ def pose_of(matrix: FloatArray) -> Pose3:
     """Return the pose of a homogeneous matrix (4, 4), meters.
 
     The quaternion is an eigenvector (Bar-Itzhack, "New Method for Extracting the Quaternion from a Rotation
-    Matrix", JGCD 2000): a private environment of a system has NumPy, but no SciPy.
+    Matrix", JGCD 2000): another environment may have NumPy, but no SciPy.
     """
     (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
     corners = ((a - e - i, b + d, c + g, h - f), (0, e - a - i, f + h, c - g), (0, 0, i - a - e, d - b))

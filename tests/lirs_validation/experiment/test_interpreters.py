@@ -1,4 +1,4 @@
-"""A mapper's process with another interpreter, and private environments of systems."""
+"""A mapper's process with another interpreter."""
 
 import json
 import subprocess
@@ -11,14 +11,7 @@ import pytest
 
 from lirs_validation import RunConfig
 from lirs_validation.experiment import mapper_loading
-from lirs_validation.experiment.mapper_loading import (
-    environment_python,
-    install,
-    interpreter_of,
-    is_installed,
-    package_versions,
-    search_path,
-)
+from lirs_validation.experiment.mapper_loading import interpreter_of, package_versions
 from lirs_validation.experiment.mapper_process import MapperProcess
 from lirs_validation.experiment.mapper_under_test import SensorReadings
 from lirs_wct.errors import ConfigError, MapperError
@@ -26,7 +19,6 @@ from lirs_wct.geometry import ImuReadings, PointCloud, Pose2, Pose3
 from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
 from tests.command_line import run_command
 
-RKO_LIO = CLOUD_MAPPERS["rko-lio"]
 FAKE = """
 import json, os, signal, sys
 import numpy as np
@@ -63,8 +55,7 @@ import slam_baselines.external.rko_lio, slam_baselines.external.small_gicp
 
 
 def fake_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, dies: bool = False) -> Path:
-    """Write a private environment with a fake RKO-LIO; return the file with its scans."""
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    """Write an interpreter `python` with a fake RKO-LIO; return the file with its scans."""
     monkeypatch.setattr("slam_baselines.mapper.find_spec", lambda package: None)
     package, told = tmp_path / "packages" / "rko_lio", tmp_path / "told"
     package.mkdir(parents=True)
@@ -74,8 +65,7 @@ def fake_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, dies: b
     metadata = package.with_name("rko_lio-0.4.7.dist-info")
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: rko_lio\nVersion: 0.4.7\n")
-    python = environment_python(RKO_LIO)
-    python.parent.mkdir(parents=True)
+    python = tmp_path / "python"
     python.write_text(f'#!/bin/sh\nPYTHONPATH={package.parent} exec {sys.executable} "$@"\n')
     python.chmod(0o755)
     return told
@@ -100,12 +90,12 @@ def test_a_mappers_process_needs_numpy_only() -> None:
     assert told.stderr == ""
 
 
-def test_a_system_runs_in_its_private_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told = fake_environment(tmp_path, monkeypatch)
-    assert is_installed(RKO_LIO)
-    assert interpreter_of("rko-lio") == str(environment_python(RKO_LIO))
-    assert package_versions("rko-lio") == {"rko-lio": "0.4.7"}
-    with closing(MapperProcess(RunConfig(source="medium", mapper="rko-lio", lidar="vlp16"))) as mapper:
+    python = str(tmp_path / "python")
+    assert package_versions("rko-lio", python) == {"rko-lio": "0.4.7"}
+    config = RunConfig(source="medium", mapper="rko-lio", lidar="vlp16", mapper_python=python)
+    with closing(MapperProcess(config)) as mapper:
         mapper.wait_until_ready()
         assert (mapper.reads_clouds, mapper.reads_inertial) == (True, True)
         poses = answers(mapper, 12)
@@ -125,7 +115,8 @@ def test_a_system_that_crashes_is_told_with_its_last_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     fake_environment(tmp_path, monkeypatch, dies=True)
-    config = RunConfig(source="medium", mapper="rko-lio", lidar="vlp16")
+    python = str(tmp_path / "python")
+    config = RunConfig(source="medium", mapper="rko-lio", lidar="vlp16", mapper_python=python)
     with closing(MapperProcess(config)) as mapper:
         mapper.wait_until_ready()
         with pytest.raises(MapperError) as raised:
@@ -180,81 +171,16 @@ def test_a_given_interpreter_must_hold_the_systems_package(monkeypatch: pytest.M
     assert interpreter_of("hector") is None
 
 
-def test_a_failed_installation_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A fake interpreter makes the environment, whose pip finds nothing."""
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
-    folder = environment_python(RKO_LIO).parents[1]
-    python = tmp_path / "python"
-    lines = (
-        "#!/bin/sh",
-        f"mkdir -p {folder}/bin",
-        f"printf '#!/bin/sh\\necho ERROR: nothing is named $6 >&2\\nexit 1' >{folder}/bin/python",
-        f"chmod +x {folder}/bin/python",
-    )
-    python.write_text("\n".join(lines))
-    python.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(python))
-    with pytest.raises(ConfigError, match=r"^rko-lio: cannot be installed: ERROR: nothing is na") as raised:
-        install("rko-lio")
-    assert "\n" not in str(raised.value)
-    assert not folder.exists()
-
-
-def test_an_unknown_system_cannot_be_installed() -> None:
-    with pytest.raises(ConfigError, match=r"unknown system 'rko'; legal: .*rko-lio"):
-        install("rko")
-
-
 def test_the_list_shows_requirements_and_how_to_install(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     monkeypatch.setattr("lirs_validation.cli.commands.mappers.out._width", 200)
     monkeypatch.setattr("slam_baselines.mapper.find_spec", lambda package: None)
-    python = environment_python(RKO_LIO)
-    python.parent.mkdir(parents=True)
-    python.write_text("#!/bin/sh\nexit 1\n")
-    python.chmod(0o755)
     assert run_command("mappers") == 0
     rows = {line.split()[0]: line for line in capfd.readouterr().out.splitlines() if line.strip()}
     assert set(CLOUD_MAPPERS) | set(MAPPERS) <= set(rows)
     assert "MIT" in rows["rko-lio"]
     assert "inertial readings, a start at rest" in rows["rko-lio"]
-    assert "no: lirs-wct mappers --install rko-lio" in rows["rko-lio"]
+    assert "no: pip install rko-lio into an environment, --mapper-python" in rows["rko-lio"]
     assert "organized clouds" in rows["evalio:loam"]
     assert "pip install '.[slam]'" in rows["small-gicp"]
-    assert run_command("mappers", "--install", "loam") == 2
-    assert capfd.readouterr().err.startswith("lirs-wct: unknown system 'loam'; legal: evalio, evalio:ct")
-
-
-@pytest.mark.slow
-def test_an_installed_system_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The requirement is a folder with a package: no network is needed."""
-    source = tmp_path / "source"
-    (source / "rko_lio").mkdir(parents=True)
-    (source / "rko_lio" / "__init__.py").touch()
-    lines = ["[build-system]", 'requires = []\nbuild-backend = "made"\nbackend-path = ["."]']
-    (source / "pyproject.toml").write_text("\n".join(lines))
-    (source / "made.py").write_text(
-        "import zipfile\n"
-        "def build_wheel(folder, *_):\n"
-        "    name = 'rko_lio-0.4.0-py3-none-any.whl'\n"
-        "    info = 'rko_lio-0.4.0.dist-info/'\n"
-        "    metadata = 'Metadata-Version: 2.1\\nName: rko_lio\\nVersion: 0.4.0\\n'\n"
-        "    with zipfile.ZipFile(folder + '/' + name, 'w') as wheel:\n"
-        "        wheel.writestr('rko_lio/__init__.py', '')\n"
-        "        wheel.writestr(info + 'METADATA', metadata)\n"
-        "        wheel.writestr(info + 'WHEEL', 'Wheel-Version: 1.0\\nRoot-Is-Purelib: true\\n')\n"
-        "        wheel.writestr(info + 'RECORD', '')\n"
-        "    return name\n"
-    )
-    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
-    method = RKO_LIO._replace(requirements=("--no-index", "--no-build-isolation", str(source)))
-    monkeypatch.setattr(mapper_loading, "CLOUD_MAPPERS", {"rko-lio": method})
-    assert not is_installed(method)
-    folder = install("rko-lio")
-    assert folder == tmp_path / "data" / "lirs-wct" / "mappers" / "rko_lio"
-    assert is_installed(method)
-    assert package_versions("rko-lio") == {"rko-lio": "0.4.0"}
-    assert str(environment_python(method)) == interpreter_of("rko-lio")
-    assert any(str(folder) in entry for entry in search_path(str(environment_python(method))))

@@ -1,12 +1,11 @@
-"""Each third-party system that is installed, here or in its private environment, follows a short drive."""
+"""Each third-party system that is installed follows a short drive."""
 
 import pytest
 
 from lirs_validation import validate
-from lirs_validation.experiment.mapper_loading import is_installed
 from slam_baselines.mapper import CLOUD_MAPPERS
 
-INSTALLED = [name for name, method in CLOUD_MAPPERS.items() if is_installed(method)]
+INSTALLED = [name for name, method in CLOUD_MAPPERS.items() if method.installed]
 LARGE = {"kiss-icp": 0.2, "evalio:kiss": 0.2, "rko-lio": 0.15, "evalio:loam": 1.0}
 """Largest ATE of systems with voxels of a meter or without a map, meters."""
 SMALL = 0.04
