@@ -166,6 +166,8 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         check_log(config, mapper, log)
         readings = inertial_readings(config, log)
         found = check_log_data(log)
+        if any(finding.hopeless for finding in found.findings):
+            raise SourceError(f"{config.log}: {found.sentence}")
         if found.unfit:
             warnings.warn(f"{config.log}: {found.sentence}", stacklevel=2)
         log = log if config.imu is None or is_bag(Path(config.log)) else with_recorded_mount(config, log)

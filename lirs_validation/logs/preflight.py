@@ -19,8 +19,8 @@ PAUSE, PERIODS = 1.0, 5.0
 """Shortest pause of a topic, seconds, and in its periods."""
 LATE = 0.5
 """Shortest time by which the odometry begins or ends too late or early, seconds."""
-JUMP, FAST = 1.0, 10.0
-"""Shortest jump of the odometry, meters, and the speed over it, m/s."""
+JUMP, FAST, FAR = 1.0, 10.0, 1000.0
+"""Shortest jump of the odometry, meters, the speed over it, m/s, and a jump that leaves no map, meters."""
 FEW_RETURNS, SEEING = 10, 0.5
 """Returns of a scan that sees its surroundings, and share of such scans, at least."""
 WINDOW = 0.5
@@ -39,11 +39,13 @@ class Deviation:
         text: Deviation in words.
         remedy: Option or step that helps; empty = none.
         unfit: Whether a planar map of the log will be wrong.
+        hopeless: Whether a map of the log would not fit into memory.
     """
 
     text: str
     remedy: str = ""
     unfit: bool = False
+    hopeless: bool = False
 
     def __str__(self) -> str:
         return f"{self.text}{self.remedy and f': {self.remedy}'}"
@@ -140,7 +142,7 @@ def _common(a: LogTopic, b: LogTopic) -> float:
 
 def _pauses(log: LaserLog) -> Iterator[Deviation]:
     for topic in log.topics:
-        steps = np.diff(topic.stamps)
+        steps = np.diff(np.sort(topic.stamps))
         usual = float(np.median(steps)) if len(steps) else 0.0
         long = steps[steps > max(PAUSE, PERIODS * usual)]
         if len(long):
@@ -156,9 +158,8 @@ def _clock_faults(log: LaserLog) -> Iterator[Deviation]:
     if lags[0] is not None and lags[1] is not None and abs(lags[0] - lags[1]) > LAG:
         apart = f"{abs(lags[0] - lags[1]):.2f} s"
         older, other = (scans, odometry) if lags[0] > lags[1] else (odometry, scans)
-        yield Deviation(
-            f"stamps of {older.name} are {apart} older than those of {other.name}", "--time receive", True
-        )
+        behind = f"stamps of {older.name} are {apart} older than those of {other.name} by their reception"
+        yield Deviation(behind, "--time receive if the map breaks")
     begin, end = odometry.stamps.min() - scans.stamps.min(), scans.stamps.max() - odometry.stamps.max()
     if begin > LATE:
         yield Deviation(f"odometry begins {begin:.1f} s after the scans: those before it are left out")
@@ -172,9 +173,11 @@ def _odometry_faults(log: LaserLog) -> Iterator[Deviation]:
         yield Deviation(what, "--mapper hector maps without")
         return
     steps = np.linalg.norm(np.diff(log.track.xy, axis=0), axis=1)
-    jumps = steps[steps > np.maximum(JUMP, FAST * np.diff(log.track.stamps))]
+    usual = 3 * float(np.median(steps)) if len(steps) else 0.0
+    jumps = steps[steps > np.maximum(max(JUMP, usual), FAST * np.diff(log.track.stamps))]
     if len(jumps):
-        yield Deviation(f"odometry has jumps of up to {jumps.max():.1f} m: {len(jumps)}", unfit=True)
+        said = f"odometry has jumps of up to {jumps.max():.1f} m: {len(jumps)}"
+        yield Deviation(said, unfit=True, hopeless=float(jumps.max()) > FAR)
 
 
 def _scan_faults(log: LaserLog) -> Iterator[Deviation]:
@@ -216,13 +219,14 @@ def _gyro_at_rest(log: LaserLog) -> tuple[float, float] | None:
 def _rests(log: LaserLog, stamps: FloatArray) -> BoolArray:
     """Return whether the robot is at rest at each stamp (n,), by its odometry."""
     begins, speed, turn = _motion(log)
-    resting = np.append((speed < STANDING) & (turn < STANDING_TURN), False)
-    found: BoolArray = resting[np.searchsorted(begins, stamps, side="right") - 1]
+    resting = begins[(speed < STANDING) & (turn < STANDING_TURN)]
+    found: BoolArray = np.isin(np.floor(stamps / WINDOW), np.rint(resting / WINDOW))
     return found
 
 
 def _motion(log: LaserLog) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return begins (n,) of windows, s, with speed and turn rate in them, m/s and rad/s."""
-    begins = np.arange(log.track.stamps[0], log.track.stamps[-1], WINDOW)
-    steps = np.diff(log.track.planar_at(begins), axis=0) / WINDOW
-    return begins[:-1], np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
+    begins = np.unique(np.floor(log.track.stamps / WINDOW)) * WINDOW
+    whole = np.diff(begins) < 1.5 * WINDOW  # a pause of the odometry has no speed
+    steps = np.diff(log.track.planar_at(begins), axis=0)[whole] / WINDOW
+    return begins[:-1][whole], np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])

@@ -93,6 +93,9 @@ def judge_log(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
     unfit = entry["log"].get("unfit") if kind != "works" else ""
     if unfit:  # the log is at fault, and not the mapper
         first, reason = f"{log} is not fit for planar mapping: {unfit}.", ""
+    doubts = [*entry["log"].get("findings", ()), *entry["log"].get("repaired", ())]
+    if doubts and not unfit and entry["status"] == "lost":
+        first = f"{first} The log may be at fault: {doubts[0]}."
     told = f"The mapper is lost: {reason}." if reason and kind == "no reference" else ""
     unmapped = "" if kind == "failed" else "The map was not evaluated."
     quality = _quality_sentence(entry.get("quality", {})) if kind == "no reference" else ""

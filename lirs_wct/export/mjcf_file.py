@@ -219,10 +219,6 @@ def write_mjcf(world: World, folder: str | Path) -> Path:
     return the old ground to a program that builds a world twice. If no height field is visible (a laser map,
     a mesh with overhangs), the world's own mesh is visible, and the contact geoms are in group 3.
 
-    Args:
-        world: world to write.
-        folder: folder of the file.
-
     Returns:
         The path of NAME.xml.
 

@@ -16,8 +16,8 @@ from lirs_wct.geometry.pose import Trajectory
 
 FARTHEST = 1e9
 """Largest coordinate, meters; squares of far larger ones overflow."""
-NANOSECONDS = 1e15
-"""Smallest stamp in nanoseconds."""
+NANOSECONDS, PERIOD = 1e15, 1e5
+"""Smallest stamp of a wall clock, and period of poses, in nanoseconds."""
 HEADER = "# stamp[s] x y z[m] qx qy qz qw"
 
 
@@ -58,7 +58,7 @@ def read_tum(path: Path, scans: FloatArray | None = None) -> Trajectory:
         raise SourceError(f"{path}: a trajectory has 8 numbers a line (TUM), 12 (KITTI) or commas (EuRoC)")
     if width == 12 and "," not in text:
         return _kitti(path, rows, scans)
-    nanoseconds = rows[:, 0].max() > NANOSECONDS
+    nanoseconds = rows[:, 0].max() > NANOSECONDS or np.median(np.abs(np.diff(rows[:, 0], prepend=0))) > PERIOD
     if nanoseconds and "," in text:  # EuRoC has w first
         rows[:, 4:8] = np.roll(rows[:, 4:8], -1, axis=1)
     rows = rows[:, :8] * np.where(np.arange(8) == 0, 1e-9 if nanoseconds else 1.0, 1.0)
@@ -76,6 +76,8 @@ def _kitti(path: Path, rows: FloatArray, scans: FloatArray | None) -> Trajectory
         wanted = "stamps, as a TUM file has them" if scans is None else f"one pose per scan, {len(scans)}"
         raise SourceError(f"{path}: a KITTI file has no stamps: needs {wanted}, got {len(rows)} poses")
     matrices = rows.reshape(-1, 3, 4)
+    if not (np.isfinite(rows).all() and np.allclose(np.linalg.det(matrices[:, :, :3]), 1.0, atol=0.1)):
+        raise SourceError(f"{path}: not a KITTI trajectory: its matrices are no rotations")
     quaternions = Rotation.from_matrix(matrices[:, :, :3]).as_quat()
     return _trajectory(path, np.column_stack((scans, matrices[:, :, 3], quaternions)))
 

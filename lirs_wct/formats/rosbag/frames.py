@@ -19,7 +19,9 @@ BASES = (BASE, "base_footprint")
 """Names of a robot's base frame, the preferred one first."""
 ZIGZAG = 0.02
 """Smallest step from one source's pose to another's, meters."""
-RETURNS, SHORTER = 0.05, 2.0
+MORE = 1.2
+"""Ratio of the poses of two sources from which on the later one counts."""
+RETURNS, SHORTER = 0.005, 2.0
 """Of poses from two sources: share of steps that lead back at once, and ratio of the length of all steps to
 that of the two paths, at least; poses with noise only lead back, too."""
 
@@ -56,10 +58,11 @@ class Frames:
 
     Attributes:
         skipped: Number of transforms that are not finite.
+        disputed: Frames whose static transforms differ.
     """
 
     def __init__(self) -> None:
-        self.skipped = 0
+        self.skipped, self.disputed = 0, set[str]()
         self._fixed: dict[str, tuple[str, Pose3]] = {}
         self._moving: dict[str, dict[str, list[Step]]] = {}
         self._edges: dict[str, tuple[FloatArray, list[Pose3]]] = {}
@@ -73,6 +76,9 @@ class Frames:
             if not is_finite(T):
                 self.skipped += 1
             elif static:
+                before = self._fixed.setdefault(child, (parent, T))
+                if before[0] != parent or np.abs(before[1].position - T.position).max() > ZIGZAG:
+                    self.disputed.add(child)
                 self._fixed[child] = (parent, T)
             else:
                 stamp = seconds(t.header.stamp) if received is None else received
@@ -100,7 +106,10 @@ class Frames:
         on_tf = [name for name in chain if name in self._moving]
         moving = [name for name in on_tf if not self._constant(name)]
         in_odom = [name for name, above in steps if _is_odom(above)]
-        return next(iter((*named, *in_odom, *moving, *on_tf)), "")
+        elsewhere = [
+            name for name in self._moving if _is_odom(self._above(name))
+        ]  # without transforms of the laser
+        return next(iter((*named, *in_odom, *moving, *on_tf, *elsewhere)), "")
 
     def odometry(self, base: str) -> tuple[list[Step], str]:
         """Return the poses of a base in the odometry frame or the topmost one, and that frame."""
@@ -213,22 +222,33 @@ def _interpolate(stamps: FloatArray, poses: list[Pose3], t: float) -> Pose3:
 def one_source(steps: list[Step]) -> tuple[list[Step], int]:
     """Return the poses of one source, and the number of sources, 1 or 2.
 
-    Poses of two publishers alternate: steps lead from one path to the other and back. Each pose belongs to
-    the path whose last pose is nearer; of paths that are equally near, to the one that has waited longer. The
-    path of more poses is returned.
+    Poses of two publishers alternate: steps lead from one path to the other and back. Before and after the
+    longest such step, each pose belongs to the path whose pose is nearer. The path of more poses is returned.
     """
     merged = _step_lengths(steps, 1)
     back = (merged[:-1] > ZIGZAG) & (_step_lengths(steps, 2) < merged[:-1] / 2)
     if back.sum() <= RETURNS * len(steps):
         return steps, 1
-    paths = [[steps[0]], [steps[1]]]
-    for each in steps[2:]:
-        apart = [math.hypot(each[2].x - path[-1][2].x, each[2].y - path[-1][2].y) for path in paths]
-        waited = min((0, 1), key=lambda k: paths[k][-1][0])
-        paths[waited if abs(apart[0] - apart[1]) < ZIGZAG else int(apart[1] < apart[0])].append(each)
+    apart = int(np.argmax(np.where(back, merged[:-1], 0.0)))
+    seeds = steps[apart : apart + 2]
+    before, after = _two_paths(seeds, steps[:apart][::-1]), _two_paths(seeds, steps[apart + 2 :])
+    paths = [[*early[:0:-1], *late] for early, late in zip(before, after, strict=True)]
     if merged.sum() < SHORTER * sum(_step_lengths(path, 1).sum() for path in paths):
         return steps, 1
-    return max(paths, key=len), 2
+    first, second = sorted(paths, key=lambda path: path[-1][0])
+    return (second if len(second) > MORE * len(first) else first), 2
+
+
+def _two_paths(seeds: list[Step], steps: list[Step]) -> list[list[Step]]:
+    """Return two paths that begin with a seed each and continue with the steps."""
+    paths = [[seed] for seed in seeds]
+    for each in steps:
+        steps_to = [path[-1][2].to_pose2().inverse() @ each[2].to_pose2() for path in paths]
+        apart = [math.hypot(step.x, step.y) + abs(step.yaw) for step in steps_to]
+        for path, distance in zip(paths, apart, strict=True):
+            if distance <= min(apart) + ZIGZAG / 2:  # of both paths at rest
+                path.append(each)
+    return paths
 
 
 def _step_lengths(steps: list[Step], over: int) -> FloatArray:

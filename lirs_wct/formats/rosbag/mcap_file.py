@@ -52,7 +52,9 @@ class McapFile:
             file.seek(max(0, file.seek(0, 2) - len(MAGIC)))
             whole = file.read() == MAGIC
             file.seek(0)
-            summary = make_reader(file).get_summary() if whole else None
+            summary = None
+            with suppress(Exception):  # a damaged index
+                summary = make_reader(file).get_summary() if whole else None
         self.fault = "" if whole else "its end is missing"
         statistics = summary and summary.statistics
         self.message_count = statistics.message_count if statistics else None

@@ -38,8 +38,8 @@ INDEX = b"index_pos="
 """Field of a ROS 1 bag's first record: position of the index, 0 = unwritten."""
 HEAD = 4096
 """Bytes of a ROS 1 bag that hold its first record."""
-PART = re.compile(r"(_?\d{4}(-\d\d){5})?_\d+\.bag$|\.bag$")
-"""End of the name of a ROS 1 bag's part: date and number, as `rosbag record --split` appends them."""
+PART = re.compile(r"(_?\d{4}(-\d\d){5})?_\d+\.\w+$|\.\w+$")
+"""End of the name of a bag's part: number, and the date that `rosbag record --split` adds."""
 
 
 class Bag:
@@ -125,16 +125,18 @@ def open_bag(path: Path) -> Iterator[Bag]:
         SourceError: no part of it can be read.
     """
     stated = _metadata(path)
-    names = [Path(str(name)).name for name in stated.get("relative_file_paths", ())]
+    names = [Path(str(name)).name for name in stated.get("relative_file_paths") or ()]
     faults = [f"{name} is missing" for name in names if not (path / name).exists()]
     with ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="lirs-wct-")))
-        try:
-            files = [_readable(file, folder / str(k), faults) for k, file in enumerate(_files(path))]
-            readers = [_open(file, stack, faults) for file in files]
-        except Exception as error:
-            said = "; ".join([*faults, _reason(error)])
-            raise SourceError(f"{path}: not a bag that can be read: {said}") from error
+        readers = []
+        for k, file in enumerate(_files(path, names)):
+            try:
+                readers.append(_open(_readable(file, folder / str(k), faults), stack, faults))
+            except Exception as error:  # the libraries raise any kind for damaged data
+                faults.append(_reason(error) if file.name in str(error) else f"{file.name}: {_reason(error)}")
+        if not readers:
+            raise SourceError(f"{path}: not a bag that can be read: {'; '.join(faults)}")
         counts = [reader.message_count for reader in readers if reader.message_count is not None]
         count = stated.get("message_count", sum(counts))
         if not faults and len(counts) == len(readers) and count != sum(counts):
@@ -166,20 +168,23 @@ def _open(file: Path, stack: ExitStack, faults: list[str]) -> Reader:
     return stack.enter_context(rosbag1.Reader(file))
 
 
-def _files(path: Path) -> list[Path]:
-    """Return the files of a bag; of two kinds in a folder, the first.
+def _files(path: Path, names: Sequence[str]) -> list[Path]:
+    """Return the files of a bag: those that its metadata names, else those of one kind.
 
     Raises:
-        ValueError: a folder of ROS 1 bags that are no parts of one.
+        SourceError: a folder of several bags, or of none.
     """
     if not path.is_dir():
         return [path]
     # A compressed file and its decompressed copy count once.
     found = {p.name.removesuffix(ZSTD): p for p in sorted(path.iterdir(), reverse=True) if is_bag_file(p)}
+    stated = [found[name] for name in (name.removesuffix(ZSTD) for name in names) if name in found]
+    if stated:
+        return stated
     kinds = ([found[name] for name in sorted(found) if name.endswith(suffix)] for suffix in BAGS)
-    files = next(files for files in kinds if files)
-    if len({PART.sub("", file.name) for file in files if file.suffix == ".bag"}) > 1:
-        raise ValueError(f"several ROS 1 bags: give one of {', '.join(file.name for file in files)}")
+    files = next((files for files in kinds if files), [])
+    if len({PART.sub("", file.name.removesuffix(ZSTD)) for file in files}) > 1:
+        raise SourceError(f"{path}: several bags: give one of {', '.join(file.name for file in files)}")
     return files
 
 
@@ -205,7 +210,8 @@ def _metadata(path: Path) -> dict[str, Any]:
     """Return what the metadata of a folder states; empty without usable metadata."""
     try:
         stated = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))
-        return dict(stated["rosbag2_bagfile_information"])
+        found = dict(stated["rosbag2_bagfile_information"])
+        return found if isinstance(found.get("relative_file_paths", []), list) else {}
     except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
         return {}
 

@@ -32,7 +32,7 @@ from lirs_wct.formats.rosbag.sensor_messages import (
     records_of,
     start_of,
 )
-from lirs_wct.formats.rosbag.topics import TRANSFORMS, Topics, of_kinds, of_robot
+from lirs_wct.formats.rosbag.topics import ODOMETRY, TRANSFORMS, Topics, list_topics, of_kinds, of_robot
 from lirs_wct.formats.suffixes import Clock
 from lirs_wct.geometry import Imu, ImuReadings, LaserScan, Pose3, Trajectory
 
@@ -41,8 +41,12 @@ Vector = tuple[float, float, float]
 
 COMMON = 0.1
 """Least time that topics share, of the shorter one's."""
+LATE, HOLE, SAME_STAMP = 0.01, 1.5, 1e-6
+"""Largest share of late messages; length of the gap of one, in periods; seconds between equal stamps."""
 LONGEST_EDGE = 0.5
 """Longest time from a scan to the first or last pose of the odometry, seconds."""
+REACH = 30.0
+"""Largest distance of a laser from the base, meters."""
 CLOUD_MARK = np.zeros(1, np.float32)
 """Placeholder for the ranges of a cloud, whose points are read later."""
 
@@ -139,7 +143,8 @@ def _time_fault(contents: _Contents) -> str:
 
 def _common(a: Sequence[float], b: Sequence[float]) -> float:
     """Return the seconds that two topics share, as a share of the shorter one."""
-    (a0, *_, a1), (b0, *_, b1) = (np.percentile(stamps, (1, 50, 99)).tolist() for stamps in (a, b))
+    few = 0 if all((np.diff(stamps) >= 0).all() for stamps in (a, b)) else 1  # percent with damaged stamps
+    (a0, a1), (b0, b1) = (np.percentile(stamps, (few, 100 - few)).tolist() for stamps in (a, b))
     shorter = min(a1 - a0, b1 - b0)
     return (min(a1, b1) - max(a0, b0)) / shorter if shorter > 0 else float(a0 <= b1 and b0 <= a1)
 
@@ -175,16 +180,20 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool, lag: float = 0.0) ->
             contents.frames.add(line, message, static=topic in static, received=stamp)
         if before != (len(contents.scans), len(contents.odometry), len(contents.imu)):
             contents.received[topic].append(received / 1e9)
-    if odometry and contents.scans and _needs_transforms(contents):
+    if odometry and contents.scans and (not contents.odometry or _needs_transforms(contents)):
         for line, (_, received, message) in enumerate(bag.messages(set(transforms) - static)):
             stamp = None if by_header else received / 1e9 - lag
             contents.frames.add(line, message, static=False, received=stamp)
-    if not odometry and contents.scans:
+    if not contents.odometry and contents.scans:
         base = contents.frames.base(contents.lasers[0])
         contents.odometry, parent = contents.frames.odometry(base)
         contents.odometry_frames = parent, base
+        if not contents.odometry and odometry is None and len(of_kinds(bag.kinds, (ODOMETRY,))) > 1:
+            raise SourceError(f"{bag.path}: --odom-topic must say which; {list_topics(bag.kinds)}")
     if contents.frames.skipped:
         contents.skipped["transform that is not finite"] = contents.frames.skipped
+    for frame in contents.frames.disputed:
+        contents.repaired[f"static transforms of {frame} differ: the last one is taken"] = 1
     return contents
 
 
@@ -203,11 +212,11 @@ def _log(path: Path, c: _Contents, range_max: float | None) -> LaserLog:
         repaired[said] = len(c.odometry) - len(steps)
     odometry = [Message(line, stamp, T.to_pose2()) for line, stamp, T in steps]
     topics = _topics(c)
-    scans, odoms, stamps = in_file_order(*_number_by_stamp(c.scans, odometry))
+    scans, odoms, stamps = in_file_order(*_in_time(c, odometry))
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=3)
     poses, track = odometry_of([m.stamp for m in scans], scans, odoms)
-    mounts = _mounts(c, base, [m.stamp for m in scans])
+    mounts = _mounts(path, c, base, [m.stamp for m in scans])
     found: list[LaserScan] = []
     clouds = None
     if c.clouds:
@@ -238,17 +247,27 @@ def _log(path: Path, c: _Contents, range_max: float | None) -> LaserLog:
 
 def _base(c: _Contents) -> str:
     """Return the odometry's base frame if transforms lead from it to the laser, else another."""
-    own = c.odometry_frames[1]
-    if own and c.frames.mounts(own, c.lasers[0], ()) is not None:
-        return own
-    return c.frames.base(c.lasers[0]) or own
+    own, other = c.odometry_frames[1], c.frames.base(c.lasers[0])
+    if own in ("", other) or c.frames.mounts(own, c.lasers[0], ()) is not None or not other:
+        return own or other
+    c.repaired[
+        f"odometry of {own}, from which no transforms lead to the laser: taken for that of {other}"
+    ] = 1
+    return other
 
 
-def _mounts(c: _Contents, base: str, stamps: Sequence[float]) -> list[Pose3]:
-    """Return `T_base_laser` at each scan; the scans of a topic may come from several lasers."""
+def _mounts(path: Path, c: _Contents, base: str, stamps: Sequence[float]) -> list[Pose3]:
+    """Return `T_base_laser` at each scan; the scans of a topic may come from several lasers.
+
+    Raises:
+        SourceError: a laser is far from the base.
+    """
     by_laser: dict[str, list[Pose3]] = {}
     for laser in sorted(set(c.lasers)):
         found = c.frames.mounts(base, laser, stamps)
+        away = max((float(np.linalg.norm(T.position)) for T in found or ()), default=0.0)
+        if away > REACH:
+            raise SourceError(f"{path}: transforms place {laser} {away:.4g} m from {base}: millimeters?")
         if found is None:
             lacking = (
                 f"no transform from {base or 'the base'} to {laser}: the laser is taken to be at the base"
@@ -281,22 +300,19 @@ def _scans(
     Raises:
         SourceError: most readings of a laser are beyond reason.
     """
-    kinds = [
-        (laser, beams.range_min, beams.range_max) for laser, beams in zip(c.lasers, c.beams, strict=True)
-    ]
     decoders = {}
-    for kind in dict.fromkeys(kinds):
-        own = [k for k, each in enumerate(kinds) if each == kind]
+    for laser in dict.fromkeys(c.lasers):
+        own = [k for k, each in enumerate(c.lasers) if each == laser]
         try:
-            decoders[kind] = RangeDecoder([messages[k].ranges for k in own], c.beams[own[0]], range_max)
+            decoders[laser] = RangeDecoder([messages[k].ranges for k in own], c.beams[own[0]], range_max)
         except ValueError as error:
             raise SourceError(f"{path}: {c.names[0]} has {error}") from None
-        for code in decoders[kind].codes:
+        for code in decoders[laser].codes:
             c.repaired[code] += len(own)
     scans = []
-    for m, beams, mount, kind in zip(messages, c.beams, mounts, kinds, strict=True):
-        first, step, range_min = geometry(beams, len(m.ranges))
-        ranges, farthest = decoders[kind].decode(m.ranges), decoders[kind].farthest
+    for m, beams, mount, laser in zip(messages, c.beams, mounts, c.lasers, strict=True):
+        first, step, range_min, _ = geometry(beams, len(m.ranges))
+        ranges, farthest = decoders[laser].decode(m.ranges), decoders[laser].farthest
         scans.append(
             LaserScan(ranges, first, step, range_min, farthest, m.stamp, mount, beams.time_increment)
         )
@@ -351,6 +367,8 @@ def _add_scan(contents: _Contents, line: int, m: Any, stamp: float | None) -> No
         contents.skipped[f"scan {why}"] += 1
         contents.left_out += 1
         return
+    if not math.isfinite(m.time_increment):
+        contents.repaired[f"time_increment {m.time_increment:g}: 0 is taken"] += 1
     if beams.step != m.angle_increment:
         contents.repaired[f"angle_increment {m.angle_increment:g}: derived from angle_min, angle_max"] += 1
     contents.lasers.append(m.header.frame_id)
@@ -396,20 +414,40 @@ def _add_reading(contents: _Contents, m: Any, stamp: float | None) -> None:
     contents.imu.append(_Reading(m.header.frame_id, time, attitude, (w.x, w.y, w.z), (a.x, a.y, a.z)))
 
 
-def _number_by_stamp(scans: list[Message], odoms: list[Message]) -> tuple[list[Message], list[Message]]:
-    """Renumber messages by stamp if the stamps of each topic rise.
+def _in_time(c: _Contents, odometry: list[Message]) -> tuple[list[Message], list[Message]]:
+    """Return scans and odometry numbered by stamp, unless a clock was set.
 
-    Topics arrive with different delays.
+    Topics arrive with different delays, a few messages late or twice. Of poses with equal stamps the last
+    counts; of scans with equal stamps the later ones get the next microsecond.
     """
-
-    def rises(found: list[Message]) -> bool:
-        return all(a.stamp < b.stamp for a, b in pairwise(found))
-
-    if not (rises(scans) and rises(odoms)):
-        return scans, odoms
-    order = sorted([*odoms, *scans], key=lambda m: m.stamp)
-    numbered = [Message(k, m.stamp, m.base, m.laser, m.ranges, m.config) for k, m in enumerate(order)]
+    if (c.clouds and not _rises(c.scans)) or not all(map(_may_be_sorted, (c.scans, odometry))):
+        return c.scans, odometry
+    order = np.argsort([m.stamp for m in c.scans], kind="stable").tolist()
+    if not c.clouds:
+        c.beams = [c.beams[k] for k in order]
+    c.lasers = [c.lasers[k] for k in order]
+    scans: list[Message] = []
+    for k in order:
+        least = scans[-1].stamp + SAME_STAMP if scans else -math.inf
+        scans.append(replace(c.scans[k], stamp=max(c.scans[k].stamp, least)))
+    lines = sorted([*{m.stamp: m for m in odometry}.values(), *scans], key=lambda m: m.stamp)
+    numbered = [replace(m, line=k) for k, m in enumerate(lines)]
     return [m for m in numbered if len(m.ranges)], [m for m in numbered if not len(m.ranges)]
+
+
+def _rises(topic: list[Message]) -> bool:
+    return all(a.stamp < b.stamp for a, b in pairwise(topic))
+
+
+def _may_be_sorted(topic: list[Message]) -> bool:
+    """Whether messages that come too late are few and fill gaps, and have no damaged stamps."""
+    stamps = np.array([m.stamp for m in topic])
+    late = stamps < np.maximum.accumulate(stamps)
+    if not late.any():
+        return True
+    long = HOLE * float(np.median(np.diff(np.sort(stamps))))
+    holes, before = ((np.diff(np.sort(found)) > long).sum() for found in (stamps, stamps[~late]))
+    return bool(late.sum() <= max(1, LATE * len(topic)) and holes < before)
 
 
 def _inertial(c: _Contents, mounts: Mapping[str, Pose3]) -> ImuReadings:

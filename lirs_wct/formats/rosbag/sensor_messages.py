@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
-from lirs_wct.formats.carmen.laser import CODE_BEAMS, CODE_SHARE, no_return, usual_reading
+from lirs_wct.formats.carmen.laser import CODE_BEAMS, CODE_CONTRAST, CODE_SHARE, no_return, usual_reading
 from lirs_wct.formats.rosbag.frames import seconds
 from lirs_wct.formats.rosbag.open_bag import open_bag
 from lirs_wct.geometry import PointCloud, Pose3
@@ -54,17 +54,18 @@ def beams_of(message: Any, n: int) -> BeamGeometry | None:
     step = m.angle_increment if _legal(m.angle_increment, n) else (m.angle_max - m.angle_min) / max(1, n - 1)
     if not (math.isfinite(m.angle_min) and _legal(step, n)):
         return None
-    return BeamGeometry(m.angle_min, step, m.angle_max, m.range_min, m.range_max, m.time_increment)
+    time_increment = m.time_increment if math.isfinite(m.time_increment) else 0.0
+    return BeamGeometry(m.angle_min, step, m.angle_max, m.range_min, m.range_max, time_increment)
 
 
 @lru_cache
-def geometry(beams: BeamGeometry, n: int) -> tuple[float, float, float]:
-    """Return first angle, increment and smallest range without float32 rounding."""
+def geometry(beams: BeamGeometry, n: int) -> tuple[float, float, float, float]:
+    """Return first angle, increment and range limits without float32 rounding."""
     first, step, last = _angle(beams.first), _angle(beams.step), _angle(beams.last)
     if n > 1 and abs(first + step * (n - 1) - last) < SAME_ANGLE:
         # Rounding of the increment would add up over the beams.
         step = (last - first) / (n - 1)
-    return first, step, _decimal(beams.range_min)
+    return first, step, _decimal(beams.range_min), _decimal(beams.range_max)
 
 
 def _legal(step: float, n: int) -> bool:
@@ -90,6 +91,10 @@ def _angle(value: float) -> float:
 
 SAMPLED = 500
 """Scans of a laser, evenly spaced, in which codes for no return are searched."""
+OFTEN, ALL_ROUND = 0.01, 0.2
+"""Least share of the readings that are a code below the largest reading, and of the beams that show it."""
+UNUSUAL, USUAL = 100.0, 99.95
+"""Median reading that is no meters; percentile of the readings that is their largest, without outliers."""
 SAME_RANGE, EXACT = 0.0005, 0.9
 """Largest difference of two readings of one code, meters, and share of them among the readings from it on."""
 SPREAD, NEAR, DENSER, SCANS = 5, 0.02, 5.0, 0.5
@@ -122,15 +127,18 @@ class RangeDecoder:
         usual = [r for r in ranges if len(r) == size]
         sample = np.stack(usual[:: -(-len(usual) // SAMPLED)])
         real = sample[np.isfinite(sample) & (sample > 0)]
-        far = real[(real > FARTHEST) & (np.abs(real - (usual_reading(real) or 0.0)) > SAME_RANGE)]
-        if far.size > real.size / 2:
-            raise ValueError(f"ranges up to {far.max():,.0f} m: millimeters? LaserScan has meters")
+        far = real[np.abs(real - (usual_reading(real) or 0.0)) > SAME_RANGE]
+        if far.size and np.median(far) > UNUSUAL:
+            unit = "millimeters" if far.max() > 10 * UNUSUAL else "centimeters"
+            raise ValueError(f"ranges up to {far.max():,.0f} m: {unit}? LaserScan has meters")
+        far = far[far > FARTHEST]
         self.codes: list[str] = []
         self._codes = [(given, math.inf)] if given else []
         stated = _decimal(beams.range_max)
         legal = 0 < stated <= FARTHEST
         limit = given or self._find_codes(sample, stated if legal else FARTHEST, beams.range_min)
-        largest = float(real[~self._means_none(real) & (real <= min(limit, FARTHEST))].max(initial=0.0))
+        known = real[~self._means_none(real) & (real <= min(limit, FARTHEST))]
+        largest = float(np.percentile(known, USUAL)) if known.size else 0.0
         self.farthest = stated if legal else largest
         if not legal:
             self.codes.append(f"range_max is {stated:g} m: the largest reading is taken, {largest:.2f} m")
@@ -154,11 +162,15 @@ class RangeDecoder:
 
     def _find_codes(self, ranges: Float32Array, range_max: float, range_min: float) -> float:
         """Find the codes in readings (scans, beams); return the least above 0, else FARTHEST."""
+        if _is_code(np.isinf(ranges)):  # the driver has a reading for no return
+            return FARTHEST
         limit = no_return(ranges, FARTHEST)
         if limit == FARTHEST > range_max:
             limit = _noisy_maximum(ranges, range_max)
         if limit < FARTHEST:
             self._add_code(ranges, limit, FARTHEST)
+        elif (exact := _exact_code(ranges)) is not None:
+            self._add_code(ranges, exact - SAME_RANGE, exact + SAME_RANGE)
         if range_min <= 0 and _is_code(ranges == 0):
             self._add_code(ranges, 0.0, 0.0)
         if _is_code(np.isfinite(ranges) & (ranges > FARTHEST)):
@@ -177,6 +189,17 @@ class RangeDecoder:
 def _is_code(readings: BoolArray) -> bool:
     """Whether readings (scans, beams) are frequent and come from many directions."""
     return bool(readings.mean() >= CODE_SHARE and readings.any(axis=0).mean() >= CODE_BEAMS)
+
+
+def _exact_code(ranges: Float32Array) -> float | None:
+    """Return a reading that comes from many directions, far more often than its neighbors; else None."""
+    real = ranges[np.isfinite(ranges) & (ranges > 0) & (ranges <= FARTHEST)]
+    code = usual_reading(real) or 0.0
+    same = np.abs(ranges - code) <= SAME_RANGE
+    near = np.bincount((np.abs(real[np.abs(real - code) < 0.5] - code) * 100).astype(np.int64), minlength=50)
+    usual = max(1.0, float(np.median(near)))
+    frequent = same.mean() >= OFTEN and same.any(axis=0).mean() >= ALL_ROUND
+    return code if frequent and same.sum() >= CODE_CONTRAST * usual else None
 
 
 def _noisy_maximum(ranges: Float32Array, range_max: float) -> float:

@@ -43,10 +43,6 @@ class Topics:
     def choose(self, path: Path, kinds: Mapping[str, str]) -> tuple[str, str | None, str | None]:
         """Return the topics of scans, odometry (None = /tf) and inertial readings (None = none).
 
-        Args:
-            path: of the bag.
-            kinds: type of each topic in it.
-
         Raises:
             SourceError: a topic is missing, ambiguous, or of another type.
         """

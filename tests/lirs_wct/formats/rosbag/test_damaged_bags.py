@@ -5,6 +5,7 @@ import sqlite3
 import struct
 import warnings
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from functools import partial
@@ -293,9 +294,7 @@ def test_the_parts_of_a_ros_1_bag_are_one_log(
     if whole:
         check(read_bag(folder, IMU), given)
     else:
-        with pytest.raises(
-            SourceError, match=r"run: .*several ROS 1 bags: give one of monday\.bag, tuesday\.bag"
-        ):
+        with pytest.raises(SourceError, match=r"run: .*several bags: give one of monday\.bag, tuesday\.bag"):
             read_bag(folder, IMU)
 
 
@@ -308,3 +307,60 @@ def test_fewer_messages_than_the_metadata_states_are_told(bag: Path, tmp_path: P
     file.write_text(yaml.safe_dump(stated))
     with pytest.warns(UserWarning, match=rf"metadata\.yaml states {count + 5} messages, there are {count}"):
         read_bag(tmp_path / "run", Topics())
+
+
+def test_late_and_repeated_messages_leave_the_stamps_alone(
+    bag: Path, given: BagDrive, tmp_path: Path, recwarn: Any
+) -> None:
+    """Scans arrive 0.25 s late, two of them in the wrong order, and each tenth pose comes twice."""
+    with (
+        AnyReader([bag]) as reader,
+        Writer(tmp_path / "run", version=8, storage_plugin=StoragePlugin.MCAP) as writer,
+    ):
+        made = {
+            c.topic: writer.add_connection(c.topic, c.msgtype, typestore=reader.typestore)
+            for c in reader.connections
+        }
+        received = Counter[str]()
+        late: list[tuple[int, str, bytes]] = []
+        for c, stamp, data in reader.messages():
+            received[c.topic] += 1
+            delay = {"/scan": 250_000_000}.get(c.topic, 0)
+            delay += 30_000_000 if (c.topic, received[c.topic]) == ("/scan", 50) else 0
+            twice = c.topic == "/odom" and received[c.topic] % 10 == 0
+            late += [(stamp + delay + k, c.topic, bytes(data)) for k in range(1 + twice)]
+        for stamp, topic, data in sorted(late):
+            writer.write(made[topic], stamp, data)
+    log = read_bag(tmp_path / "run", IMU)
+    check(log, given)
+    assert log.lines.moved == 0
+    for pose, tick in zip(log.odometry, given.ticks, strict=True):
+        assert pose is not None
+        np.testing.assert_allclose(pose.as_array(), tick.odometry.as_array(), atol=1e-9)
+    assert not recwarn.list
+
+
+def test_a_folder_of_several_bags_asks_for_one(bag: Path, tmp_path: Path) -> None:
+    for name in ("monday.mcap", "tuesday.mcap"):
+        shutil.copy(bag / "run.mcap", tmp_path / name)
+    with pytest.raises(SourceError, match=r"several bags: give one of monday\.mcap, tuesday\.mcap"):
+        read_bag(tmp_path, Topics())
+
+
+@pytest.mark.parametrize("broken", [b"", b"junk" * 99])
+def test_a_damaged_part_leaves_the_others(split: Path, given: BagDrive, broken: bytes) -> None:
+    (split / "run_2.mcap").write_bytes(broken)
+    with pytest.warns(UserWarning, match=r"damaged \(run_2\.mcap: not an MCAP file\): 200 scans could"):
+        log = read_bag(split, IMU)
+    check(log, given, 200)
+
+
+@pytest.mark.parametrize("paths", [None, 3, "run.mcap"])
+def test_metadata_without_a_list_of_files_is_ignored(
+    paths: Any, bag: Path, given: BagDrive, tmp_path: Path
+) -> None:
+    shutil.copytree(bag, tmp_path / "run")
+    held = yaml.safe_load((bag / "metadata.yaml").read_text())
+    held["rosbag2_bagfile_information"]["relative_file_paths"] = paths
+    (tmp_path / "run" / "metadata.yaml").write_text(yaml.safe_dump(held))
+    check(read_bag(tmp_path / "run", IMU), given)

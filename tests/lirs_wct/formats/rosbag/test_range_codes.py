@@ -106,3 +106,28 @@ def test_any_readings_are_decoded(values: list[float], least: float, most: float
     assert 0 <= found.farthest <= 300
     finite = decoded[np.isfinite(decoded)]
     assert (finite <= 300).all()
+
+
+@pytest.mark.parametrize("code", [3.0, 0.1])
+def test_an_exact_code_below_the_largest_reading_is_found(code: float) -> None:
+    ranges, missing = room(0.2)
+    coded = list(np.where(missing, code, ranges).astype(np.float32))
+    found = decoder(coded)
+    assert found.codes == [f"{code:g} m is a no-return code"]
+    assert (np.isinf(found.decode(coded[0])) == (missing[0] | (ranges[0] == np.float32(code)))).all()
+
+
+def test_a_wall_near_range_max_is_none_where_the_driver_reports_infinity() -> None:
+    """A robot at rest before a wall at 7.95 of 8 m."""
+    ranges, missing = room(0.2)
+    still = np.tile(ranges[0], (SCANS, 1))
+    still[:, 60:120] = 7.95 + NOISE[:, 60:120]
+    coded = list(np.where(missing, np.inf, still).astype(np.float32))
+    found = decoder(coded)
+    assert found.codes == []
+    assert (np.isinf(found.decode(coded[0])) == missing[0]).all()
+
+
+def test_centimeters_are_asked_for() -> None:
+    with pytest.raises(ValueError, match=r"ranges up to 800 m: centimeters\?"):
+        decoder([100 * r for r in room()[0]], most=1200.0)
