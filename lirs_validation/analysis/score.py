@@ -54,8 +54,9 @@ UPRIGHT, SPREAD = math.cos(math.radians(45)), 0.05
 space finds the axes."""
 STEP, WINDOW = 0.05, 0.5
 """Sampling of the motion, and time over which a speed and a turn are measured, seconds."""
-OVERLAP, LEAST_COMMON = 0.5, 3.0
-"""Least share of the shorter trajectory that lies within the other, and least time, seconds."""
+OVERLAP, LEAST_COMMON, LONGEST, EQUAL = 0.5, 3.0, 1e5, 0.02
+"""Least share of the shorter trajectory within the other; least and longest time, seconds; difference of
+correlations that does not tell two offsets apart."""
 CLEAR = 0.5
 """Least correlation of the motions at the right offset."""
 
@@ -85,11 +86,7 @@ class Score:
     map: dict[str, Any]
 
     def verdict(self, entry: Mapping[str, Any]) -> Verdict | None:
-        """Return the verdict on the result; None without a trajectory.
-
-        Args:
-            entry: record of the run, as nested dicts.
-        """
+        """Return the verdict on the result; None without a trajectory."""
         if not self.trajectory:
             return None
         own = {"status": self.status, "reason": self.reason, "map": self.map}
@@ -235,7 +232,8 @@ def _upright(path: Path, estimate: Trajectory, truth: Trajectory) -> Trajectory 
     i, j = associated(truth.stamps, estimate.stamps)
     true, found = (t.positions[k] - t.positions[k].mean(axis=0) for t, k in ((truth, i), (estimate, j)))
     spread = np.linalg.svd(found, compute_uv=False)
-    if len(i) < 3 or spread[1] < SPREAD * spread[0]:
+    width = np.ptp(found, axis=0)
+    if len(i) < 3 or spread[1] < SPREAD * spread[0] or width[2] < SPREAD * width[:2].min():
         return None
     turn, _ = Rotation.align_vectors(true, found)
     up = turn.inv().apply((0.0, 0.0, 1.0))
@@ -377,6 +375,9 @@ def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
     Raises:
         SourceError: the motions do not agree at any offset.
     """
+    span = float(np.ptp(estimate.stamps))
+    if span > LONGEST:
+        raise SourceError(f"its stamps span {span:.4g} s, which has no time offset: give it in seconds")
     start = float(truth.stamps[0] - estimate.stamps[0])
     true, found = (_motion(t, np.arange(*_span(t), STEP)) for t in (truth, estimate))
     if min(len(true), len(found)) * STEP < LEAST_COMMON or not (true.std(axis=0) > 0).all():
@@ -386,7 +387,14 @@ def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
     common = correlate(np.ones(len(a)), np.ones(len(b)))
     total = sum(correlate(a[:, k], b[:, k]) for k in range(2)) / (2 * np.maximum(common, 1))
     total[common < max(OVERLAP * min(len(a), len(b)), LEAST_COMMON / STEP)] = -1
-    best = int(np.argmax(total))
+    equal = np.flatnonzero(total > total.max() - EQUAL)
+    equal = equal[common[equal] >= common[equal].max() - 1]
+    if np.ptp(equal) * STEP > 2 * WINDOW:
+        found_at = ", ".join(f"{start + STEP * float(lags[k]):.1f}" for k in (equal[0], equal[-1]))
+        raise SourceError(
+            f"its motion fits the run's at several time offsets, {found_at} s: give it in seconds"
+        )
+    best = int(equal[np.argmax(total[equal])])
     if total[best] < CLEAR:
         raise SourceError(
             "no time offset found: at the best one, its motion and the run's correlate by "
@@ -410,6 +418,10 @@ def _motion(trajectory: Trajectory, stamps: FloatArray) -> FloatArray:
 
     Both are the same in any frame, also in that of a camera.
     """
+    if len(trajectory) < 2:
+        return np.empty((0, 2))
+    if len(trajectory) < 2:
+        return np.empty((0, 2))
     turns = Slerp(trajectory.stamps, Rotation.from_quat(trajectory.quaternions, scalar_first=True))
     ends = [np.clip(stamps + shift, *trajectory.stamps[[0, -1]]) for shift in (-WINDOW / 2, WINDOW / 2)]
     before, after = (

@@ -104,11 +104,7 @@ class ProgressLines:
 
 
 class CompileNote:
-    """Line about a compilation that takes long, once per command.
-
-    Args:
-        console: that the line is written to.
-    """
+    """Line about a compilation that takes long, once per command."""
 
     def __init__(self, console: Console) -> None:
         self._console = console

@@ -130,12 +130,7 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:
 
 
 def decision_figure(answers: Sequence[Answer], out: Path) -> Drawing:
-    """Draw the drives of each method on the world's map.
-
-    Args:
-        answers: of the decision.
-        out: folder of the drives' folders.
-    """
+    """Draw the drives of each method on the world's map."""
     columns = min(COLUMNS, len(answers))
     rows = -(-len(answers) // columns)
     scenarios = ScenarioCache()

@@ -252,11 +252,6 @@ class PathDriver:
         start: where the robot is set down, world frame.
         frame: frame of the poses that it receives.
         state: current activity.
-
-    Args:
-        route: where to drive.
-        start: where the robot is set down, world frame.
-        config: how to drive.
     """
 
     def __init__(self, route: Route, start: Pose2, config: DriverConfig | None = None) -> None:

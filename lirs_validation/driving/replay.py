@@ -62,11 +62,6 @@ class ReplayDriver:
 def replay(folder: Path, config: RunConfig, world: str) -> ReplayDriver:
     """Return the driver that repeats a run.
 
-    Args:
-        folder: of the finished run.
-        config: of the run that is to repeat it.
-        world: name of its world.
-
     Raises:
         SourceError: the folder holds no run, or none whose commands were recorded.
         ConfigError: the run was one in another world, of another robot, or of a lidar with another period.

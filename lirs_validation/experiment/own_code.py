@@ -104,9 +104,11 @@ def _module_of_file(file: Path) -> ModuleType:
     spec = spec_from_file_location(file.stem, file)
     assert spec is not None
     assert spec.loader is not None
+    if file.stem in sys.stdlib_module_names:
+        raise ImportError(f"{file.stem} is a module of Python, the file needs another name")
+    sys.path.append(str(file.resolve().parent))  # also for processes that a mapper spawns
     module = sys.modules[file.stem] = module_from_spec(spec)
-    with importable(file.resolve().parent):
-        spec.loader.exec_module(module)
+    spec.loader.exec_module(module)
     return module
 
 

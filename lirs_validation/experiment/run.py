@@ -261,11 +261,6 @@ def warm_up(scenario: Scenario, simulation: Simulation, mapper: MapperUnderTest)
     """Compile every kernel by a short throw-away drive; restart the mapper.
 
     A kind of drive is warmed up once per process, and again if the mapper has a new process.
-
-    Args:
-        scenario: Scenario of the drive.
-        simulation: Its simulation, to be reset afterwards.
-        mapper: Its mapper.
     """
     c = scenario.config
     driven = driver_parts(c.driver)[0]

@@ -230,12 +230,7 @@ class ClientMapper(MapperUnderTest):
 
 
 class PublishedMapper(MapperUnderTest):
-    """One of our mappers, whose frame `map` and map the client gets.
-
-    Args:
-        bridge: to the client.
-        mapper: that maps.
-    """
+    """One of our mappers, whose frame `map` and map the client gets."""
 
     def __init__(self, bridge: Bridge, mapper: MapperUnderTest) -> None:
         self._bridge, self._ours = bridge, mapper

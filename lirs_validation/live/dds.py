@@ -55,10 +55,6 @@ ANY = SampleState.Any | ViewState.Any | InstanceState.Any
 class DdsNode:
     """Publishers and subscriptions of our node in a domain (see `Middleware`).
 
-    Args:
-        options: domain, host, distribution.
-        topics: to publish.
-
     Raises:
         ConfigError: domain or host cannot be used.
     """

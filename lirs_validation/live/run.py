@@ -232,10 +232,6 @@ def _topics(config: RunConfig, options: LiveOptions) -> tuple[LiveTopic, ...]:
 def open_middleware(options: LiveOptions, topics: tuple[LiveTopic, ...]) -> Middleware:
     """Join a network.
 
-    Args:
-        options: middleware, domain, host.
-        topics: to publish.
-
     Raises:
         ConfigError: domain or host cannot be used.
     """

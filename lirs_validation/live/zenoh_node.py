@@ -29,10 +29,6 @@ class ZenohNode:
     Attributes:
         role: `router`, or `client` of a running router.
 
-    Args:
-        options: domain, host, port, distribution.
-        topics: to publish.
-
     Raises:
         ConfigError: the host's port can neither be opened nor reached.
     """

@@ -75,11 +75,6 @@ def scan_support(world: World, robot: Robot, *, seed: int = 0) -> ScanSupport:
     """Cast noise-free scans over the drivable ground; count walls and ground.
 
     The robot stands as the ground under its footprint lies; one that flies is level.
-
-    Args:
-        world: where.
-        robot: whose lidar and mount.
-        seed: of the places.
     """
     preset = make_lidar_preset(robot.lidar)
     poses = _poses(world, robot, np.random.default_rng((seed, STREAM)))

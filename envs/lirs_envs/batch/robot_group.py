@@ -70,12 +70,6 @@ class RobotGroup(Generic[B]):
         touched: (n,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
         physics_seconds: wall-clock seconds of the last `advance` in MuJoCo's step.
         sensor_seconds: wall-clock seconds of the last `advance` in gyro and odometry.
-
-    Args:
-        config: robot and sensors.
-        rows: rows of the batch.
-        bodies: physics of as many robots.
-        surface: ground of all robots.
     """
 
     def __init__(self, config: SimulationConfig, rows: range, bodies: B, surface: HeightField) -> None:

@@ -84,10 +84,6 @@ class RenderScene:
         model: compiled; nothing in it touches anything.
         data: state of robot, props and walkers.
         world: rendered world.
-
-    Args:
-        world: world of the robot.
-        config: robot, props, number of walkers.
     """
 
     def __init__(self, world: World, config: SimulationConfig) -> None:

@@ -136,10 +136,6 @@ class PlaybackTab(Generic[AnyPlayback]):
 
     Attributes:
         playback: drive of the tab; None = none yet.
-
-    Args:
-        page: page of the tab.
-        begun: called before another drive is shown.
     """
 
     _player: Player
@@ -188,13 +184,7 @@ class PlaybackTab(Generic[AnyPlayback]):
 
 
 class DriveTab(PlaybackTab[LiveDrive]):
-    """Controls of a drive.
-
-    Args:
-        page: whose tab it is.
-        world: returns the world that the page shows.
-        begun: called before another drive starts.
-    """
+    """Controls of a drive."""
 
     def __init__(
         self, page: PageContext, world: Callable[[], Shown | None], begun: Callable[[], None]

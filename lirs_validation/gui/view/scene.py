@@ -144,11 +144,7 @@ class WorldScene:
 
 
 class DriveScene:
-    """Display of a drive's moments, with the map in a separate panel.
-
-    Args:
-        client: the page.
-    """
+    """Display of a drive's moments, with the map in a separate panel."""
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client

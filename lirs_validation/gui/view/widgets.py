@@ -100,16 +100,7 @@ class Pace:
 
 
 class PlayButton:
-    """Button that starts and pauses, labeled with its next action.
-
-    Args:
-        gui: of the page.
-        guard: of its callbacks.
-        label: while it would start.
-        play: called to start.
-        pause: called to pause.
-        color: of the button.
-    """
+    """Button that starts and pauses, labeled with its next action."""
 
     def __init__(
         self,

@@ -1,6 +1,7 @@
 """Scoring a run's own files gives the run's own figures; what does not fit the run is said."""
 
 import json
+import math
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from lirs_validation import cli
 from lirs_validation.analysis.recorded_run import export_run, recorded_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder, read_run
-from lirs_validation.analysis.score import score
+from lirs_validation.analysis.score import find_time_offset, score
 from lirs_validation.config import SourceOptions
 from lirs_validation.metrics.agreement import agreement
 from lirs_validation.metrics.map import iou
@@ -244,6 +245,7 @@ BAD = {
     "ragged": ("1 0 0 0 0 0 0 1\n2 0 0", "not a trajectory"),
     "empty": ("# nothing\n", "has 8 numbers a line"),
     "nan": ("1 nan 0 0 0 0 0 1\n2 0 0 0 0 0 0 1", "its numbers must be finite"),
+    "no rotation": ("1 0 0 0 0 1 0 0 0 0 0 0\n" * 101, "its matrices are no rotations"),
     "kitti": ("1 0 0 0 0 1 0 0 0 0 1 0\n" * 7, "has no stamps: needs one pose per scan, 101, got 7 poses"),
 }
 
@@ -291,3 +293,37 @@ def test_no_offset_is_found_without_a_common_motion(
     np.savetxt(tmp_path / "short.tum", rows(whole)[:20])
     with pytest.raises(SourceError, match=r"short\.tum: too short to find its time offset"):
         score(run, trajectory=tmp_path / "short.tum", time_offset="auto")
+
+
+def test_a_mirrored_trajectory_is_not_turned_over(run: RunFolder, whole: Trajectory, tmp_path: Path) -> None:
+    table = rows(whole)
+    table[:, 2] *= -1
+    table[:, 6] *= -1
+    np.savetxt(tmp_path / "mirrored.tum", table)
+    with warnings.catch_warnings(action="error"):
+        found = score(run, trajectory=tmp_path / "mirrored.tum", frame="map")
+        auto = score(run, trajectory=tmp_path / "mirrored.tum")
+    assert auto.trajectory["ate_rmse"] == pytest.approx(found.trajectory["ate_rmse"])
+    assert found.trajectory["ate_rmse"] > 0.2
+
+
+def test_nanoseconds_are_known_by_their_period(run: RunFolder, whole: Trajectory, tmp_path: Path) -> None:
+    table = rows(whole)
+    table[:, 0] = np.rint(table[:, 0] * 1e9)
+    np.savetxt(tmp_path / "ns.tum", table)
+    assert score(run, trajectory=tmp_path / "ns.tum").trajectory["scan_coverage"] == 1.0
+
+
+def test_laps_that_fit_at_several_offsets_are_refused() -> None:
+    stamps = np.arange(0.0, 120.0, 0.1)
+    phase = 2 * np.pi * stamps / 20 + 0.3 * np.sin(2 * np.pi * stamps / 20)
+    laps = Trajectory.from_poses(
+        stamps.tolist(), [Pose2(3 * math.cos(p), 2 * math.sin(p), p + math.pi / 2) for p in phase.tolist()]
+    )
+    part = Trajectory(laps.stamps[400:800] + 7.3, laps.positions[400:800], laps.quaternions[400:800])
+    with pytest.raises(SourceError, match="fits the run's at several time offsets"):
+        find_time_offset(laps, part)
+    whole = replace(laps, stamps=laps.stamps + 7.3)
+    assert find_time_offset(laps, whole) == pytest.approx(-7.3, abs=0.02)
+    with pytest.raises(SourceError, match=r"its stamps span 1\.2e\+12 s"):
+        find_time_offset(laps, replace(laps, stamps=laps.stamps * 1e10))

@@ -278,3 +278,19 @@ def test_a_mapper_may_be_named_by_its_file(tmp_path: Path) -> None:
         mapper_named("mine/none.py:Theirs", 1)
     with pytest.raises(ConfigError, match="their_own has no class 'Other'; classes with update: Own, Theirs"):
         mapper_named("mine/their_own.py:Other", 1)
+
+
+@pytest.mark.slow
+def test_a_mapper_of_a_file_may_spawn_processes(tmp_path: Path) -> None:
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    text = (Path(__file__).parent / "own_mappers.py").read_text().replace('"fork"', '"spawn"')
+    (folder / "their_pool.py").write_text(text.replace("map(abs, [1, 2])", "map(twice, [1, 2])") + TWICE)
+    with closing(observed("mine/their_pool.py:Pooled")) as process:
+        assert process.stats.received == 6
+    (folder / "json.py").write_text(text)
+    with pytest.raises(ConfigError, match="json is a module of Python, the file needs another name"):
+        mapper_named("mine/json.py:Pooled", 1)
+
+
+TWICE = "\n\ndef twice(x):\n    return 2 * x\n"
