@@ -325,5 +325,5 @@ def test_laps_that_fit_at_several_offsets_are_refused() -> None:
         find_time_offset(laps, part)
     whole = replace(laps, stamps=laps.stamps + 7.3)
     assert find_time_offset(laps, whole) == pytest.approx(-7.3, abs=0.02)
-    with pytest.raises(SourceError, match=r"its stamps span 1\.2e\+12 s"):
+    with pytest.raises(SourceError, match=r"its stamps span 1\.199e\+12 s"):
         find_time_offset(laps, replace(laps, stamps=laps.stamps * 1e10))
