@@ -45,6 +45,8 @@ LATE, HOLE, SAME_STAMP = 0.01, 1.5, 1e-6
 """Largest share of late messages; length of the gap of one, in periods; seconds between equal stamps."""
 LONGEST_EDGE = 0.5
 """Longest time from a scan to the first or last pose of the odometry, seconds."""
+LEAST_TILT = math.radians(0.5)
+"""Smallest roll or pitch of the odometry by which scans are leveled."""
 REACH = 30.0
 """Largest distance of a laser from the base, meters."""
 CLOUD_MARK = np.zeros(1, np.float32)
@@ -216,7 +218,7 @@ def _log(path: Path, c: _Contents, range_max: float | None) -> LaserLog:
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=3)
     poses, track = odometry_of([m.stamp for m in scans], scans, odoms)
-    mounts = _mounts(path, c, base, [m.stamp for m in scans])
+    mounts = _leveled(c, steps, _mounts(path, c, base, [m.stamp for m in scans]), [m.stamp for m in scans])
     found: list[LaserScan] = []
     clouds = None
     if c.clouds:
@@ -279,6 +281,18 @@ def _mounts(path: Path, c: _Contents, base: str, stamps: Sequence[float]) -> lis
     if len(by_laser) > 1:
         c.repaired[f"scans of several lasers on {c.names[0]}: {', '.join(by_laser)}"] = len(stamps)
     return [by_laser[laser][k] for k, laser in enumerate(c.lasers)]
+
+
+def _leveled(c: _Contents, steps: list[Step], mounts: list[Pose3], stamps: list[float]) -> list[Pose3]:
+    """Return the mounts on the leveled base where the odometry tilts, unless an IMU has the attitude."""
+    tilts = np.array([(T.roll, T.pitch) for _, _, T in steps]).reshape(-1, 2)
+    if c.imu or np.abs(tilts).max(initial=0.0) < LEAST_TILT:
+        return mounts
+    most = math.degrees(float(np.abs(tilts).max()))
+    c.repaired[f"the odometry tilts by up to {most:.1f} deg: scans are leveled by it"] = len(mounts)
+    roll, pitch = (np.interp(stamps, [t for _, t, _ in steps], tilt).tolist() for tilt in tilts.T)
+    level = [Pose3.from_rpy(0.0, 0.0, 0.0, *angles, 0.0) for angles in zip(roll, pitch, strict=True)]
+    return [T_level_base @ T for T_level_base, T in zip(level, mounts, strict=True)]
 
 
 def _motion_text(mounts: Sequence[Pose3]) -> str:

@@ -18,6 +18,7 @@ from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
 from lirs_wct.formats.suffixes import STORAGES, Storage
+from lirs_wct.geometry.pose import Pose3
 from lirs_wct.sources.source import is_log
 from tests.lirs_wct.formats.rosbag import drives
 
@@ -247,3 +248,22 @@ def test_real_bags_with_scans_are_read(shared_data: Path, name: str) -> None:
     assert len(log.scans) > 20
     assert (log.skipped, log.left_out, log.lines.moved) == ({}, 0, 0)
     assert all(scan.hits.mean() > 0.3 for scan in log.scans)
+
+
+def test_scans_are_leveled_by_an_odometry_that_tilts(bag: Path, tmp_path: Path) -> None:
+    def tilt(k: int, topic: str, m: Any) -> None:
+        if topic == "/odom":
+            pitched = Pose3.from_rpy(0, 0, 0, 0.0, 0.01 * k, 0.005 * k)
+            q = m.pose.pose.orientation
+            q.w, q.x, q.y, q.z = pitched.qw, pitched.qx, pitched.qy, pitched.qz
+
+    target = rewritten(bag, tmp_path / "run", change=tilt)
+    log = read_bag(target, Topics())
+    assert list(log.repaired) == ["the odometry tilts by up to 56.7 deg: scans are leveled by it"]
+    for k, scan in enumerate(log.scans):
+        expected = Pose3.from_rpy(0, 0, 0, 0.0, 0.01 * k, 0.0) @ drives.MOUNT
+        np.testing.assert_allclose(scan.T_base_laser.position, expected.position, atol=1e-3)
+        assert abs(float(scan.T_base_laser.quaternion @ expected.quaternion)) > 1 - 1e-5
+    with_imu = read_bag(target, IMU)
+    assert with_imu.repaired == {}
+    assert with_imu.scans[-1].T_base_laser == with_imu.scans[0].T_base_laser
