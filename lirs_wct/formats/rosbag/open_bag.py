@@ -24,7 +24,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-from lirs_wct.errors import SourceError
+from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.formats.rosbag.compression import decompress_file, decompress_message
 from lirs_wct.formats.rosbag.mcap_file import McapFile
 from lirs_wct.formats.suffixes import BAGS, METADATA, ZSTD, is_bag_file
@@ -74,7 +74,7 @@ class Bag:
             except StopIteration:
                 return
             except Exception as error:
-                if (reason := _reason(error)) not in self.faults:
+                if (reason := reason_of(error)) not in self.faults:
                     self.faults.append(reason)
                 return
             try:
@@ -124,6 +124,8 @@ def open_bag(path: Path) -> Iterator[Bag]:
     Raises:
         SourceError: no part of it can be read.
     """
+    if not path.exists():
+        raise SourceError(f"{path}: no such file or folder")
     stated = _metadata(path)
     names = [Path(str(name)).name for name in stated.get("relative_file_paths") or ()]
     faults = [f"{name} is missing" for name in names if not (path / name).exists()]
@@ -134,7 +136,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
             try:
                 readers.append(_open(_readable(file, folder / str(k), faults), stack, faults))
             except Exception as error:  # the libraries raise any kind for damaged data
-                faults.append(_reason(error) if file.name in str(error) else f"{file.name}: {_reason(error)}")
+                faults.append(
+                    reason_of(error) if file.name in str(error) else f"{file.name}: {reason_of(error)}"
+                )
         if not readers:
             raise SourceError(f"{path}: not a bag that can be read: {'; '.join(faults)}")
         counts = [reader.message_count for reader in readers if reader.message_count is not None]
@@ -214,7 +218,3 @@ def _metadata(path: Path) -> dict[str, Any]:
         return found if isinstance(found.get("relative_file_paths", []), list) else {}
     except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
         return {}
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -434,7 +434,8 @@ def _in_time(c: _Contents, odometry: list[Message]) -> tuple[list[Message], list
     Topics arrive with different delays, a few messages late or twice. Of poses with equal stamps the last
     counts; of scans with equal stamps the later ones get the next microsecond.
     """
-    if (c.clouds and not _rises(c.scans)) or not all(map(_may_be_sorted, (c.scans, odometry))):
+    mixed = c.clouds and any(a.stamp >= b.stamp for a, b in pairwise(c.scans))  # they are read in this order
+    if mixed or not all(map(_may_be_sorted, (c.scans, odometry))):
         return c.scans, odometry
     order = np.argsort([m.stamp for m in c.scans], kind="stable").tolist()
     if not c.clouds:
@@ -447,10 +448,6 @@ def _in_time(c: _Contents, odometry: list[Message]) -> tuple[list[Message], list
     lines = sorted([*{m.stamp: m for m in odometry}.values(), *scans], key=lambda m: m.stamp)
     numbered = [replace(m, line=k) for k, m in enumerate(lines)]
     return [m for m in numbered if len(m.ranges)], [m for m in numbered if not len(m.ranges)]
-
-
-def _rises(topic: list[Message]) -> bool:
-    return all(a.stamp < b.stamp for a, b in pairwise(topic))
 
 
 def _may_be_sorted(topic: list[Message]) -> bool:

@@ -364,3 +364,8 @@ def test_metadata_without_a_list_of_files_is_ignored(
     held["rosbag2_bagfile_information"]["relative_file_paths"] = paths
     (tmp_path / "run" / "metadata.yaml").write_text(yaml.safe_dump(held))
     check(read_bag(tmp_path / "run", IMU), given)
+
+
+def test_a_bag_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"none\.bag: no such file or folder$"):
+        read_bag(tmp_path / "none.bag", Topics())
