@@ -18,11 +18,7 @@ LOG = "The log"
 @documented
 @dataclass(frozen=True, kw_only=True)
 class LogOptions(Options):
-    """Reading of a laser log.
-
-    Raises:
-        ConfigError: a value is not legal.
-    """
+    """Reading of a laser log."""
 
     fov: float | None = option(
         None,

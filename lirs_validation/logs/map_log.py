@@ -165,11 +165,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         name, log = folder_name(config), read_log(config, clouds=mapper.reads_clouds)
         check_log(config, mapper, log)
         readings = inertial_readings(config, log)
-        found = check_log_data(log)
-        if any(finding.hopeless for finding in found.findings):
-            raise SourceError(f"{config.log}: {found.sentence}")
-        if found.unfit:
-            warnings.warn(f"{config.log}: {found.sentence}", stacklevel=2)
+        found = _preflight(config, log)
         log = log if config.imu is None or is_bag(Path(config.log)) else with_recorded_mount(config, log)
     progress("compile", 0.0)
     with compile_timer() as compile_seconds:
@@ -194,11 +190,8 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         status="lost" if lost else "incomplete" if lacking else "ok",
         reason=lost or lacking or "",
         log=describe_log(log)
-        | {
-            "inertial_readings": sum(reading is not None for reading in readings),
-            "unfit": found.unfit,
-            "findings": [str(finding) for finding in found.findings],
-        },
+        | {"inertial_readings": sum(reading is not None for reading in readings)}
+        | {"unfit": found.unfit, "findings": [str(finding) for finding in found.findings]},
         map=describe_map(grid),
         trajectory={
             "poses": len(trajectory),
@@ -213,6 +206,20 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         cost=cost,
     )
     return MappedLog(record, log, grid, trajectory, reference, accuracy)
+
+
+def _preflight(config: MapConfig, log: LaserLog) -> Preflight:
+    """Check a log's data; warn of one that is not fit.
+
+    Raises:
+        SourceError: a map would not fit into memory.
+    """
+    found = check_log_data(log)
+    if any(finding.hopeless for finding in found.findings):
+        raise SourceError(f"{config.log}: {found.sentence}")
+    if found.unfit:
+        warnings.warn(f"{config.log}: {found.sentence}", stacklevel=2)
+    return found
 
 
 def _map(

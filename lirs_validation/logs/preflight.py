@@ -146,7 +146,7 @@ def _pauses(log: LaserLog) -> Iterator[Deviation]:
         usual = float(np.median(steps)) if len(steps) else 0.0
         long = steps[steps > max(PAUSE, PERIODS * usual)]
         if len(long):
-            yield Deviation(f"{topic.name} has pauses of up to {long.max():.1f} s: {len(long)}")
+            yield Deviation(f"{topic.name} pauses for up to {long.max():.1f} s ({len(long)} x)")
 
 
 def _clock_faults(log: LaserLog) -> Iterator[Deviation]:
@@ -176,7 +176,7 @@ def _odometry_faults(log: LaserLog) -> Iterator[Deviation]:
     usual = 3 * float(np.median(steps)) if len(steps) else 0.0
     jumps = steps[steps > np.maximum(max(JUMP, usual), FAST * np.diff(log.track.stamps))]
     if len(jumps):
-        said = f"odometry has jumps of up to {jumps.max():.1f} m: {len(jumps)}"
+        said = f"odometry jumps by up to {jumps.max():.1f} m ({len(jumps)} x)"
         yield Deviation(said, unfit=True, hopeless=float(jumps.max()) > FAR)
 
 

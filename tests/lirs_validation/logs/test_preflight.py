@@ -66,7 +66,7 @@ FAULTS: list[tuple[LaserLog, str, bool]] = [
     ),
     (log(Pose3.from_rpy(0, 0, 0, math.pi, 0, 0)), "", False),
     (log(returns=9), "100 % of the scans have fewer than 10 returns", True),
-    (log(jump=1.6), "odometry has jumps of up to 1.6 m: 1", True),
+    (log(jump=1.6), "odometry jumps by up to 1.6 m (1 x)", True),
     (log(jump=0.6), "", False),
     (shifted(0, received=0.5), f"stamps of /scan are 0.49 s older than those of /odom{BY}", False),
     (shifted(1, received=0.4), f"stamps of /odom are 0.41 s older than those of /scan{BY}", False),
@@ -94,7 +94,7 @@ def test_pauses_are_counted() -> None:
     found = shifted(0)
     stamps = np.concatenate((found.topics[0].stamps[:30], found.topics[0].stamps[30:] + 2.5))
     paused = replace(found, topics=(replace(found.topics[0], stamps=stamps), found.topics[1]))
-    assert "/scan has pauses of up to 2.6 s: 1" in map(str, check_log_data(paused).findings)
+    assert "/scan pauses for up to 2.6 s (1 x)" in map(str, check_log_data(paused).findings)
 
 
 @pytest.mark.parametrize(("noise", "told"), [(0.01, False), (0.2, True)])
@@ -134,7 +134,7 @@ def test_mapping_warns_of_an_unfit_log_and_keeps_the_findings(finished_run: Path
     poses = [pose or Pose2() for pose in own.odometry]
     far = [Pose2(100, 0, 0) @ pose if k > len(poses) // 2 else pose for k, pose in enumerate(poses)]
     write_log(tmp_path / "jump.clf.gz", zip(own.scans, far, strict=True))
-    with pytest.warns(UserWarning, match=r"jump\.clf\.gz: not fit for planar mapping: odometry has jumps of"):
+    with pytest.warns(UserWarning, match=r"jump\.clf\.gz: not fit for planar mapping: odometry jumps by"):
         mapped = map_log(tmp_path / "jump.clf.gz", mapper="hector", second="none")
     assert mapped.record.log["findings"] == [mapped.record.log["unfit"]]
     assert mapped.record.verdict.sentence.startswith("jump.clf.gz is not fit for planar mapping")
@@ -158,7 +158,7 @@ def test_odometry_that_leaves_no_map_is_refused(finished_run: Path, tmp_path: Pa
     own = read_carmen(finished_run / "scans.clf.gz")
     poses = [Pose2(1e6) if k == 50 else pose or Pose2() for k, pose in enumerate(own.odometry)]
     write_log(tmp_path / "far.clf.gz", zip(own.scans, poses, strict=True))
-    with pytest.raises(SourceError, match=r"far\.clf\.gz: not fit for planar mapping: odometry has jumps"):
+    with pytest.raises(SourceError, match=r"far\.clf\.gz: not fit for planar mapping: odometry jumps"):
         map_log(tmp_path / "far.clf.gz", mapper="hector", second="none")
 
 
@@ -168,6 +168,6 @@ def test_a_lost_mapper_is_told_with_the_deviations_of_the_log() -> None:
         "config": {"log": "a.clf", "mapper": "cartographer"},
         "status": "lost",
         "reason": "the mapper lost its place",
-        "log": {"findings": ["/odom has pauses of up to 8.0 s: 1"], "repaired": {}},
+        "log": {"findings": ["/odom pauses for up to 8.0 s (1 x)"], "repaired": {}},
     }
-    assert "The log may be at fault: /odom has pauses of up to 8.0 s: 1." in judge_log(entry).sentence
+    assert "The log may be at fault: /odom pauses for up to 8.0 s (1 x)." in judge_log(entry).sentence
