@@ -1,6 +1,8 @@
 """N environments as one: the same to the bit as N single ones, at any number of threads."""
 
 import copy
+import multiprocessing
+import os
 from functools import partial
 from typing import Any
 
@@ -135,6 +137,34 @@ def test_a_copy_goes_on_bit_for_bit() -> None:
     for row in actions(5, seed=1):
         for a, b in zip(again.step(row), env.step(row), strict=True):
             assert_same(a, b)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+def test_a_forked_process_goes_on_and_ends() -> None:
+    """A child of a process with threads steps, copies and closes like its parent."""
+    env, told = RobotVectorEnv(9, "navigation", world="simple", threads=3), np.full((9, 2), 0.5)
+    env.reset(seed=0)
+    env.step(told)
+    receiving, sending = multiprocessing.Pipe(duplex=False)
+
+    def go_on(env: Any) -> None:
+        scans = [one.step(told)[0]["scan"].tobytes() for one in (copy.deepcopy(env), env)]
+        env.close()
+        env.close()
+        scans.append(env.step(told)[0]["scan"].tobytes())
+        sending.send(scans)
+
+    child = multiprocessing.get_context("fork").Process(target=go_on, args=(env,))
+    child.start()
+    try:
+        assert receiving.poll(60), "the child hangs"
+        first, again, second = receiving.recv()
+        child.join(60)
+        assert child.exitcode == 0
+    finally:
+        child.kill()
+    expected = [env.step(told)[0]["scan"].tobytes() for _ in range(2)]
+    assert [first, again, second] == [expected[0], *expected]
 
 
 def test_call_get_attr_set_attr() -> None:

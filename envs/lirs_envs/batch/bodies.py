@@ -1,7 +1,6 @@
 """Physics of N robots through `mujoco.batch`, or of one through `mj_step`.
 
-Each robot is alone in its world, and is one row of MuJoCo's state. The results of both are equal at any
-thread count.
+Each robot is alone in its world, and is one row of MuJoCo's state. The results of both are equal.
 """
 
 from __future__ import annotations
@@ -37,7 +36,6 @@ class Bodies:
     Attributes:
         body: the compiled model, which also gives the addresses of its values.
         count: number of robots, N.
-        threads: number of threads that step the robots.
         qpos: (N, nq) positions, live; the first seven are those of `T_world_base`.
         qvel: (N, nv) velocities, live.
         ctrl: (N, nu) controls, to be written.
@@ -48,16 +46,13 @@ class Bodies:
         robot: the robot's figures.
         body: its compiled model, with contact sensors.
         count: number of robots.
-        threads: number of threads.
         own_models: whether each robot has a model of its own, to be edited and announced by `models_changed`.
     """
 
-    def __init__(
-        self, robot: Robot, body: RobotModel, count: int, threads: int, *, own_models: bool = False
-    ) -> None:
+    def __init__(self, robot: Robot, body: RobotModel, count: int, *, own_models: bool = False) -> None:
         self.robot = robot
         self.body = body
-        self.count, self.threads = count, threads
+        self.count = count
         self.models = [copy.copy(body.model) for _ in range(count)] if own_models else [body.model] * count
         self._own_models = own_models
         self._touch, self._wheels, self._drops = _contact_sensors(body)
@@ -68,7 +63,8 @@ class Bodies:
         model = self.body.model
         # MuJoCo stores sleeping bodies in its data, not in the state.
         sleeps = bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
-        self._batch = Batch(model, self.count, self.threads, persistent=sleeps)
+        # Its own threads would not survive a fork, and are slower than a thread per group.
+        self._batch = Batch(model, self.count, nthread=1, persistent=sleeps)
         if self._own_models:
             self._batch.set_models(self.models)
         self.qpos, self.qvel, self.ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))

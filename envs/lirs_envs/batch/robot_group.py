@@ -5,6 +5,7 @@ A group holds physics, control, gyro and odometry.
 
 from __future__ import annotations
 
+import math
 from time import perf_counter as clock
 from typing import Generic, TypeVar
 
@@ -25,8 +26,6 @@ from lirs_wct import HeightField, Pose2, SimulationError, World
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 
 B = TypeVar("B", bound=Bodies | SingleBody)
-LEAST = 4
-"""Least number of robots in a group: the calls per group cost as much as half a robot's step."""
 LONGEST = 256
 """Control updates that are remembered."""
 
@@ -188,15 +187,14 @@ class RobotGroup(Generic[B]):
 def make_groups(
     config: SimulationConfig, body: RobotModel, world: World, count: int, *, threads: int, own_models: bool
 ) -> list[RobotGroup[Bodies]]:
-    """Return `count` robots in groups of at least `LEAST` robots, one group per thread.
-
-    Threads without a group step the physics of the groups.
-    """
-    number = max(1, min(threads, count // LEAST))
+    """Return `count` robots in groups, at most one per thread."""
+    # The calls of a group cost half a robot's step and never run at the same time: g groups take
+    # g / 2 + count / g steps.
+    number = min(threads, math.isqrt(2 * count))
     groups = []
     for k in range(number):
         rows = range(k * count // number, (k + 1) * count // number)
-        bodies = Bodies(config.robot, body, len(rows), -(-threads // number), own_models=own_models)
+        bodies = Bodies(config.robot, body, len(rows), own_models=own_models)
         groups.append(RobotGroup(config, rows, bodies, world.surface))
     return groups
 

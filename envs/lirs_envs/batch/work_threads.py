@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from queue import SimpleQueue
@@ -13,11 +14,15 @@ Work = Callable[[], Sequence[Any]]
 
 
 class WorkThreads:
-    """Pool of `count` threads, including the calling one."""
+    """Pool of `count` threads, including the calling one; a forked process makes its own."""
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self._pool = ThreadPoolExecutor(count - 1) if count > 1 else None
+        self._make_pool()
+
+    def _make_pool(self) -> None:
+        self._pid = os.getpid()
+        self._pool = ThreadPoolExecutor(self.count - 1) if self.count > 1 else None
 
     def __getstate__(self) -> dict[str, Any]:
         return {"count": self.count}
@@ -27,9 +32,9 @@ class WorkThreads:
 
     def close(self) -> None:
         """End the threads; later work runs in the calling thread."""
-        if self._pool is not None:
+        if self._pool is not None and self._pid == os.getpid():
             self._pool.shutdown()
-            self._pool = None
+        self._pool = None
 
     def run(self, pieces: Sequence[Work]) -> None:
         """Do pieces of work, and the pieces that they return, until all are done.
@@ -38,6 +43,8 @@ class WorkThreads:
         """
         if not pieces:
             return
+        if self._pool is not None and self._pid != os.getpid():
+            self._make_pool()  # Threads do not survive a fork.
         job = _Job(pieces, 1 if self._pool is None else self.count)
         helpers = [] if self._pool is None else [self._pool.submit(job.work) for _ in range(self.count - 1)]
         try:
