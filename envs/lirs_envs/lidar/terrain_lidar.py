@@ -8,7 +8,7 @@ Here each height field is a closed solid: triangles of its cells, four side wall
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple, get_args
 
 import mujoco
@@ -29,7 +29,7 @@ from lirs_envs.lidar.presets import (
 )
 from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, side_ranges, terrain_ranges
 from lirs_wct import ConfigError, HeightField, SimulationError, unknown_name
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from lirs_wct.kernels import njit
 
 
@@ -65,7 +65,8 @@ class TerrainLidar:
         rng: random generator of the noise; required with noise.
         range_min: smallest range, meters; default: the device's, 0 for unit vectors.
         range_max: largest range, meters; default: the device's, inf for unit vectors.
-        exclude: names of bodies that beams pass through; default: the site's body, unless it is the world.
+        exclude: names or ids of bodies that beams pass through, one or several, each with all bodies below
+            it; "" = every body without a name, the world alone; default: the site's body alone.
         groups: geom groups (0 to 5) that beams meet.
 
     Raises:
@@ -82,7 +83,7 @@ class TerrainLidar:
         rng: np.random.Generator | None = None,
         range_min: float | None = None,
         range_max: float | None = None,
-        exclude: Collection[str] | None = None,
+        exclude: str | int | Iterable[str | int] | None = None,
         groups: Collection[int] = range(mujoco.mjNGROUP),
     ) -> None:
         preset = make_lidar_preset(pattern) if isinstance(pattern, str) else None
@@ -111,7 +112,7 @@ class TerrainLidar:
 
         Raises:
             ConfigError: the data belong to another model.
-            SimulationError: the site's pose is not finite.
+            SimulationError: the site's pose is not finite, or not yet computed.
         """
         if isinstance(data, mujoco.MjData):
             return self._trace(data)
@@ -129,8 +130,13 @@ class TerrainLidar:
             )
         origin, n = data.site_xpos[self._site], len(self._beams)
         directions = np.empty((n, 3))
-        if not _turn_beams(self._beams, data.site_xmat[self._site], origin, directions):
-            raise SimulationError(f"the site's pose must be finite, got position {origin}")
+        rotation = data.site_xmat[self._site]
+        if not (abs(rotation @ rotation - 3.0) < 1e-6 and math.isfinite(origin.sum())):
+            raise SimulationError(
+                f"the site's pose must be finite and computed, got position {origin}, rotation {rotation}: "
+                "call mujoco.mj_kinematics(model, data) first"
+            )
+        _turn_beams(self._beams, rotation, directions)
         geoms, ranges, limit = np.empty(n, np.int32), np.empty(n), self._limits[1]
         rays = origin, directions.reshape(-1), self._groups
         cutoff = min(limit, mujoco.mjMAXVAL)
@@ -149,10 +155,10 @@ class TerrainLidar:
 
 
 @njit
-def _turn_beams(beams: FloatArray, rotation: FloatArray, origin: FloatArray, directions: FloatArray) -> bool:
+def _turn_beams(beams: FloatArray, rotation: FloatArray, directions: FloatArray) -> None:
     """Fill directions (n, 3) with beams in the world's frame.
 
-    Returns whether the pose is finite. A matrix product of such shapes takes NumPy twice as long.
+    A matrix product of such shapes takes NumPy twice as long.
     """
     a, b, c, d, e, f, g, h, i = rotation
     for k in range(len(beams)):
@@ -160,7 +166,6 @@ def _turn_beams(beams: FloatArray, rotation: FloatArray, origin: FloatArray, dir
         directions[k, 0] = a * x + b * y + c * z
         directions[k, 1] = d * x + e * y + f * z
         directions[k, 2] = g * x + h * y + i * z
-    return math.isfinite(rotation.sum() + origin.sum())
 
 
 @njit
@@ -246,16 +251,27 @@ def _find_site(model: mujoco.MjModel, site: str | int) -> int:
     return int(site)
 
 
-def _excluded_bodies(model: mujoco.MjModel, site: int, exclude: Collection[str] | None) -> list[int]:
+def _excluded_bodies(
+    model: mujoco.MjModel, site: int, exclude: str | int | Iterable[str | int] | None
+) -> IntArray:
     """Return ids of the bodies that beams pass through."""
     if exclude is None:
-        own = int(model.site_bodyid[site])
-        return [own] if own else []
+        own: IntArray = model.site_bodyid[site : site + 1].astype(np.int64)
+        return own[own > 0]
     names = [model.body(k).name for k in range(model.nbody)]
-    for name in exclude:
-        if name not in names:
-            raise unknown_name("body", name, names)
-    return [names.index(name) for name in exclude]
+    found = np.zeros(model.nbody, np.bool_)
+    for body in [exclude] if isinstance(exclude, str | int | np.integer) else exclude:
+        if isinstance(body, int | np.integer):
+            given = [k for k in range(model.nbody) if k == body]
+        else:
+            given = [k for k, name in enumerate(names) if name == body]
+        if not given:
+            raise unknown_name("body", str(body), [name or str(k) for k, name in enumerate(names)])
+        found[given] = True
+    for k in range(1, model.nbody):  # A parent comes before its children.
+        parent = model.body_parentid[k]
+        found[k] |= found[parent] and parent > 0
+    return np.flatnonzero(found)
 
 
 def _group_mask(groups: Collection[int]) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
@@ -265,7 +281,7 @@ def _group_mask(groups: Collection[int]) -> np.ndarray[tuple[int], np.dtype[np.u
     return np.array([group in groups for group in range(mujoco.mjNGROUP)], np.uint8)
 
 
-def _seen_geoms(model: mujoco.MjModel, excluded: list[int], groups: np.ndarray) -> BoolArray:
+def _seen_geoms(model: mujoco.MjModel, excluded: IntArray, groups: np.ndarray) -> BoolArray:
     """Return (ngeom,) geoms that beams meet, by MuJoCo's rules: transparent ones are invisible."""
     opacity = model.geom_rgba[:, 3].copy()
     painted = model.geom_matid >= 0

@@ -133,6 +133,48 @@ def test_beams_pass_through_what_mujoco_looks_through() -> None:
     assert seen(hills(), exclude=["world", "robot"])[1] == np.inf
 
 
+@pytest.mark.parametrize(
+    ("exclude", "seen"),
+    [
+        (None, [0.9, 0.9, 4.9]),
+        ("trunk", [np.inf, np.inf, 4.9]),
+        (["trunk", "foot"], [np.inf, np.inf, 4.9]),
+        (1, [np.inf, np.inf, 4.9]),
+        (np.array((1, 2)), [np.inf, np.inf, 4.9]),
+        ([1, 2, 4], [np.inf, np.inf, 4.9]),
+        (["trunk", "", ""], [np.inf, np.inf, np.inf]),
+        ([1, "", "world"], [np.inf, np.inf, np.inf]),
+        ((body for body in (2, 1)), [np.inf, np.inf, 4.9]),
+    ],
+)
+def test_excluded_bodies_take_those_below_with_them(exclude: Any, seen: list[float]) -> None:
+    """A trunk with two legs that have no name, one with a foot, and a stone without a name."""
+    leg = '<body pos="{} 0 0"><joint axis="0 1 0"/><geom size=".1"/>{}</body>'
+    foot = '<body name="foot" pos="1 0 0"><geom size=".1"/></body>'
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="trunk"><freejoint/><geom size=".1"/><site name="lidar"/>'
+        + leg.format(1, foot)
+        + leg.format(-1, "")
+        + '</body><body pos="0 5 0"><geom size=".1"/></body></worldbody></mujoco>'
+    )
+    beams = np.array([(1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0)])
+    found = TerrainLidar(model, "lidar", beams, exclude=exclude).trace(settled(model))
+    np.testing.assert_allclose(found, seen)
+
+
+def test_poses_that_are_not_computed_are_refused() -> None:
+    model = hills()
+    data, lidar = mujoco.MjData(model), TerrainLidar(model, "lidar", DOWN)
+    with pytest.raises(SimulationError, match="mj_kinematics"):
+        lidar.trace(data)
+    mujoco.mj_kinematics(model, data)
+    assert np.isfinite(lidar.trace(data)).all()
+    other = settled(model)
+    mujoco.mj_resetData(model, other)
+    with pytest.raises(SimulationError, match="mj_kinematics"):
+        lidar.trace([data, other])
+
+
 def test_ranges_outside_the_limits() -> None:
     model = hills()
     data = settled(model)
@@ -182,6 +224,10 @@ def test_a_lidar_on_the_world_sees_the_world() -> None:
         ({"noise": "sick"}, "unknown noise 'sick'"),
         ({"range_min": 2.0, "range_max": 1.0}, "got 2 and 1 m"),
         ({"exclude": ["leg"]}, "unknown body 'leg'"),
+        ({"exclude": "leg"}, "unknown body 'leg'"),
+        ({"exclude": [1, 9]}, "unknown body '9'"),
+        ({"exclude": -1}, "unknown body '-1'"),
+        ({"exclude": [1.5]}, "unknown body '1.5'"),
         ({"groups": [6]}, "0 to 5"),
     ],
 )
