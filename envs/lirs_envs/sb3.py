@@ -7,8 +7,10 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
+from lirs_envs.env import RobotEnv
+from lirs_envs.episodes.episodes import EpisodeView
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
@@ -17,22 +19,23 @@ PICTURES = {None: None, "rgb_array": "rgb_array", "map": "rgb_array"}
 """Render modes and their names in Stable-Baselines3."""
 
 
-def as_vec_env(*vectors: RobotVectorEnv) -> Any:
+def as_vec_env(*vectors: VectorEnv[Any, Any, Any]) -> Any:
     """Return vector environments as one `VecEnv` of Stable-Baselines3.
 
     Args:
-        *vectors: with autoreset mode `SameStep`, as Stable-Baselines3 resets; several of them (say, each in a
-            world of its own) have the same spaces, and their environments are numbered one after the other.
+        *vectors: of `gym.make_vec`, in this process, wrapped or not, with autoreset mode `SameStep`, as
+            Stable-Baselines3 resets; several of them (say, each in a world of its own) have the same spaces,
+            and their environments are numbered one after the other.
 
     At the end of an episode `info["episode"]` has its return `r`, steps `l` and simulated seconds `t`, which
-    Stable-Baselines3 logs; a `VecMonitor` around it puts its own there.
+    Stable-Baselines3 logs and `evaluate_policy` returns, as from its `Monitor`.
 
     A vector with render mode `map` shows as one with `rgb_array`, the one kind of picture that
     Stable-Baselines3 knows.
 
     Raises:
-        ConfigError: Stable-Baselines3 is not installed, the autoreset or render mode is none for it, or the
-            vectors differ in spaces or render mode.
+        ConfigError: Stable-Baselines3 is not installed, a vector is none of this package in this process, the
+            autoreset or render mode is none for it, or the vectors differ in spaces or render mode.
     """
     try:
         base: Any = import_module("stable_baselines3.common.vec_env").VecEnv
@@ -45,7 +48,22 @@ def as_vec_env(*vectors: RobotVectorEnv) -> Any:
     return _adapter(base)(vectors)
 
 
-def _check(one: RobotVectorEnv, first: RobotVectorEnv) -> None:
+def _views(vector: Any) -> Sequence[EpisodeView]:
+    """Return the view of each environment of a vector, below its wrappers."""
+    inner: Any = getattr(vector, "unwrapped", vector)
+    if isinstance(inner, RobotVectorEnv):
+        return inner.views
+    robots: list[Any] = [env.unwrapped for env in inner.envs] if isinstance(inner, SyncVectorEnv) else [None]
+    if all(isinstance(robot, RobotEnv) for robot in robots):
+        return [robot.view for robot in robots]
+    raise ConfigError(
+        "as_vec_env needs vectors of gym.make_vec('LIRS/...') with vectorization_mode vector_entry_point or "
+        f"sync, got {type(inner).__name__}"
+    )
+
+
+def _check(one: VectorEnv[Any, Any, Any], first: VectorEnv[Any, Any, Any]) -> None:
+    _views(one)
     if one.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
         raise ConfigError(
             "Stable-Baselines3 resets in the step that ends an episode: make the vector environment with "
@@ -82,10 +100,10 @@ class _RobotVecEnv:
     _reset_seeds: Callable[[], None]
     _reset_options: Callable[[], None]
 
-    def __init__(self, vectors: Sequence[RobotVectorEnv]) -> None:
+    def __init__(self, vectors: Sequence[Any]) -> None:
         self.vectors = tuple(vectors)
         self.reset_infos: list[dict[str, Any]] = []
-        self._views = [view for one in vectors for view in one.views]
+        self._views = [view for one in vectors for view in _views(one)]
         self._ends = np.cumsum([one.num_envs for one in vectors])[:-1].tolist()
         self._actions: Any = None
         self._returns, self._lengths = np.zeros(len(self._views)), np.zeros(len(self._views), np.int64)
@@ -134,7 +152,8 @@ class _RobotVecEnv:
         self._lengths += 1
         for i, row in enumerate(rows):
             if done[i] or late[i]:
-                self.reset_infos[i] = {k: value for k, value in row.items() if not k.startswith("final_")}
+                left_out = ("final_obs", "final_info", "episode")
+                self.reset_infos[i] = {k: value for k, value in row.items() if k not in left_out}
                 rows[i] = row["final_info"] | {"terminal_observation": row["final_obs"]}
                 rows[i]["episode"] = {
                     "r": float(self._returns[i]),
@@ -167,13 +186,16 @@ class _RobotVecEnv:
         return [getattr(self._views[i], method_name)(*args, **kwargs) for i in rows]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False for _ in self._get_indices(indices)]
+        # Its monitor gives what `info["episode"]` has here.
+        return [wrapper_class.__name__ == "Monitor" for _ in self._get_indices(indices)]
 
 
-def _join(observations: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _join(observations: Sequence[Any]) -> Any:
     """Return the observations of several vectors as those of one."""
     if len(observations) == 1:
         return observations[0]
+    if not isinstance(observations[0], dict):
+        return np.concatenate(observations)
     return {name: np.concatenate([one[name] for one in observations]) for name in observations[0]}
 
 

@@ -10,11 +10,11 @@ from typing import Any, Protocol
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import VectorWrapper
 
 from lirs_envs.episodes.observations import Group
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.tasks.task import Stage, Task
-from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 
@@ -113,13 +113,13 @@ class Curriculum(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArg
         return observation, reward, terminated, truncated, info
 
 
-class VectorCurriculum(gym.vector.VectorWrapper):
+class VectorCurriculum(VectorWrapper):
     """Curriculum of a vector: one difficulty for all robots, by the success rate of all their episodes.
 
-    A new difficulty takes effect in the resets after it. `lirs_envs.sb3.as_vec_env` takes it like a vector.
+    A new difficulty takes effect in the resets after it.
 
     Args:
-        env: vector environment.
+        env: vector of environments with a `difficulty`, wrapped or not.
         difficulty: as all others, see `Curriculum`; an outcome in `episodes` may be any robot's.
         step: change of the difficulty.
         episodes: number of episodes in the success rate.
@@ -127,12 +127,12 @@ class VectorCurriculum(gym.vector.VectorWrapper):
         lower_at: largest success rate at which the difficulty falls.
 
     Raises:
-        ConfigError: a value is not legal.
+        ConfigError: a value is not legal, or the environments have no difficulty.
     """
 
     def __init__(
         self,
-        env: RobotVectorEnv,
+        env: Any,
         *,
         difficulty: float = 0.0,
         step: float = 0.05,
@@ -142,8 +142,12 @@ class VectorCurriculum(gym.vector.VectorWrapper):
     ) -> None:
         super().__init__(env)
         self._pace = DifficultyPace(difficulty, step, episodes, raise_at, lower_at)
-        self._vector, self.views = env, env.views
-        env.set_attr("difficulty", difficulty)
+        self._vector = env.unwrapped  # Wrappers have neither `get_attr` nor `set_attr`.
+        try:
+            self._vector.get_attr("difficulty")
+        except AttributeError:
+            raise ConfigError("a curriculum needs environments with a difficulty") from None
+        self._vector.set_attr("difficulty", difficulty)
 
     @property
     def difficulty(self) -> float:

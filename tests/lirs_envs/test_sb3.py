@@ -1,6 +1,7 @@
 """The adapter to Stable-Baselines3: against its interface, and against itself where it is installed."""
 
 import re
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,11 +9,15 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import FlattenObservation
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.robots.robot import ROBOTS
 from lirs_envs.sb3 import _adapter, as_vec_env, split_infos
 from lirs_envs.vector_env import RobotVectorEnv
+from lirs_envs.wrappers import VectorCurriculum
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 
@@ -116,6 +121,42 @@ def test_attributes_and_methods_of_chosen_environments() -> None:
     assert adapted.get_attr("difficulty") == [0.9, 0.5, 0.9]
     assert len(adapted.env_method("reading", indices=1)) == 1
     assert adapted.env_is_wrapped(object) == [False] * 3
+    assert adapted.env_is_wrapped(type("Monitor", (), {})) == [True] * 3
+
+
+def sync(count: int = 3, wrap: Any = lambda env: env) -> Any:
+    return SyncVectorEnv(
+        [lambda: wrap(RobotEnv("navigation", world="simple", time_limit=0.5))] * count,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+    )
+
+
+@pytest.mark.parametrize("wrap", [RecordEpisodeStatistics, partial(VectorCurriculum, difficulty=0.2)])
+@pytest.mark.parametrize("make", [vector, sync])
+def test_wrapped_vectors_and_those_of_single_environments(make: Any, wrap: Any) -> None:
+    adapted, plain = _adapter(VecEnvInterface)([wrap(make())]), _adapter(VecEnvInterface)([vector()])
+    for one in (adapted, plain):
+        one.seed(5)
+        one.set_attr("difficulty", 0.2)
+    assert same(adapted.reset(), plain.reset())
+    for _ in range(7):
+        actions = np.full((3, 2), 0.4, np.float32)
+        first, second = adapted.step(actions), plain.step(actions)
+        for a, b in zip(first[:3], second[:3], strict=True):
+            assert same(a, b)
+        assert all(same(a, b) for a, b in zip(first[3], second[3], strict=True))
+        assert all(same(a, b) for a, b in zip(adapted.reset_infos, plain.reset_infos, strict=True))
+    assert adapted.get_attr("difficulty") == plain.get_attr("difficulty") == [0.2] * 3
+
+
+def test_flat_vectors_are_joined() -> None:
+    flat: list[Any] = [sync(count, FlattenObservation) for count in (1, 2)]
+    adapted = _adapter(VecEnvInterface)(flat)
+    observed = adapted.reset()
+    assert observed.shape == (3, *flat[0].single_observation_space.shape)
+    for _ in range(5):
+        *_, rows = adapted.step(np.zeros((3, 2), np.float32))
+    assert rows[2]["terminal_observation"].shape == observed.shape[1:]
 
 
 def test_split_infos() -> None:
@@ -162,7 +203,7 @@ def test_several_vectors_are_one(plane: World) -> None:
         ([], "needs at least one vector environment"),
         ([{"autoreset_mode": "NextStep"}], "autoreset_mode='SameStep', got AutoresetMode.NEXT_STEP"),
         ([{"render_mode": "depth_array"}], "shows render modes rgb_array and map, got 'depth_array'"),
-        ([{}, {"robot": "quadrotor"}], "the same single_observation_space"),
+        ([{}, {"robot": "turtlebot3_burger"}], "the same single_observation_space"),
         ([{}, {"render_mode": "map"}], "the same render_mode, got None and map"),
     ],
 )
@@ -174,9 +215,16 @@ def test_vectors_that_do_not_fit(
         as_vec_env(*(vector(**options) for options in vectors))
 
 
+@pytest.mark.parametrize("foreign", [RobotEnv("mapping", world="simple"), object()])
+def test_other_environments_are_refused(foreign: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lirs_envs.sb3.import_module", lambda _: SimpleNamespace(VecEnv=VecEnvInterface))
+    with pytest.raises(ConfigError, match=f"as_vec_env needs vectors .*, got {type(foreign).__name__}"):
+        as_vec_env(foreign)
+
+
 @pytest.mark.filterwarnings("ignore:Your observation height_map has an unconventional shape")
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("robot", sorted(ROBOTS))
+@pytest.mark.parametrize("robot", sorted(name for name, robot in ROBOTS.items() if not robot.flies))
 @pytest.mark.parametrize("name", ["LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1"])
 def test_its_checker_finds_nothing(name: str, robot: str) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker", reason=REASON)
