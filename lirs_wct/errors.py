@@ -24,6 +24,10 @@ class ConfigError(WctError, ValueError):
     """An option with an illegal value."""
 
 
+class OptionError(ConfigError, TypeError):
+    """An unknown keyword argument; a `TypeError` too, as Python raises for a function."""
+
+
 class OutputError(WctError):
     """A result that cannot be written; the message begins with its path."""
 

@@ -2,23 +2,51 @@
 
 from __future__ import annotations
 
+import copy
+import inspect
+from dataclasses import fields
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.wrappers import TimeLimit
 
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.episodes import Episodes, EpisodeView
 from lirs_envs.rendering.scene import Snapshot
 from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
-from lirs_wct import ConfigError, Pose2
+from lirs_wct import Pose2
 from lirs_wct.arrays import ByteArray, Float32Array
+from lirs_wct.errors import OptionError, did_you_mean
 
 Observed = dict[str, Any]
 ROW = np.zeros(1, np.int64)
 
 
-class RobotEnv(gym.Env[Observed, Float32Array]):
+class LimitedEpisodes:
+    """Environment whose `spec` tells the steps of an episode, as Gymnasium's wrappers of time expect.
+
+    Attributes:
+        episodes: the episodes, with a number of `max_steps`.
+    """
+
+    episodes: Any
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Specification from which the environment was made; None = it was made directly."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = copy.copy(spec)
+        if self._spec is not None:
+            self._spec.max_episode_steps = self.episodes.max_steps
+
+
+class RobotEnv(LimitedEpisodes, gym.Env[Observed, Float32Array]):
     """One robot with a task; bit-equal to one row of the vector environment.
 
     Observation: a dict of the groups in `observe` (see `lirs_envs.episodes.observations.GROUPS`).
@@ -49,7 +77,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
     ) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
-        self.episodes = Episodes(task, make_config(options), 1, kind=kind)
+        self.episodes: Episodes = Episodes(task, make_config(options), 1, kind=kind)
         self.metadata = self.metadata | {"render_fps": round(self.episodes.config.control_hz)}
         self.action_space = self.episodes.action_space
         self.observation_space = self.episodes.observations.space
@@ -62,6 +90,7 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
     ) -> tuple[Observed, dict[str, Any]]:
         """Begin an episode (see `Episodes.reset`)."""
         super().reset(seed=seed)
+        self.episodes.limit_steps(self._find_limit())
         self.episodes.reset(0, self.np_random, options)
         self._path.clear()
         self._show()
@@ -104,6 +133,19 @@ class RobotEnv(gym.Env[Observed, Float32Array]):
         """Release OpenGL resources and close the window."""
         self._views.close()
 
+    def _find_limit(self) -> int | None:
+        """Return the steps of the `TimeLimit` that resets this environment; None = there is none.
+
+        `gym.make` gives `max_episode_steps` to that wrapper alone, and `info` is to tell a timeout.
+        """
+        frame, found = inspect.currentframe(), []
+        while frame is not None:
+            wrapper = frame.f_locals.get("self")
+            if isinstance(wrapper, TimeLimit) and wrapper.unwrapped is self:
+                found.append(wrapper._max_episode_steps)
+            frame = frame.f_back
+        return min(found, default=None)
+
     def _observe(self) -> Observed:
         return {name: values[0] for name, values in self.episodes.observations.read(ROW).items()}
 
@@ -118,12 +160,17 @@ def make_config(options: dict[str, Any]) -> EnvConfig:
     """Return the config of an environment's options.
 
     Raises:
-        ConfigError: an option is unknown, or has a value that is not legal.
+        ConfigError: an option has a value that is not legal.
+        OptionError: an option is unknown.
     """
-    try:
-        return EnvConfig(**options)
-    except TypeError as error:
-        raise ConfigError(f"unknown option of the environment: {error}") from None
+    legal = sorted(["kind", "render_mode", *(field.name for field in fields(EnvConfig) if field.init)])
+    for name in options:
+        if name not in legal:
+            raise OptionError(
+                f"the environment got an unexpected keyword argument {name!r}; "
+                f"legal: {', '.join(legal)}{did_you_mean(name, legal)}"
+            )
+    return EnvConfig(**options)
 
 
 def snapshot_of(episodes: Episodes, i: int) -> Snapshot:

@@ -11,7 +11,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from lirs_envs.env import Observed, make_config, snapshot_of
+from lirs_envs.env import LimitedEpisodes, Observed, make_config, snapshot_of
 from lirs_envs.episodes.episodes import Episodes, EpisodeView, action_array, check_options
 from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
 from lirs_wct import ConfigError, Pose2, unknown_name
@@ -27,12 +27,13 @@ class JoinedEpisodes:
         parts: the episodes of each world.
         places: part and row in it of each row.
         config: options of the first part; those of others differ in the world.
+        max_steps: number of steps until an episode is truncated.
         action_space: action space of one robot.
         observation_space: observation space of one robot.
     """
 
     def __init__(self, parts: Sequence[Episodes]) -> None:
-        self.parts, self.config = tuple(parts), parts[0].config
+        self.parts, self.config, self.max_steps = tuple(parts), parts[0].config, parts[0].max_steps
         self.places = [(part, k) for part in parts for k in range(part.count)]
         self.action_space, self.observation_space = parts[0].action_space, parts[0].observations.space
         self._ends = np.cumsum([part.count for part in parts])
@@ -80,7 +81,7 @@ class JoinedEpisodes:
         return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
 
 
-class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
+class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
     """N robots in separate environments, bit-equal to N times `RobotEnv` at any thread count.
 
     A reset with seed s seeds environment i with s + i, as Gymnasium's vectors do. `call`, `get_attr` and
@@ -92,7 +93,8 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         kind: kind of course, for the traverse task only; None = `mixed`.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled` (see Gymnasium's `AutoresetMode`).
         threads: number of threads; None = all processors of this process.
-        max_episode_steps: truncates an episode before its time limit does; None = it does not.
+        max_episode_steps: number of steps until an episode is truncated, in place of the task's time limit;
+            None = that one. A `time_limit` holds as well.
         render_mode: `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
         **options: fields of `EnvConfig`. `world` may be a list of W worlds: environment i of N is in world
             i * W // N.
@@ -123,7 +125,7 @@ class RobotVectorEnv(VectorEnv[Observed, FloatArray, Any]):
         check_render_mode(render_mode, self.metadata["render_modes"])
         self.num_envs, self.render_mode = num_envs, render_mode
         threads = len(os.sched_getaffinity(0)) if threads is None else threads
-        self.episodes = JoinedEpisodes(
+        self.episodes: JoinedEpisodes = JoinedEpisodes(
             [
                 Episodes(
                     task,

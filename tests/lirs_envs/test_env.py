@@ -9,6 +9,7 @@ import resource
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -66,10 +67,12 @@ def digest(name: str) -> str:
     ("name", "robot"),
     [
         pytest.param("LIRS/Mapping-v2", "husky", marks=pytest.mark.slow),
-        ("LIRS/Navigation-v1", "quadrotor"),
+        ("LIRS/Navigation-v1", "turtlebot2"),
+        ("LIRS/Mapping-v2", "quadrotor"),
         *(
             pytest.param("LIRS/Traverse-v1", name, marks=[pytest.mark.slow] if name != "jackal" else ())
-            for name in sorted(ROBOTS)
+            for name, robot in sorted(ROBOTS.items())
+            if not robot.flies
         ),
     ],
 )
@@ -246,7 +249,8 @@ def test_an_episode_that_diverges_ends_with_a_valid_observation(plane: World) ->
         ({"randomize": {"start": [1, 2]}}, "takes no factors"),
         ({"randomize": ["terrain"]}, "is for the task to cross generated terrain"),
         ({"time_limit": 0}, "time_limit of the environment must be a finite number above 0 s"),
-        ({"color": 1}, "unknown option of the environment: .*color"),
+        ({"colour": 1}, "an unexpected keyword argument 'colour'; legal: actors, control_hz"),
+        ({"robots": 1}, "an unexpected keyword argument 'robots'; legal: .* world; did you mean robot"),
         ({"render_mode": "ascii"}, "unknown render mode 'ascii'"),
         ({"task": "swim"}, "unknown task 'swim'; legal: mapping, navigation, traverse"),
     ],
@@ -254,6 +258,52 @@ def test_an_episode_that_diverges_ends_with_a_valid_observation(plane: World) ->
 def test_bad_options(plane: World, options: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         RobotEnv(**({"task": "mapping", "world": plane} | options))
+
+
+@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)])
+def test_an_unknown_keyword_is_a_type_error(make: Any, plane: World) -> None:
+    """Programs that try a keyword rely on it."""
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'; legal: actors"):
+        make("LIRS/Mapping-v2", world=plane, frameskip=4)
+
+
+@pytest.mark.parametrize(
+    ("made", "options", "steps"),
+    [
+        ({}, {}, 1200),
+        ({}, {"time_limit": 2.0, "control_hz": 5}, 10),
+        ({"max_episode_steps": 3}, {}, 3),
+        ({"max_episode_steps": 3}, {"time_limit": 0.2}, 2),
+        ({"max_episode_steps": 2000}, {}, 2000),
+    ],
+)
+def test_a_limit_of_steps_is_told(
+    made: dict[str, Any], options: dict[str, Any], steps: int, plane: World
+) -> None:
+    """Single and vector name a timeout, and wrappers of Gymnasium find the limit in the specification."""
+    single = gym.make("LIRS/Mapping-v2", world=plane, **made, **options)
+    vector = gym.make_vec("LIRS/Mapping-v2", num_envs=1, world=plane, **made, **options)
+    single.reset(seed=0)
+    vector.reset(seed=0)
+    for one in (single, vector):
+        assert one.unwrapped.episodes.max_steps == steps  # type: ignore[attr-defined]
+        assert one.unwrapped.spec is not None
+        assert one.unwrapped.spec.max_episode_steps == steps or "max_episode_steps" in made
+    for step in range(1, min(steps, 10) + 1):
+        *_, terminated, truncated, info = single.step(np.zeros(2, np.float32))
+        *_, truncations, infos = vector.step(np.zeros((1, 2)))
+        assert truncated == truncations[0] == (step == steps)
+        assert (info["timeout"], info["reason"]) == (truncated, "timeout" if truncated else "")
+        assert (infos["timeout"][0], infos["reason"][0]) == (info["timeout"], info["reason"])
+        assert not terminated
+
+
+def test_gymnasium_s_time_wrapper_finds_the_limit(plane: World) -> None:
+    env = gym.wrappers.TimeAwareObservation(
+        gym.make("LIRS/Mapping-v2", world=plane, observe=["scan"]), flatten=False
+    )
+    assert env.reset(seed=0)[0]["time"].tolist() == [0]
+    assert env.observation_space["time"].high.tolist() == [1200]  # type: ignore[index]
 
 
 def test_a_goal_is_observed_only_where_there_is_one(plane: World) -> None:

@@ -68,6 +68,7 @@ class Episodes:
         observations: the chosen groups.
         terminated: (N,) whether the last step ended the episode by the task's rules, or by an accident.
         truncated: (N,) whether the time was up.
+        max_steps: number of steps until an episode is truncated.
 
     Args:
         task: its name (see `TASKS`).
@@ -75,7 +76,7 @@ class Episodes:
         count: number of robots, N.
         threads: number of threads.
         kind: kind of course, for the traverse task only; None = `mixed`.
-        max_steps: truncates an episode before its time limit does; None = it does not.
+        max_steps: see `limit_steps`.
     """
 
     def __init__(
@@ -91,6 +92,10 @@ class Episodes:
         if task not in TASKS:
             raise unknown_name("task", task, TASKS)
         crossing, robot = task == "traverse", config.simulation.robot
+        if robot.flies and not TASKS[task].admits_flight:
+            raise ConfigError(
+                f"the {task} task is for robots that drive: {robot.name} would fly over what is in their way"
+            )
         if kind is not None and not crossing:
             raise ConfigError(f"kind is for the traverse task alone, the task is {task}, got kind {kind!r}")
         scale = course_scale(robot)
@@ -120,11 +125,22 @@ class Episodes:
         self._randomization = Randomization(self.simulation, factors)
         self.action_space = spaces.Box(-1.0, 1.0, (3 if robot.flies else 2,), np.float32)
         self._scale = np.array((robot.max_speed, robot.max_turn_rate, CLIMB_RATE))
-        limit = TASKS[task].time_limit if config.time_limit is None else config.time_limit
-        self._last_step = min(max(1, round(limit * config.control_hz)), max_steps or 2**62)
+        self.limit_steps(max_steps)
         weights = config.weights
         self._accidents = {ERROR: weights.tipped, TIPPED: weights.tipped, LEFT: weights.left}
         self._make_rows(count)
+
+    def limit_steps(self, steps: int | None) -> None:
+        """Limit episodes to a number of steps in place of the task's time limit; None = that one.
+
+        A time limit that the user gives holds as well.
+        """
+        limits, seconds = [] if steps is None else [steps], self.config.time_limit
+        if seconds is None and steps is None:
+            seconds = self.task.time_limit
+        if seconds is not None:
+            limits.append(max(1, round(seconds * self.config.control_hz)))
+        self.max_steps = min(limits)
 
     def _make_stage(self, factors: Factors, *, sees: bool) -> Stage:
         site = make_site(self.simulation.worlds[0], self.config.simulation.robot)
@@ -273,7 +289,7 @@ class Episodes:
             elif off[i]:
                 reason = LEFT
             self.terminated[i] = bool(reason)
-            self.truncated[i] = not reason and self._steps[i] >= self._last_step
+            self.truncated[i] = not reason and self._steps[i] >= self.max_steps
             self._reasons[i] = "timeout" if self.truncated[i] else reason
 
     def _see(self, rows: IntArray) -> None:
@@ -303,6 +319,7 @@ class Episodes:
         of_task = self.task.infos()
         if "success" in of_task:
             of_task["success"] &= ~np.isin(self._reasons, list(self._accidents))
+            of_task["is_success"] = of_task["success"].copy()  # The name that Stable-Baselines3 logs.
         return {
             "T_world_base": poses,
             "time": self._steps * self.simulation.period,

@@ -12,12 +12,16 @@ from lirs_envs.tasks.task import Stage, Task
 from lirs_wct import ConfigError, Pose2, SimulationError
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 
+STANDING = 0.02
+"""Shares of the robot's largest speed and turn rate below which it stands; on slopes it creeps by less."""
 COVERED = 0.95
 """Share of the reachable ground at which a world counts as mapped."""
 
 
 class MappingTask(Task):
-    """Mapping task: reward per square meter of newly seen ground.
+    """Mapping task: reward per square meter of ground newly seen in motion.
+
+    A robot that stands earns nothing by the noise of its lidar.
 
     The episode ends at 95 % of the reachable ground.
     """
@@ -58,11 +62,16 @@ class MappingTask(Task):
         self._before[i] = self._seen.cells[i]
 
     def step(self, ids: IntArray) -> FloatArray:
-        """Return the square meters newly seen."""
+        """Return the square meters newly seen; 0 for robots that stand."""
         cells = self._seen.cells[ids]
         new = np.asarray((cells - self._before[ids]) * SEEN_CELL**2, np.float64)
         self._before[ids] = cells
-        return new
+        return np.where([self._moves(i) for i in ids.tolist()], new, 0.0)
+
+    def _moves(self, i: int) -> bool:
+        robot, qvel = self.stage.simulation.config.robot, self.stage.simulation.qvel(i)
+        speed, turn_rate = float(np.linalg.norm(qvel[:3])), float(np.linalg.norm(qvel[3:6]))
+        return speed > STANDING * robot.max_speed or turn_rate > STANDING * robot.max_turn_rate
 
     def end(self, i: int) -> str:
         """Return "covered" at 95 %."""

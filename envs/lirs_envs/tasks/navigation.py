@@ -32,6 +32,7 @@ class NavigationTask(Task):
     observe: ClassVar = ("scan", "goal", "attitude")
     time_limit: ClassVar = 90.0
     option_names: ClassVar = ("start", "goal", "difficulty")
+    admits_flight: ClassVar = False
     ends_at_contact: ClassVar = True
 
     def __init__(self, stage: Stage) -> None:

@@ -111,6 +111,7 @@ class Task(ABC):
         option_names: names of the options of `reset(options=...)`.
         has_goal: whether there is a goal to observe.
         needs_seen: whether the task reads the ground that the robots have seen (`stage.seen`).
+        admits_flight: whether a robot that flies may do the task.
         ends_at_contact: whether a collision ends the episode; else each second of contact costs.
         stage: state on which the task acts.
     """
@@ -120,6 +121,7 @@ class Task(ABC):
     option_names: ClassVar[tuple[str, ...]]
     has_goal: ClassVar[bool] = True
     needs_seen: ClassVar[bool] = False
+    admits_flight: ClassVar[bool] = True
     ends_at_contact: ClassVar[bool] = False
 
     def __init__(self, stage: Stage) -> None:

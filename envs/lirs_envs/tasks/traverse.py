@@ -30,8 +30,6 @@ class CourseScale(NamedTuple):
 
 def course_scale(robot: Robot) -> CourseScale:
     """Return the scale at which a course is as hard as for a Husky."""
-    if robot.flies:
-        return CourseScale(1.0, 1.0)
     return CourseScale(robot.radius / HUSKY_RADIUS, robot.friction / HUSKY_FRICTION)
 
 
@@ -45,6 +43,7 @@ class TraverseTask(Task):
     observe: ClassVar = ("scan", "goal", "attitude", "height_map")
     time_limit: ClassVar = 90.0
     option_names: ClassVar = ("difficulty", "kind")
+    admits_flight: ClassVar = False
 
     def __init__(self, stage: Stage, kind: str, scale: CourseScale) -> None:
         super().__init__(stage)
