@@ -13,7 +13,7 @@ from gymnasium import spaces
 
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.tasks.task import Stage, Task
-from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.kernels import njit
 
@@ -21,6 +21,8 @@ MAP_CELLS = 64
 """Cells along a side of the seen map, of 0.25 m each."""
 HEIGHT_CELLS, HEIGHT_CELL = 32, 0.2
 """Cells along a side of the height map, and their edge in meters."""
+NO_GROUND = -1000.0
+"""Value of the height map beyond the border and where the world has no ground, meters."""
 SECTORS = 36
 """Sectors of equal width around the robot, the first from straight behind it to the right."""
 SCANS = 4
@@ -234,20 +236,23 @@ def _seen_map(stage: Stage, task: Task, ids: IntArray) -> ByteArray:
 def _height_map(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
     maps = np.empty((len(ids), HEIGHT_CELLS, HEIGHT_CELLS), np.float32)
     for k, i in enumerate(ids.tolist()):
-        T, surface = stage.pose(i), stage.simulation.surface(i)
+        T, world = stage.pose(i), stage.simulation.worlds[i]
+        surface, holes = world.surface, world.no_ground
         frame = (*surface.origin, *surface.cell)
-        _local_heights(surface.z, frame, (T.x, T.y, T.z, T.yaw), maps[k])
+        holes = np.zeros((0, 0), np.bool_) if holes is None else holes
+        _local_heights(surface.z, holes, frame, (T.x, T.y, T.z, T.yaw), maps[k])
     return maps
 
 
 @njit
 def _local_heights(
     z: Float32Array,
+    holes: BoolArray,
     frame: tuple[float, float, float, float],
     pose: tuple[float, float, float, float],
     out: Float32Array,
 ) -> None:
-    """Fill (n, n) heights above base_link, meters; 0 beyond the border. Row 0 = ahead, column 0 = left."""
+    """Fill (n, n) heights above base_link, meters, or `NO_GROUND`. Row 0 = ahead, column 0 = left."""
     rows, cols = z.shape
     n = len(out)
     cos, sin = math.cos(pose[3]), math.sin(pose[3])
@@ -257,8 +262,9 @@ def _local_heights(
             left = ((n - 1) / 2 - c) * HEIGHT_CELL
             u = (pose[0] + cos * ahead - sin * left - frame[0]) / frame[2]
             v = (pose[1] + sin * ahead + cos * left - frame[1]) / frame[3]
-            out[r, c] = 0.0
-            if 0 <= u <= cols - 1 and 0 <= v <= rows - 1:
+            out[r, c] = NO_GROUND
+            inside = 0 <= u <= cols - 1 and 0 <= v <= rows - 1
+            if inside and not (holes.size and holes[rows - 1 - round(v), round(u)]):
                 i, j = min(int(u), cols - 2), min(int(v), rows - 2)
                 a, b = u - i, v - j
                 sw, se = z[rows - 1 - j, i], z[rows - 1 - j, i + 1]
@@ -316,5 +322,6 @@ goal: (2,) straight distance, meters, and bearing, radians, from the true pose.
 goal_direction: (3,) cosine and sine of the goal's bearing, and its distance over 30 m, at most 1. A goal for
     networks: without a jump where it is behind.
 seen_map: (1, 64, 64) 255 = seen ground; cells of 0.25 m around the true pose, row 0 = ahead, column 0 = left.
-height_map: (32, 32) heights of the ground above base_link, meters, cells of 0.2 m laid out in the same way.
+height_map: (32, 32) heights of the ground above base_link, meters, cells of 0.2 m laid out in the same way;
+    -1000 = no ground there, or beyond the border: clip it for a network.
 """

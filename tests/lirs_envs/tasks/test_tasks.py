@@ -12,6 +12,7 @@ import pytest
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.episodes import TASKS, register_task
+from lirs_envs.episodes.observations import NO_GROUND
 from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.tasks.mapping import MappingTask
 from lirs_envs.tasks.navigation import NavigationTask
@@ -21,7 +22,9 @@ from lirs_envs.tasks.traverse import TraverseTask, course_scale
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.grid_search import search
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.ground import Terrain
 from lirs_wct.world import World
 
 EFFORT = -Rewards().effort
@@ -45,6 +48,29 @@ def test_mapping_reward_is_the_ground_newly_seen(rough: World) -> None:
     assert seen is not None
     assert info["seen_area"] == pytest.approx(seen.seen(0).sum() * SEEN_CELL**2)
     assert 0 < info["coverage"] < 1
+
+
+@pytest.mark.parametrize("robot", ["husky", "turtlebot3_burger"])
+@pytest.mark.parametrize("world", ["rough", "walled"])
+def test_a_robot_that_stands_earns_nothing_by_noise(
+    robot: str, world: str, request: pytest.FixtureRequest
+) -> None:
+    env = RobotEnv("mapping", world=request.getfixturevalue(world), robot=robot, noise="datasheet")
+    _, info = env.reset(seed=1)
+    begin, still = info["seen_area"], np.zeros(env.action_space.shape or (), np.float32)
+    rewards = []
+    for _ in range(60):
+        _, reward, *_, info = env.step(still)
+        rewards.append(reward)
+    assert rewards == [0.0] * 60
+    if (world, robot) == ("rough", "husky"):
+        assert info["seen_area"] > begin, "the noise shows ground"
+
+
+@pytest.mark.parametrize("task", ["navigation", "traverse"])
+def test_tasks_with_obstacles_are_not_for_robots_that_fly(task: str) -> None:
+    with pytest.raises(ConfigError, match=f"the {task} task is for robots that drive: quadrotor would fly"):
+        RobotEnv(task, world="simple", robot="quadrotor")
 
 
 def test_mapping_ends_when_the_reachable_ground_is_seen(walled: World) -> None:
@@ -173,7 +199,6 @@ def test_traverse_progress_and_success() -> None:
 def test_an_easy_course_is_easy_for_a_small_robot(name: str) -> None:
     """As wide and as steep for it as for a Husky: towards the goal it gets there, in about as much time."""
     assert course_scale(make_robot("husky")) == (1.0, 1.0)
-    assert course_scale(make_robot("quadrotor")) == (1.0, 1.0)
     robot = make_robot(name)
     env = RobotEnv("traverse", kind="slopes", robot=name, difficulty=0.0, observe=["goal"])
     observation, info = env.reset(seed=1)
@@ -210,9 +235,23 @@ def test_height_map_is_the_ground_around(rough: World) -> None:
         for row, col in ((0, 0), (10, 20), (31, 5)):
             ahead, left = (15.5 - row) * 0.2, (15.5 - col) * 0.2
             x, y = T.to_pose2().apply((ahead, left)).tolist()
-            if rough.surface.contains(x, y):
-                expected = float(rough.surface.height_at(x, y)) - T.z
-                assert heights[row, col] == pytest.approx(expected, abs=1e-4)
+            inside = rough.surface.contains(x, y)
+            expected = float(rough.surface.height_at(x, y)) - T.z if inside else NO_GROUND
+            assert heights[row, col] == pytest.approx(expected, abs=1e-4)
+
+
+def test_height_map_has_no_ground_beyond_the_border_and_in_holes() -> None:
+    holes = np.zeros((201, 201), np.bool_)
+    holes[:, 110:] = True
+    surface = HeightField(np.zeros((201, 201), np.float32), (0.1, 0.1), (-10.0, -10.0))
+    world = World("plain", Terrain(surface, holes))
+    env = RobotEnv("mapping", world=world, observe=["height_map"], randomize=[])
+    heights = env.reset(options={"start": (-8.0, 0.0, 0.0)})[0]["height_map"]
+    np.testing.assert_allclose(heights[:25], -env.view.T_world_base.z, atol=1e-6)
+    assert (heights[26:] == NO_GROUND).all(), "behind it is the border"
+    heights = env.reset(options={"start": (-1.0, 0.0, 0.0)})[0]["height_map"]
+    assert (heights[:5] == NO_GROUND).all(), "ahead of it is a hole"
+    assert (heights[7:] > -1).all()
 
 
 @pytest.mark.slow
