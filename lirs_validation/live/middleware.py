@@ -9,6 +9,12 @@ from lirs_validation.live.graph import LiveTopic
 from lirs_wct.errors import ConfigError
 
 LOOPBACK, ANY_ADDRESS = "127.0.0.1", "0.0.0.0"
+CYCLONE_LOOPBACK = (
+    f'<General><Interfaces><NetworkInterface address="{LOOPBACK}"/></Interfaces></General>'
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex>"
+    f'<Peers><Peer address="{LOOPBACK}"/></Peers></Discovery>'
+)
+"""`CYCLONEDDS_URI` of a client on loopback; by default Cyclone DDS uses another interface alone."""
 
 
 class Received(NamedTuple):

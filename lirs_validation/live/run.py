@@ -29,7 +29,7 @@ from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_validation.live.bridge import Bridge, ClientDriver, ClientMapper, PublishedMapper
 from lirs_validation.live.client import Client
 from lirs_validation.live.graph import PUBLISHED, LiveTopic
-from lirs_validation.live.middleware import Middleware
+from lirs_validation.live.middleware import CYCLONE_LOOPBACK, Middleware
 from lirs_validation.live.options import LiveOptions
 from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.files import check_writable
@@ -263,4 +263,10 @@ def _await_client(middleware: Middleware, options: LiveOptions, announce: Callab
     needed = (
         "/scan or /points and no publisher of /cmd_vel or /tf" if options.lockstep else "/scan or /points"
     )
-    raise ConfigError(f"{place}: no subscriber of {needed} within {options.wait:g} s (--wait)")
+    line = f"{place}: no subscriber of {needed} within {options.wait:g} s (--wait)"
+    if options.middleware == "dds" and options.host is None:
+        line += (
+            "; Cyclone DDS is not on loopback by default: start its client with "
+            f"export CYCLONEDDS_URI='{CYCLONE_LOOPBACK}', or live with --host ADDRESS of this machine"
+        )
+    raise ConfigError(line)

@@ -4,6 +4,7 @@ import functools
 import signal
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from lirs_validation.config import RunConfig
 from lirs_validation.live import run as live_run
 from lirs_validation.live.graph import PUBLISHED
+from lirs_validation.live.middleware import CYCLONE_LOOPBACK
 from lirs_validation.live.options import LiveOptions
 from lirs_validation.live.run import live
 from lirs_validation.record.run_record import read_record
@@ -253,8 +255,12 @@ def test_a_missing_package_is_one_line(monkeypatch):
 def test_no_client_is_one_line(monkeypatch):
     network = net.FakeNetwork()
     network.subscribers = lambda _: 0
-    with pytest.raises(ConfigError, match="dds domain 0 on loopback: no subscriber of /scan"):
+    with pytest.raises(ConfigError, match="dds domain 0 on loopback: no subscriber of /scan") as error:
         drive(network, monkeypatch, LiveOptions(wait=0.1))
+    assert f"export CYCLONEDDS_URI='{CYCLONE_LOOPBACK}'" in str(error.value)
+    assert CYCLONE_LOOPBACK in (Path(__file__).parents[3] / "docs" / "howto" / "live.md").read_text()
+    with pytest.raises(ConfigError, match=r"within 0\.1 s \(--wait\)$"):
+        drive(network, monkeypatch, LiveOptions(wait=0.1, middleware="zenoh"))
 
 
 def test_the_command_takes_one_drive(capsys):

@@ -20,6 +20,7 @@ from lirs_validation.experiment.run import run as run_offline
 from lirs_validation.live import run as live_run
 from lirs_validation.live.dds import DdsNode, raw_type, write_raw
 from lirs_validation.live.graph import PUBLISHED, TWIST, type_hash, zenoh_key
+from lirs_validation.live.middleware import CYCLONE_LOOPBACK
 from lirs_validation.live.options import LiveOptions
 from lirs_validation.live.run import live
 from lirs_validation.live.zenoh_node import ZenohNode
@@ -50,6 +51,33 @@ def client(middleware, place, *mode, **given):
 
 def lockstep(domain, **given):
     return LiveOptions(lockstep=True, limit=LIMIT, domain=domain, **given)
+
+
+CYCLONE = """
+import sys, time
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from lirs_validation.live.dds import raw_type
+participant = DomainParticipant(int(sys.argv[1]))
+scan = Topic(participant, "rt/scan", raw_type("sensor_msgs/msg/LaserScan", "jazzy"))
+reader = DataReader(participant, scan)
+time.sleep(60)
+"""
+
+
+@pytest.mark.slow
+def test_a_cyclone_client_is_on_loopback_by_the_setting_that_we_print(domain, monkeypatch):
+    monkeypatch.setenv("CYCLONEDDS_URI", CYCLONE_LOOPBACK)
+    with process(sys.executable, "-c", CYCLONE, domain):
+        node = DdsNode(LiveOptions(domain=domain), PUBLISHED)
+        try:
+            end = time.perf_counter() + LIMIT
+            while not node.subscribers("/scan"):
+                assert time.perf_counter() < end, "no subscriber of /scan"
+                time.sleep(0.05)
+        finally:
+            node.close()
 
 
 def drive(options, out=None, **run):
