@@ -199,8 +199,10 @@ def _join(observations: Sequence[Any]) -> Any:
     return {name: np.concatenate([one[name] for one in observations]) for name in observations[0]}
 
 
-def split_infos(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:
+def split_infos(infos: Any, count: int) -> list[dict[str, Any]]:
     """Return a vector's infos as one dict per environment, with its own keys."""
+    if isinstance(infos, list):
+        return infos  # A wrapper has split them.
     rows: list[dict[str, Any]] = [{} for _ in range(count)]
     for name, values in infos.items():
         mask = infos.get(f"_{name}")

@@ -163,6 +163,7 @@ def test_split_infos() -> None:
     infos = {"a": np.array((1, 2)), "_a": np.array((True, False)), "b": {"c": np.array((3.0, 4.0))}}
     infos["b"]["_c"] = np.array((False, True))
     infos["_b"] = np.array((True, True))
+    assert split_infos([{"a": 1}, {}], 2) == [{"a": 1}, {}]
     assert split_infos(infos, 2) == [{"a": 1, "b": {}}, {"b": {"c": 4.0}}]
 
 
@@ -295,11 +296,12 @@ def test_its_pictures_are_maps() -> None:
 @pytest.mark.slow
 def test_the_program_of_the_how_to_learns() -> None:
     pytest.importorskip("stable_baselines3", reason=REASON)
-    page = (Path(__file__).parents[2] / "docs" / "howto" / "policy.md").read_text(encoding="utf-8")
-    (program,) = (text for text in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "PPO" in text)
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "rl_libraries.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n((?:(?!```).)*stable_baselines3.*?)```", page, re.DOTALL)
     for given, less in (
         ("num_envs=16", "num_envs=2"),
         ("n_steps=256", "n_steps=32"),
+        ("n_eval_episodes=32", "n_eval_episodes=2"),
         ("512", "32"),
         ("120_000", "64"),
     ):
@@ -308,3 +310,4 @@ def test_the_program_of_the_how_to_learns() -> None:
     held: dict[str, Any] = {}
     exec(program, held)
     assert held["model"].num_timesteps == 64
+    assert np.isfinite(held["mean"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import mujoco
 import numpy as np
 
@@ -13,6 +15,8 @@ SHAPE = (480, 640)
 """Height and width of a picture, pixels."""
 CHASE = "chase"
 """The camera behind a robot, which every robot has."""
+_drawing: set[int] = set()
+"""The process that draws with OpenGL; none before the first picture."""
 GOAL_HEIGHT, GOAL_RADIUS, GOAL_COLOR = 2.0, 0.06, (0.85, 0.1, 0.2, 1.0)
 
 
@@ -62,6 +66,7 @@ class Camera:
         self._renderer = self._scene = None
 
     def _see(self, snapshot: Snapshot) -> mujoco.Renderer:
+        _check_process()
         if self._scene is None or self._scene.world is not snapshot.world:
             self.close()
             self._scene = RenderScene(snapshot.world, snapshot.config)
@@ -71,6 +76,16 @@ class Camera:
         self._renderer.update_scene(self._scene.data, camera=CHASE, scene_option=self._options)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         return self._renderer
+
+
+def _check_process() -> None:
+    """Check that OpenGL was not used before this process was forked: it would wait forever."""
+    if _drawing and os.getpid() not in _drawing:
+        raise SimulationError(
+            "no picture in a process that was forked after one was drawn: start it with spawn, or use render "
+            "mode map"
+        )
+    _drawing.add(os.getpid())
 
 
 def _make_renderer(model: mujoco.MjModel, shape: tuple[int, int]) -> mujoco.Renderer:

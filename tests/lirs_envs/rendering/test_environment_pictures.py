@@ -1,6 +1,8 @@
 """The environments' render modes: one, and N at once."""
 
 import copy
+import multiprocessing
+import os
 from typing import Any
 
 import gymnasium as gym
@@ -34,6 +36,31 @@ def test_cameras(plane: World, mode: str, shape: tuple[int, ...], in_ci: bool) -
         env.step(np.array((1.0, 0.5), np.float32))
     assert not np.array_equal(env.render(), shown)
     env.close()
+
+
+@pytest.mark.render
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the system has no fork")
+def test_a_forked_process_says_that_it_cannot_draw(plane: World, in_ci: bool) -> None:
+    env: Any = gym.make("LIRS/Navigation-v1", world=plane, render_mode="rgb_array")
+    env.reset(seed=1)
+    picture(env, in_ci)
+    receiving, sending = multiprocessing.Pipe(duplex=False)
+
+    def draw() -> None:
+        env.step(np.zeros(2, np.float32))
+        try:
+            env.render()
+        except SimulationError as error:
+            sending.send(str(error))
+
+    child = multiprocessing.get_context("fork").Process(target=draw)
+    child.start()
+    try:
+        assert receiving.poll(60), "the child hangs"
+        assert "forked after one was drawn" in receiving.recv()
+    finally:
+        child.kill()
+    assert env.render().shape == (480, 640, 3)
 
 
 def test_a_map_shows_the_episode_s_path_and_copies_draw_the_same(plane: World) -> None:
