@@ -20,10 +20,10 @@ SHOWN = 6
 """Size of the largest array that is stored as numbers; a larger one is stored as digest."""
 VARIANTS: dict[str, dict[str, Any]] = {
     "actors": {"world": "simple", "actors": 3, "odometry": "ekf", "noise": "datasheet", "sweep": True},
-    "flight": {"world": "simple", "robot": "quadrotor"},
+    "flight": {"task": TASKS[0], "world": "simple", "robot": "quadrotor"},
     "random": {"world": "advanced", "randomize": ["friction", "mass", "sensor", "start"], "control_hz": 20.0},
 }
-"""Options that the tasks and robots alone do not reach, tried with navigation."""
+"""Options that the tasks and robots alone do not reach, tried with navigation unless they name a task."""
 
 
 def environment_outcomes(steps: int) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -37,8 +37,10 @@ def environment_outcomes(steps: int) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield f"{name}, {kind}", single(task, steps, robot=robot, **options)
                 yield f"{name}, {kind}, vector", vector(task, steps, robot=robot, **options)
     for name, options in VARIANTS.items():
-        yield f"Navigation-v1 {name}", single(TASKS[1], steps, **options)
-        yield f"Navigation-v1 {name}, vector", vector(TASKS[1], steps, autoreset_mode="SameStep", **options)
+        given: dict[str, Any] = {"task": TASKS[1]} | options
+        title = f"{given['task'].removeprefix('LIRS/')} {name}"
+        yield title, single(steps=steps, **given)
+        yield f"{title}, vector", vector(steps=steps, autoreset_mode="SameStep", **given)
 
 
 def single(task: str, steps: int, **options: Any) -> dict[str, Any]:

@@ -140,9 +140,11 @@ class RobotEnv(LimitedEpisodes, gym.Env[Observed, Float32Array]):
         """
         frame, found = inspect.currentframe(), []
         while frame is not None:
-            wrapper = frame.f_locals.get("self")
-            if isinstance(wrapper, TimeLimit) and wrapper.unwrapped is self:
-                found.append(wrapper._max_episode_steps)
+            # Reading the variables of other frames would keep them alive.
+            if frame.f_code is TimeLimit.reset.__code__:
+                wrapper = frame.f_locals["self"]
+                if wrapper.unwrapped is self:
+                    found.append(wrapper._max_episode_steps)
             frame = frame.f_back
         return min(found, default=None)
 
@@ -156,16 +158,21 @@ class RobotEnv(LimitedEpisodes, gym.Env[Observed, Float32Array]):
         return info | {"error": error} if error else info
 
 
-def make_config(options: dict[str, Any]) -> EnvConfig:
+def make_config(options: dict[str, Any], *others: str) -> EnvConfig:
     """Return the config of an environment's options.
+
+    Args:
+        options: fields of `EnvConfig` by name.
+        *others: further names of options, for the message about an unknown one.
 
     Raises:
         ConfigError: an option has a value that is not legal.
         OptionError: an option is unknown.
     """
-    legal = sorted(["kind", "render_mode", *(field.name for field in fields(EnvConfig) if field.init)])
+    own = [field.name for field in fields(EnvConfig) if field.init]
     for name in options:
-        if name not in legal:
+        if name not in own:
+            legal = sorted([*own, "kind", "render_mode", *others])
             raise OptionError(
                 f"the environment got an unexpected keyword argument {name!r}; "
                 f"legal: {', '.join(legal)}{did_you_mean(name, legal)}"

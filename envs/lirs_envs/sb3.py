@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.episodes import EpisodeView
-from lirs_envs.vector_env import RobotVectorEnv
+from lirs_envs.vector_env import RobotVectorEnv, split_infos
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
 
@@ -53,12 +53,13 @@ def _views(vector: Any) -> Sequence[EpisodeView]:
     inner: Any = getattr(vector, "unwrapped", vector)
     if isinstance(inner, RobotVectorEnv):
         return inner.views
-    robots: list[Any] = [env.unwrapped for env in inner.envs] if isinstance(inner, SyncVectorEnv) else [None]
-    if all(isinstance(robot, RobotEnv) for robot in robots):
-        return [robot.view for robot in robots]
+    if isinstance(inner, SyncVectorEnv) and inner.copy:
+        robots: list[Any] = [env.unwrapped for env in inner.envs]
+        if all(isinstance(robot, RobotEnv) for robot in robots):
+            return [robot.view for robot in robots]
     raise ConfigError(
         "as_vec_env needs vectors of gym.make_vec('LIRS/...') with vectorization_mode vector_entry_point or "
-        f"sync, got {type(inner).__name__}"
+        f"sync (and copy=True), got {type(inner).__name__}"
     )
 
 
@@ -186,7 +187,7 @@ class _RobotVecEnv:
         return [getattr(self._views[i], method_name)(*args, **kwargs) for i in rows]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        # Its monitor gives what `info["episode"]` has here.
+        # Stable-Baselines3 takes true returns from `info["episode"]` where its `Monitor` is.
         return [wrapper_class.__name__ == "Monitor" for _ in self._get_indices(indices)]
 
 
@@ -197,18 +198,3 @@ def _join(observations: Sequence[Any]) -> Any:
     if not isinstance(observations[0], dict):
         return np.concatenate(observations)
     return {name: np.concatenate([one[name] for one in observations]) for name in observations[0]}
-
-
-def split_infos(infos: Any, count: int) -> list[dict[str, Any]]:
-    """Return a vector's infos as one dict per environment, with its own keys."""
-    if isinstance(infos, list):
-        return infos  # A wrapper has split them.
-    rows: list[dict[str, Any]] = [{} for _ in range(count)]
-    for name, values in infos.items():
-        mask = infos.get(f"_{name}")
-        if mask is None:
-            continue
-        parts = split_infos(values, count) if isinstance(values, dict) else values
-        for i in np.flatnonzero(mask).tolist():
-            rows[i][name] = parts[i]
-    return rows

@@ -129,7 +129,7 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
             [
                 Episodes(
                     task,
-                    make_config(options | one),
+                    make_config(options | one, "autoreset_mode", "max_episode_steps", "num_envs", "threads"),
                     count,
                     threads=min(threads, count),
                     kind=kind,
@@ -290,6 +290,21 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
 
     def _check_actions(self, actions: Any) -> FloatArray:
         return action_array(actions, (self.num_envs, *(self.single_action_space.shape or ())))
+
+
+def split_infos(infos: Any, count: int) -> list[dict[str, Any]]:
+    """Return a vector's infos as one dict per environment, with its own keys."""
+    if isinstance(infos, list):
+        return infos  # A wrapper has split them.
+    rows: list[dict[str, Any]] = [{} for _ in range(count)]
+    for name, values in infos.items():
+        mask = infos.get(f"_{name}")
+        if mask is None:
+            continue
+        parts = split_infos(values, count) if isinstance(values, dict) else values
+        for i in np.flatnonzero(mask).tolist():
+            rows[i][name] = parts[i]
+    return rows
 
 
 def _divide(options: dict[str, Any], count: int) -> list[tuple[dict[str, Any], int]]:

@@ -15,6 +15,7 @@ from gymnasium.vector import VectorWrapper
 from lirs_envs.episodes.observations import Group
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.tasks.task import Stage, Task
+from lirs_envs.vector_env import split_infos
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 
@@ -157,9 +158,10 @@ class VectorCurriculum(VectorWrapper):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step, and count the outcomes of episodes that end."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
-        success = infos.get("final_info", infos).get("success")
-        for i in np.flatnonzero(terminated | truncated).tolist():
-            self._pace.add(success is not None and bool(success[i]))
+        over = np.flatnonzero(terminated | truncated).tolist()
+        rows = split_infos(infos, self.num_envs) if over else []
+        for i in over:
+            self._pace.add(bool(rows[i].get("final_info", rows[i]).get("success", False)))
         self._vector.set_attr("difficulty", self.difficulty)
         return observations, rewards, terminated, truncated, infos
 

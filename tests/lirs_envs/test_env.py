@@ -8,6 +8,7 @@ import pickle
 import resource
 import subprocess
 import sys
+import weakref
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -296,6 +297,15 @@ def test_a_limit_of_steps_is_told(
         assert (info["timeout"], info["reason"]) == (truncated, "timeout" if truncated else "")
         assert (infos["timeout"][0], infos["reason"][0]) == (info["timeout"], info["reason"])
         assert not terminated
+
+
+def test_a_reset_keeps_nothing_of_its_callers_alive(plane: World) -> None:
+    env = gym.make("LIRS/Mapping-v2", world=plane, max_episode_steps=3)
+    env.reset(seed=0)
+    gone = weakref.ref(env)
+    del env
+    gc.collect()
+    assert gone() is None
 
 
 def test_gymnasium_s_time_wrapper_finds_the_limit(plane: World) -> None:

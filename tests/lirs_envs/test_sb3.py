@@ -1,7 +1,6 @@
 """The adapter to Stable-Baselines3: against its interface, and against itself where it is installed."""
 
 import re
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,14 +8,15 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.classic_control import CartPoleEnv
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import FlattenObservation
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.robots.robot import ROBOTS
-from lirs_envs.sb3 import _adapter, as_vec_env, split_infos
-from lirs_envs.vector_env import RobotVectorEnv
+from lirs_envs.sb3 import _adapter, as_vec_env
+from lirs_envs.vector_env import RobotVectorEnv, split_infos
 from lirs_envs.wrappers import VectorCurriculum
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
@@ -131,7 +131,9 @@ def sync(count: int = 3, wrap: Any = lambda env: env) -> Any:
     )
 
 
-@pytest.mark.parametrize("wrap", [RecordEpisodeStatistics, partial(VectorCurriculum, difficulty=0.2)])
+@pytest.mark.parametrize(
+    "wrap", [RecordEpisodeStatistics, lambda env: VectorCurriculum(DictInfoToList(env), difficulty=0.2)]
+)
 @pytest.mark.parametrize("make", [vector, sync])
 def test_wrapped_vectors_and_those_of_single_environments(make: Any, wrap: Any) -> None:
     adapted, plain = _adapter(VecEnvInterface)([wrap(make())]), _adapter(VecEnvInterface)([vector()])
@@ -216,7 +218,9 @@ def test_vectors_that_do_not_fit(
         as_vec_env(*(vector(**options) for options in vectors))
 
 
-@pytest.mark.parametrize("foreign", [RobotEnv("mapping", world="simple"), object()])
+@pytest.mark.parametrize(
+    "foreign", [RobotEnv("mapping", world="simple"), object(), SyncVectorEnv([CartPoleEnv])]
+)
 def test_other_environments_are_refused(foreign: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lirs_envs.sb3.import_module", lambda _: SimpleNamespace(VecEnv=VecEnvInterface))
     with pytest.raises(ConfigError, match=f"as_vec_env needs vectors .*, got {type(foreign).__name__}"):

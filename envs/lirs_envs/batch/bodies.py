@@ -63,7 +63,7 @@ class Bodies:
         model = self.body.model
         # MuJoCo stores sleeping bodies in its data, not in the state.
         sleeps = bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
-        # Its own threads would not survive a fork, and are slower than a thread per group.
+        # Its own threads would not survive a fork.
         self._batch = Batch(model, self.count, nthread=1, persistent=sleeps)
         if self._own_models:
             self._batch.set_models(self.models)

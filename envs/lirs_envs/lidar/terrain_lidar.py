@@ -65,8 +65,8 @@ class TerrainLidar:
         rng: random generator of the noise; required with noise.
         range_min: smallest range, meters; default: the device's, 0 for unit vectors.
         range_max: largest range, meters; default: the device's, inf for unit vectors.
-        exclude: names or ids of bodies that beams pass through, one or several, each with all bodies below
-            it; "" = every body without a name, the world alone; default: the site's body alone.
+        exclude: names or ids of bodies that beams pass through, one or several, each with all bodies below it
+            unless it is the world. "" = all bodies without a name. Default: the site's body alone.
         groups: geom groups (0 to 5) that beams meet.
 
     Raises:
@@ -131,7 +131,7 @@ class TerrainLidar:
         origin, n = data.site_xpos[self._site], len(self._beams)
         directions = np.empty((n, 3))
         rotation = data.site_xmat[self._site]
-        if not (abs(rotation @ rotation - 3.0) < 1e-6 and math.isfinite(origin.sum())):
+        if not (abs(rotation @ rotation - 3.0) < 1e-3 and math.isfinite(origin.sum())):
             raise SimulationError(
                 f"the site's pose must be finite and computed, got position {origin}, rotation {rotation}: "
                 "call mujoco.mj_kinematics(model, data) first"
@@ -260,7 +260,9 @@ def _excluded_bodies(
         return own[own > 0]
     names = [model.body(k).name for k in range(model.nbody)]
     found = np.zeros(model.nbody, np.bool_)
-    for body in [exclude] if isinstance(exclude, str | int | np.integer) else exclude:
+    several = isinstance(exclude, Iterable) and not isinstance(exclude, str | bytes)
+    bodies: Iterable[object] = exclude if several else [exclude]  # type: ignore[assignment]
+    for body in bodies:
         if isinstance(body, int | np.integer):
             given = [k for k in range(model.nbody) if k == body]
         else:

@@ -16,7 +16,7 @@ SHAPE = (480, 640)
 CHASE = "chase"
 """The camera behind a robot, which every robot has."""
 _drawing: set[int] = set()
-"""The process that draws with OpenGL; none before the first picture."""
+"""Number of the process that draws with OpenGL; none before the first picture."""
 GOAL_HEIGHT, GOAL_RADIUS, GOAL_COLOR = 2.0, 0.06, (0.85, 0.1, 0.2, 1.0)
 
 
@@ -85,18 +85,19 @@ def _check_process() -> None:
             "no picture in a process that was forked after one was drawn: start it with spawn, or use render "
             "mode map"
         )
-    _drawing.add(os.getpid())
 
 
 def _make_renderer(model: mujoco.MjModel, shape: tuple[int, int]) -> mujoco.Renderer:
     try:
-        return mujoco.Renderer(model, *shape)
+        renderer = mujoco.Renderer(model, *shape)
     except Exception as error:
         # MuJoCo and PyOpenGL raise whatever the platform gives them.
         raise SimulationError(
             "a picture needs OpenGL: a screen, or libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0 and "
             f"lirs_envs imported before mujoco (or MUJOCO_GL=egl); render mode map needs none: {error}"
         ) from error
+    _drawing.add(os.getpid())
+    return renderer
 
 
 def _mark_goal(scene: mujoco.MjvScene, snapshot: Snapshot) -> None:

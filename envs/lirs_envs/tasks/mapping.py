@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame
 from lirs_envs.tasks.task import Stage, Task
-from lirs_wct import ConfigError, Pose2, SimulationError
+from lirs_wct import ConfigError, Pose2, Pose3, SimulationError
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 
 STANDING = 0.02
@@ -40,6 +41,7 @@ class MappingTask(Task):
         self._area = [0] * stage.count
         self._reachable = np.ones(stage.count, np.int64)
         self._before = np.zeros(stage.count, np.int64)
+        self._poses = [Pose3()] * stage.count
 
     def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
         """Draw a start (see `Task.draw`)."""
@@ -59,19 +61,22 @@ class MappingTask(Task):
     def begin(self, i: int) -> None:
         """Begin after the first scan, whose ground earns nothing."""
         self._reachable[i] = max(int(self.ground(i)[1].sum()), 1)
-        self._before[i] = self._seen.cells[i]
+        self._before[i], self._poses[i] = self._seen.cells[i], self.stage.pose(i)
 
     def step(self, ids: IntArray) -> FloatArray:
         """Return the square meters newly seen; 0 for robots that stand."""
         cells = self._seen.cells[ids]
         new = np.asarray((cells - self._before[ids]) * SEEN_CELL**2, np.float64)
         self._before[ids] = cells
-        return np.where([self._moves(i) for i in ids.tolist()], new, 0.0)
+        return np.where([self._has_moved(i) for i in ids.tolist()], new, 0.0)
 
-    def _moves(self, i: int) -> bool:
-        robot, qvel = self.stage.simulation.config.robot, self.stage.simulation.qvel(i)
-        speed, turn_rate = float(np.linalg.norm(qvel[:3])), float(np.linalg.norm(qvel[3:6]))
-        return speed > STANDING * robot.max_speed or turn_rate > STANDING * robot.max_turn_rate
+    def _has_moved(self, i: int) -> bool:
+        """Return whether robot `i` has moved since the last step."""
+        before, T = self._poses[i], self.stage.pose(i)
+        self._poses[i] = T
+        way, turn = math.dist(T.position, before.position), math.remainder(T.yaw - before.yaw, math.tau)
+        robot, share = self.stage.simulation.config.robot, STANDING * self.stage.simulation.period
+        return way > share * robot.max_speed or abs(turn) > share * robot.max_turn_rate
 
     def end(self, i: int) -> str:
         """Return "covered" at 95 %."""

@@ -67,6 +67,20 @@ def test_a_robot_that_stands_earns_nothing_by_noise(
         assert info["seen_area"] > begin, "the noise shows ground"
 
 
+def test_a_robot_that_stops_at_each_period_s_end_earns_all_that_it_sees(rough: World) -> None:
+    """Full speed and standing still in turn, and turns to both sides, at few steps a second."""
+    for actions in (((1.0, 0.0), (0.0, 0.0)), ((0.0, 1.0), (0.0, -1.0))):
+        env = RobotEnv("mapping", world=rough, control_hz=5, rewards={"contact": 0.0, "effort": 0.0})
+        _, info = env.reset(seed=1)
+        begin = info["seen_area"]
+        total = 0.0
+        for k in range(30):
+            _, reward, *_, info = env.step(np.array(actions[k % 2], np.float32))
+            total += reward
+        assert total == pytest.approx(info["seen_area"] - begin)
+        assert total > 2
+
+
 @pytest.mark.parametrize("task", ["navigation", "traverse"])
 def test_tasks_with_obstacles_are_not_for_robots_that_fly(task: str) -> None:
     with pytest.raises(ConfigError, match=f"the {task} task is for robots that drive: quadrotor would fly"):
