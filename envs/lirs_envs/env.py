@@ -25,7 +25,7 @@ ROW = np.zeros(1, np.int64)
 
 
 class LimitedEpisodes:
-    """Environment whose `spec` tells the steps of an episode, as Gymnasium's wrappers of time expect.
+    """Environment whose `spec` holds its limit of steps, which Gymnasium's time wrappers read.
 
     Attributes:
         episodes: the episodes, with a number of `max_steps`.

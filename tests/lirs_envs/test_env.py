@@ -288,8 +288,10 @@ def test_a_limit_of_steps_is_told(
     vector.reset(seed=0)
     for one in (single, vector):
         assert one.unwrapped.episodes.max_steps == steps  # type: ignore[attr-defined]
-        assert one.unwrapped.spec is not None
-        assert one.unwrapped.spec.max_episode_steps == steps or "max_episode_steps" in made
+    assert vector.spec is not None
+    assert vector.spec.max_episode_steps == steps
+    assert single.spec is not None
+    assert single.spec.max_episode_steps == made.get("max_episode_steps", steps)
     for step in range(1, min(steps, 10) + 1):
         *_, terminated, truncated, info = single.step(np.zeros(2, np.float32))
         *_, truncations, infos = vector.step(np.zeros((1, 2)))

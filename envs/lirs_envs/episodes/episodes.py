@@ -89,15 +89,8 @@ class Episodes:
         kind: str | None = None,
         max_steps: int | None = None,
     ) -> None:
-        if task not in TASKS:
-            raise unknown_name("task", task, TASKS)
+        _check_task(task, config, kind)
         crossing, robot = task == "traverse", config.simulation.robot
-        if robot.flies and not TASKS[task].admits_flight:
-            raise ConfigError(
-                f"the {task} task is for robots that drive: {robot.name} would fly over what is in their way"
-            )
-        if kind is not None and not crossing:
-            raise ConfigError(f"kind is for the traverse task alone, the task is {task}, got kind {kind!r}")
         scale = course_scale(robot)
         factors = _factors(config, crossing)
         world = _world(config, crossing, scale)
@@ -131,16 +124,12 @@ class Episodes:
         self._make_rows(count)
 
     def limit_steps(self, steps: int | None) -> None:
-        """Limit episodes to a number of steps in place of the task's time limit; None = that one.
+        """Limit episodes to a number of steps in place of the task's time limit; None = the task's.
 
-        A time limit that the user gives holds as well.
+        Of this number and a `time_limit` of the user's, the shorter holds.
         """
-        limits, seconds = [] if steps is None else [steps], self.config.time_limit
-        if seconds is None and steps is None:
-            seconds = self.task.time_limit
-        if seconds is not None:
-            limits.append(max(1, round(seconds * self.config.control_hz)))
-        self.max_steps = min(limits)
+        seconds = self.config.time_limit or (math.inf if steps else self.task.time_limit)
+        self.max_steps = int(min(steps or math.inf, max(1.0, np.rint(seconds * self.config.control_hz))))
 
     def _make_stage(self, factors: Factors, *, sees: bool) -> Stage:
         site = make_site(self.simulation.worlds[0], self.config.simulation.robot)
@@ -409,6 +398,17 @@ class EpisodeView:
     def reading(self) -> Observation:
         """Return the last sensor readings as arguments of a mapper."""
         return self._episodes.simulation.reading(self._i)
+
+
+def _check_task(task: str, config: EnvConfig, kind: str | None) -> None:
+    """Check that a task exists, that it is one for the robot, and that a kind is a traverse's."""
+    if task not in TASKS:
+        raise unknown_name("task", task, TASKS)
+    robot = config.simulation.robot
+    if robot.flies and not TASKS[task].admits_flight:
+        raise ConfigError(f"the {task} task is for robots that drive, {robot.name} flies over obstacles")
+    if kind is not None and task != "traverse":
+        raise ConfigError(f"kind is for the traverse task alone, the task is {task}, got kind {kind!r}")
 
 
 def _factors(config: EnvConfig, crossing: bool) -> Factors:

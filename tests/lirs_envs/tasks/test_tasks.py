@@ -83,7 +83,7 @@ def test_a_robot_that_stops_at_each_period_s_end_earns_all_that_it_sees(rough: W
 
 @pytest.mark.parametrize("task", ["navigation", "traverse"])
 def test_tasks_with_obstacles_are_not_for_robots_that_fly(task: str) -> None:
-    with pytest.raises(ConfigError, match=f"the {task} task is for robots that drive: quadrotor would fly"):
+    with pytest.raises(ConfigError, match=f"the {task} task is for robots that drive, quadrotor flies over"):
         RobotEnv(task, world="simple", robot="quadrotor")
 
 
