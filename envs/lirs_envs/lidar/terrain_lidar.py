@@ -260,9 +260,9 @@ def _excluded_bodies(
         return own[own > 0]
     names = [model.body(k).name for k in range(model.nbody)]
     found = np.zeros(model.nbody, np.bool_)
-    several = isinstance(exclude, Iterable) and not isinstance(exclude, str | bytes)
-    bodies: Iterable[object] = exclude if several else [exclude]  # type: ignore[assignment]
-    for body in bodies:
+    if isinstance(exclude, str) or not isinstance(exclude, Iterable):
+        exclude = [exclude]
+    for body in exclude:
         if isinstance(body, int | np.integer):
             given = [k for k in range(model.nbody) if k == body]
         else:
