@@ -73,8 +73,10 @@ def test_curriculum_of_a_vector(mode: str, plane: World, monkeypatch: pytest.Mon
     vector = RobotVectorEnv(
         4, "navigation", world=plane, time_limit=0.2, autoreset_mode=mode, observe=["attitude"]
     )
-    good, infos = np.array((True, False, False, False)), vector.episodes.infos
-    monkeypatch.setattr(vector.episodes, "infos", lambda: infos() | {"success": good.copy()})
+    good, episodes, infos = np.array((True, False, False, False)), vector.episodes, vector.episodes.infos
+    monkeypatch.setattr(
+        episodes, "infos", lambda: infos() | {"success": good & (episodes.terminated | episodes.truncated)}
+    )
     env = VectorCurriculum(vector, difficulty=0.5, step=0.1, episodes=8, raise_at=0.75, lower_at=0.25)
     env.reset(seed=0)
     seen = [0.5]
@@ -106,6 +108,8 @@ def test_a_vector_with_a_curriculum_is_one_for_stable_baselines(plane: World) ->
     assert adapted.get_attr("difficulty") == pytest.approx([0.25, 0.25])
     with pytest.raises(ConfigError, match="0 < step <= 1"):
         VectorCurriculum(RobotVectorEnv(1, "navigation", **options), step=0)
+    with pytest.raises(ConfigError, match="needs environments with a difficulty"):
+        VectorCurriculum(gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync"))
 
 
 class Corner:

@@ -98,6 +98,7 @@ def test_steps_are_those_of_the_vector() -> None:
             assert step % 5 == 0
             assert rows[i]["TimeLimit.truncated"] is True
             assert rows[i]["reason"] == "timeout"
+            assert rows[i]["is_success"] is rows[i]["success"]
             assert rows[i]["time"] == pytest.approx(0.5)
             final = rows[i]["terminal_observation"]
             assert final["scan"].tobytes() == expected[4]["final_obs"][i]["scan"].tobytes()
@@ -219,9 +220,16 @@ def test_vectors_that_do_not_fit(
 
 
 @pytest.mark.parametrize(
-    "foreign", [RobotEnv("mapping", world="simple"), object(), SyncVectorEnv([CartPoleEnv])]
+    "make",
+    [
+        lambda: RobotEnv("mapping", world="simple"),
+        object,
+        lambda: SyncVectorEnv([CartPoleEnv]),
+        lambda: SyncVectorEnv([lambda: RobotEnv("mapping", world="simple")], copy=False),
+    ],
 )
-def test_other_environments_are_refused(foreign: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_environments_are_refused(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    foreign = make()
     monkeypatch.setattr("lirs_envs.sb3.import_module", lambda _: SimpleNamespace(VecEnv=VecEnvInterface))
     with pytest.raises(ConfigError, match=f"as_vec_env needs vectors .*, got {type(foreign).__name__}"):
         as_vec_env(foreign)
@@ -283,6 +291,21 @@ def test_ppo_learns_through_the_adapter() -> None:
     rewards, lengths = evaluate_policy(model, envs, n_eval_episodes=6, return_episode_rewards=True)
     assert lengths == [5] * 6
     assert np.isfinite(rewards).all()
+
+
+def test_an_evaluation_returns_the_rewards_of_the_environment() -> None:
+    """Through scaled rewards, against the sums of a wrapper of Gymnasium."""
+    sb3 = pytest.importorskip("stable_baselines3", reason=REASON)
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    counted = RecordEpisodeStatistics(vector(2, observe=["sectors", "goal_direction"]))
+    scaled = VecNormalize(as_vec_env(counted), norm_obs=False)
+    model = sb3.PPO("MultiInputPolicy", scaled, n_steps=32, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    model.learn(64)
+    counted.return_queue.clear()
+    rewards, _ = evaluate_policy(model, scaled, n_eval_episodes=6, return_episode_rewards=True, warn=False)
+    assert rewards == pytest.approx(list(counted.return_queue)[:6])
 
 
 def test_its_pictures_are_maps() -> None:
