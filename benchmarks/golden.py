@@ -6,8 +6,9 @@
 Parts: builds, runs, options, originals, clouds, logs, score, collide, bench, envs. `record` stores the
 SHA-256 of trajectories, maps, meshes, models, scans and tables, every value of the JSON files except
 `EXCLUDED`, and each step of the environments. `compare` repeats the parts in FILE, or those named, and exits
-1 with the first values that differ, by file. Digests hold on one machine: compilers round differently on
-another. The script uses the command line and Gymnasium only, so that it also runs after internals move.
+1 with the first values that differ, by file. A key that one side lacks is named, and is no difference: the
+script also runs on version 1.0.0 and compares later versions with it. Digests hold on one machine: compilers
+round differently on another. It uses the command line and Gymnasium only, so that internals may move.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from fnmatch import fnmatch
 from pathlib import Path
@@ -44,7 +46,7 @@ EXCLUDED = (
     *("rtf.mean", "rtf.std", "rtf.min", "rtf.parts*", "rtf.physics*", "rtf.series*", "rtf.concurrent"),
     *("*wall_seconds", "*compile_seconds", "*cpu_seconds", "*read_seconds", "*map_seconds"),
     *("*peak_memory", "mapper.ms_*", "*date", "*created"),
-    *("file_sizes.rtf.csv", "file_sizes.overview.png"),
+    *("config.threads", "config.bag", "file_sizes*"),  # of version 1.0.0
 )
 """Patterns of JSON keys that change from run to run: wall-clock times, RTF, machine, versions, dates.
 
@@ -52,7 +54,6 @@ Of paths, the data folder and the output folder are replaced by DATA and OUT.
 """
 SHOWN = 3
 """Differing values that are printed for each file."""
-ABSENT = "absent"
 Outcomes = dict[str, Any]
 
 
@@ -173,14 +174,26 @@ def stable_name(file: Path, folder: Path) -> str:
 
 
 def differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
-    """Yield the path of every differing value, with both values."""
-    if isinstance(before, list) and isinstance(now, list):
+    """Yield the path of every differing value that both sides have, with both values."""
+    if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
         before, now = ({f"[{i}]": item for i, item in enumerate(items)} for items in (before, now))
     if isinstance(before, dict) and isinstance(now, dict):
-        for key in before | now:
-            yield from differences(before.get(key, ABSENT), now.get(key, ABSENT), f"{path}.{key}".lstrip("."))
+        for key in before.keys() & now.keys():
+            yield from differences(before[key], now[key], f"{path}.{key}".lstrip("."))
     elif before != now:
         yield f"{path}: {short_text(before)} -> {short_text(now)}"
+
+
+def one_sided(before: Any, now: Any, path: str = "") -> Iterator[str]:
+    """Yield the path of every key that one side lacks, and which side has it."""
+    if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        for pair in zip(before, now, strict=True):
+            yield from one_sided(*pair, path)
+    if isinstance(before, dict) and isinstance(now, dict):
+        yield from (f"{path}.{key} (before)" for key in before.keys() - now.keys())
+        yield from (f"{path}.{key} (now)" for key in now.keys() - before.keys())
+        for key in before.keys() & now.keys():
+            yield from one_sided(before[key], now[key], f"{path}.{key}")
 
 
 def short_text(value: Any) -> str:
@@ -192,12 +205,19 @@ def short_text(value: Any) -> str:
 def compare(before: Outcomes, now: Outcomes) -> int:
     """Print the first differing values by file; return the number of files that differ."""
     changed = 0
+    keys: Counter[str] = Counter()
     for name in sorted(before.keys() | now.keys()):
-        found = list(differences(before.get(name, ABSENT), now.get(name, ABSENT)))
+        if name in before and name in now:
+            found = sorted(differences(before[name], now[name]))
+            keys.update(key.lstrip(".") for key in one_sided(before[name], now[name]))
+        else:
+            found = ["only before" if name in before else "only now"]
         if found:
             more = f" (and {len(found) - SHOWN} more)" if len(found) > SHOWN else ""
             print(f"differs: {name}: {'; '.join(line.lstrip(': ') for line in found[:SHOWN])}{more}")
             changed += 1
+    for key, count in sorted(keys.items()):
+        print(f"on one side only: {key}, {count} times")
     print(f"{changed} of {len(before)} differ")
     return changed
 
