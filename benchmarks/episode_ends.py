@@ -15,7 +15,7 @@ import numpy as np
 
 from lirs_envs.policies import GoToGoal, PolicyContext, RandomActions
 from lirs_envs.vector_env import RobotVectorEnv
-from lirs_validation.bench.tasks import task_set
+from lirs_extensions.bench.tasks import task_set
 
 WORLDS = (("lirs", "medium"), ("hills", "hills-10"), ("hills", "dunes-11"), ("hills", "boulders-12"))
 """Set and name of each world."""

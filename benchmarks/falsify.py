@@ -28,8 +28,8 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.planted_mappers import DEFECTS
-from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.falsify.drives import (
+from lirs_extensions.search.case_search import Case, process_pool
+from lirs_extensions.search.falsify.drives import (
     CaseDrives,
     measure,
     policy_suite,
@@ -38,8 +38,8 @@ from lirs_validation.falsify.drives import (
     sentence,
     write_case,
 )
-from lirs_validation.falsify.search import falsify
-from lirs_validation.search import Case, process_pool
+from lirs_extensions.search.falsify.search import falsify
+from lirs_extensions.search.options import FalsifyOptions
 from lirs_wct.files import write_json
 from lirs_wct.option import read_numbers
 

@@ -35,6 +35,8 @@ from rich.table import Table
 from scipy.stats import spearmanr
 
 from lirs_envs.robots.robot import make_robot
+from lirs_extensions.originals.cartographer.local_slam import TrajectoryBuilder
+from lirs_extensions.originals.cartographer.mapper import CartographerOriginalConfig
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Trajectory
 from lirs_wct.formats.carmen.log import read_carmen
@@ -43,8 +45,6 @@ from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry import LaserScan
 from lirs_wct.option import read_numbers
-from slam_baselines.cartographer.original.local_slam import TrajectoryBuilder
-from slam_baselines.cartographer.original.mapper import CartographerOriginalConfig
 from slam_baselines.mapper import Mapper, make_mapper
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "fidelity"

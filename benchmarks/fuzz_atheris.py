@@ -23,8 +23,8 @@ from typing import Any
 
 from benchmarks.fuzz_seeds import KINDS, write_seeds
 from lirs_envs.sensing.sensors import read_noise
-from lirs_validation.bench.tasks import task_set
-from lirs_validation.falsify.drives import read_search_limits
+from lirs_extensions.bench.tasks import task_set
+from lirs_extensions.search.falsify.drives import read_search_limits
 from lirs_validation.logs.map_log import read_trajectory
 from lirs_validation.metrics.relative_pose_error import read_constraints
 from lirs_validation.record.verdict import read_limits

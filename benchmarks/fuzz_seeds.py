@@ -279,7 +279,7 @@ def _write_tables(folder: Path) -> None:
     _lirs_wct(f"build {folder}/dune.png --size 20 --height 1 --name world --to map -o {folder}")
     (folder / "way.csv").write_text("x,y,yaw\n0,0,0\n1,0.5,0\n2,1,0\n")
     (folder / "way.yaml").write_text("waypoints:\n- [0, 0]\n- {x: 1, y: 0.5}\n- [2, 1, 0.3]\n")
-    from lirs_validation.bench.tasks import set_entry, task_set
+    from lirs_extensions.bench.tasks import set_entry, task_set
 
     entry = set_entry(task_set("lirs"))
     entry["tasks"] = [t for t in entry["tasks"] if t["task"] == "navigation" and t["split"] == "test"][:1]

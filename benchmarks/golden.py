@@ -17,6 +17,7 @@ import argparse
 import gzip
 import hashlib
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -209,7 +210,8 @@ def compare(before: Outcomes, now: Outcomes) -> int:
     for name in sorted(before.keys() | now.keys()):
         if name in before and name in now:
             found = sorted(differences(before[name], now[name]))
-            keys.update(key.lstrip(".") for key in one_sided(before[name], now[name]))
+            found_keys = one_sided(before[name], now[name])
+            keys.update(re.sub(r"step \d+", "step N", key).lstrip(".") for key in found_keys)
         else:
             found = ["only before" if name in before else "only now"]
         if found:

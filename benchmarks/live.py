@@ -25,13 +25,13 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 from rich.console import Console
 
+from lirs_extensions.live import run as live_run
+from lirs_extensions.live.dds import CONFIG, DdsNode, raw_type
+from lirs_extensions.live.graph import PUBLISHED
+from lirs_extensions.live.middleware import LOOPBACK
+from lirs_extensions.live.options import LiveOptions
+from lirs_extensions.live.run import LiveRun, live
 from lirs_validation.config import CLIENT, RunConfig
-from lirs_validation.live import run as live_run
-from lirs_validation.live.dds import CONFIG, DdsNode, raw_type
-from lirs_validation.live.graph import PUBLISHED
-from lirs_validation.live.middleware import LOOPBACK
-from lirs_validation.live.options import LiveOptions
-from lirs_validation.live.run import LiveRun, live
 
 COUNTED, QUIET, START = ("/scan", "/points"), 3.0, 120.0
 """Topics of the client, and seconds without a message after which it ends: later, and at first."""

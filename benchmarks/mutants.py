@@ -54,7 +54,8 @@ GROUPS = {
     "readers": (85, READERS),
 }
 """Mutants that are drawn, and the modules."""
-COPIED = ("lirs_wct", "lirs_validation", "slam_baselines", "envs", "tests", "examples", "pyproject.toml")
+PACKAGES = ("lirs_wct", "envs", "slam_baselines", "lirs_validation", "lirs_extensions")
+COPIED = (*PACKAGES, "tests", "examples", "pyproject.toml")
 PRELOADED = (
     "numpy",
     "scipy.spatial",

@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import replace
 
 from lirs_wct import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
-from slam_baselines.hector.mapper import HectorConfig, HectorMapper
+from slam_baselines.hector import HectorConfig, HectorMapper
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.occupancy_map import UpdateConfig
 

@@ -21,14 +21,14 @@ from benchmarks.task_plans import COURSE_DIFFICULTIES, PLANS, Plan
 from lirs_envs.env import RobotEnv
 from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.robot import make_robot
-from lirs_validation.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, set_entry, task_set
+from lirs_extensions.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, set_entry, task_set
 from lirs_validation.driving.choice import MARGIN
 from lirs_wct.errors import SimulationError, SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
 
 VERSIONS = {"indoor": 3, "hills": 2, "lirs": 2, "generated": 2}
-SHIPPED = Path(__file__).resolve().parents[1] / "lirs_validation" / "bench" / "task_sets"
+SHIPPED = Path(__file__).resolve().parents[1] / "lirs_extensions" / "bench" / "task_sets"
 DIFFICULTIES = (0.5, 0.75, 1.0)
 """Of goals, in turn."""
 DRAWS = 200

@@ -24,10 +24,10 @@ from scipy.stats import spearmanr
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, StraightAhead
-from lirs_validation.bench.episode import make_task_env, reset_options
-from lirs_validation.bench.policies import BASELINES
-from lirs_validation.bench.scores import distance_share
-from lirs_validation.bench.tasks import BenchTask, task_set
+from lirs_extensions.bench.episode import make_task_env, reset_options
+from lirs_extensions.bench.policies import BASELINES
+from lirs_extensions.bench.scores import distance_share
+from lirs_extensions.bench.tasks import BenchTask, task_set
 
 LEAST = 0.8
 

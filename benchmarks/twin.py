@@ -28,10 +28,10 @@ from lirs_envs.lidar.presets import LidarNoise
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
+from lirs_extensions.search.twin.replay import REPLAYED, Replay
+from lirs_extensions.search.twin.twin import run_twin
 from lirs_validation import validate
 from lirs_validation.map_config import MapConfig
-from lirs_validation.twin.replay import REPLAYED, Replay
-from lirs_validation.twin.twin import run_twin
 from lirs_wct import OccupancyGrid
 from lirs_wct.formats.map_server import write_map
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from lirs_wct import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.known_pose import KnownPoseMapper
+from slam_baselines.mapping.map_builder import KnownPoseMapper
 
 
 class DeadReckoning:

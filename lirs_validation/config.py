@@ -59,7 +59,7 @@ MANUAL, CLIENT = "manual", "client"
 """Driver of a record that a person drove on the live page; `replay:RUN` repeats it."""
 
 AXES, RECORDING = "Axes of a sweep: every combination is run", "ROS 2 bags (no ROS needed)"
-ENGINE, SEARCH = "Execution of a sweep", "Search of parameters"
+ENGINE = "Execution of a sweep"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -429,34 +429,6 @@ class EngineOptions(Options):
             raise ConfigError(f"--address is of a Ray cluster; the engine is {self.engine or 'serial'}")
         if self.engine == "serial" and self.jobs not in (None, 1):
             raise ConfigError(f"--engine serial runs one experiment at a time, got --jobs {self.jobs}")
-
-
-@documented
-@dataclass(frozen=True, kw_only=True)
-class SearchOptions(Options):
-    """Search of a space of parameters.
-
-    Raises:
-        ConfigError: a value is not legal.
-    """
-
-    search: Literal["cma", "random"] = option(
-        "cma",
-        "CMA-ES (extra `search`), or random values for comparison.",
-        metavar="cma|random",
-        panel=SEARCH,
-        check=one_of(("cma", "random")),
-    )
-    limits: str | None = option(
-        None,
-        "YAML file with other limits of the parameters, such as `NAME: [LOW, HIGH]`; a number holds one.",
-        flags=("--within",),
-        metavar="FILE.yaml",
-        panel=SEARCH,
-    )
-    jobs: int = option(
-        1, "Concurrent drives, each in its own process.", metavar="N", panel=SEARCH, check=within("[1, 256]")
-    )
 
 
 def digest_text(entry: dict[str, Any]) -> str:

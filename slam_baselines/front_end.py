@@ -15,6 +15,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from lirs_wct.geometry import Imu, LaserScan, Pose2, wrap_angle
+from slam_baselines.leveling import LeveledScan, ScanLeveler
 from slam_baselines.mapper import MapperStats, Stopwatch, check_motion, required_odometry
 from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilter
@@ -23,7 +24,6 @@ from slam_baselines.matching.localizability import LocalizabilityConfig, Localiz
 from slam_baselines.matching.registration import Match
 from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionStep, PoseEstimate
-from slam_baselines.scan.leveling import LeveledScan, ScanLeveler
 
 K = TypeVar("K", bound=Keyframe[Any])
 

@@ -63,20 +63,22 @@ class Method(NamedTuple):
         return not self.package or find_spec(self.package) is not None
 
 
+_CLOUDS, _ORIGINALS = "lirs_extensions.clouds", "lirs_extensions.originals"
+
 MAPPERS: Mapping[str, Method] = {
-    "hector": Method("slam_baselines.hector.mapper", "HectorConfig", "HectorMapper", "map_resolution"),
+    "hector": Method("slam_baselines.hector", "HectorConfig", "HectorMapper", "map_resolution"),
     "hector_original": Method(
-        "slam_baselines.hector.original", "HectorOriginalConfig", "HectorOriginalMapper", "map_resolution"
+        f"{_ORIGINALS}.hector", "HectorOriginalConfig", "HectorOriginalMapper", "map_resolution"
     ),
     "gmapping": Method("slam_baselines.gmapping.mapper", "GmappingConfig", "GmappingMapper", "delta"),
     "gmapping_original": Method(
-        "slam_baselines.gmapping.original.mapper", "GmappingOriginalConfig", "GmappingOriginalMapper", "delta"
+        f"{_ORIGINALS}.gmapping.mapper", "GmappingOriginalConfig", "GmappingOriginalMapper", "delta"
     ),
     "cartographer": Method(
         "slam_baselines.cartographer.mapper", "CartographerConfig", "make_cartographer", "map_resolution"
     ),
     "cartographer_original": Method(
-        "slam_baselines.cartographer.original.mapper",
+        f"{_ORIGINALS}.cartographer.mapper",
         "CartographerOriginalConfig",
         "CartographerOriginalMapper",
         "resolution",
@@ -84,14 +86,13 @@ MAPPERS: Mapping[str, Method] = {
 }
 """The planar methods by name."""
 
-_EXTERNAL = "slam_baselines.external"
 _INERTIAL = "inertial readings, a start at rest"
 
 
 def _evalio(pipeline: str, needs: str = "") -> Method:
     """Return a pipeline that is compiled into the package evalio."""
     return Method(
-        f"{_EXTERNAL}.evalio",
+        f"{_CLOUDS}.evalio",
         "EvalioConfig",
         "make_evalio",
         package="evalio",
@@ -103,7 +104,7 @@ def _evalio(pipeline: str, needs: str = "") -> Method:
 
 CLOUD_MAPPERS: Mapping[str, Method] = {
     "kiss-icp": Method(
-        f"{_EXTERNAL}.kiss_icp",
+        "slam_baselines.kiss_icp",
         "KissIcpConfig",
         "make_kiss_icp",
         package="kiss_icp",
@@ -111,7 +112,7 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         license="MIT",
     ),
     "genz-icp": Method(
-        f"{_EXTERNAL}.kiss_icp",
+        f"{_CLOUDS}.genz_icp",
         "GenzIcpConfig",
         "make_genz_icp",
         package="genz_icp",
@@ -119,7 +120,7 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         license="MIT",
     ),
     "small-gicp": Method(
-        f"{_EXTERNAL}.small_gicp",
+        f"{_CLOUDS}.small_gicp",
         "SmallGicpConfig",
         "make_small_gicp",
         package="small_gicp",
@@ -127,7 +128,7 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
         license="MIT",
     ),
     "rko-lio": Method(
-        f"{_EXTERNAL}.rko_lio",
+        f"{_CLOUDS}.rko_lio",
         "RkoLioConfig",
         "make_rko_lio",
         package="rko_lio",
@@ -147,7 +148,7 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
 
 OWN_CLOUD_MAPPERS: Mapping[str, Method] = {
     "wheel_lio": Method(
-        "slam_baselines.wheel_lio.mapper",
+        f"{_CLOUDS}.wheel_lio.mapper",
         "WheelLioConfig",
         "WheelLioMapper",
         license="ours",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lirs_validation import cli
+from lirs_validation.cli import app as cli
 
 
 def run_command(*arguments: str) -> int:

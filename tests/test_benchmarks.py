@@ -15,9 +15,9 @@ import yaml
 from benchmarks.forecast import came_true
 from benchmarks.log_quality import correlation, table, thinned, worsened
 from benchmarks.mrpt import write_rawlog
-from lirs_validation.bench.tasks import task_set
-from lirs_validation.falsify import FalsifyOptions
-from lirs_validation.falsify.drives import SearchLimits, measure
+from lirs_extensions.bench.tasks import task_set
+from lirs_extensions.search.falsify.drives import SearchLimits, measure
+from lirs_extensions.search.options import FalsifyOptions
 from lirs_validation.sweep.suites import CASE, suite_folders
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog

@@ -13,10 +13,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LIMITS = tomllib.loads(Path(__file__).with_name("style_limits.toml").read_text(encoding="utf-8"))
-PACKAGES = ("lirs_wct", "envs", "slam_baselines", "lirs_validation")
+PACKAGES = ("lirs_wct", "envs", "slam_baselines", "lirs_validation", "lirs_extensions")
 OWN_IMPORT = re.compile(
-    r"^ *(from (\.|(lirs_wct|lirs_envs|slam_baselines|lirs_validation)\b)"
-    r"|import (lirs_wct|lirs_envs|slam_baselines|lirs_validation)\b)",
+    r"^ *(from (\.|(lirs_wct|lirs_envs|slam_baselines|lirs_validation|lirs_extensions)\b)"
+    r"|import (lirs_wct|lirs_envs|slam_baselines|lirs_validation|lirs_extensions)\b)",
     re.MULTILINE,
 )
 OPENING = re.compile(r"^(What|Who|Whose|Whom|How|Where|Which)\b")
@@ -72,9 +72,12 @@ def first_sentence(doc: str) -> str:
 
 
 def test_size() -> None:
-    lines = sum(text.count("\n") for text in sources().values())
+    lines = {name: text.count("\n") for name, text in sources().items()}
+    extensions = sum(count for name, count in lines.items() if name.startswith("lirs_extensions/"))
     found = {
-        "product_lines": lines,
+        "product_lines": sum(lines.values()),
+        "core_lines": sum(lines.values()) - extensions,
+        "extension_lines": extensions,
         "product_files": len(sources()),
         "own_imports_per_file": sum(len(OWN_IMPORT.findall(text)) for text in sources().values())
         / len(sources()),

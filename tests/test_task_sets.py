@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from lirs_validation.bench.episode import make_task_env, reset_options
-from lirs_validation.bench.tasks import SETS, BenchTask, set_entry, task_set
+from lirs_extensions.bench.episode import make_task_env, reset_options
+from lirs_extensions.bench.tasks import SETS, BenchTask, set_entry, task_set
 from tests.benchmark_modules import load_benchmark
 
 ROOT = Path(__file__).resolve().parents[1]
-SHIPPED = ROOT / "lirs_validation" / "bench" / "task_sets"
+SHIPPED = ROOT / "lirs_extensions" / "bench" / "task_sets"
 
 
 @pytest.fixture(scope="module")

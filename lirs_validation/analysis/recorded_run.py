@@ -41,7 +41,7 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.suffixes import Storage
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
-from slam_baselines.mapping.known_pose import KnownPoseMapper
+from slam_baselines.mapping.map_builder import KnownPoseMapper
 
 if TYPE_CHECKING:
     from lirs_wct.formats.rosbag.writer import BagDrive

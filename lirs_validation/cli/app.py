@@ -1,4 +1,4 @@
-"""The command line, `lirs-wct`: every command is a function of a module in `commands`."""
+"""The command line, `lirs-wct`: every command is a function that `COMMANDS` names."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import sys
 import warnings
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any
 
 import typer
@@ -34,29 +34,29 @@ PHRASES = {
 LONGEST = 900
 """Characters of an error message, at most; of longer ones the middle is omitted."""
 COMMANDS: Mapping[str, str] = {
-    "verdict": "verdict:verdict",
-    "validate": "validate:validate",
-    "map": "map:map_log",
-    "falsify": "verdict:falsify",
-    "tune": "verdict:tune",
-    "twin": "map:twin",
-    "build": "worlds:build",
-    "report": "reports:report",
-    "compare": "reports:compare",
-    "score": "reports:score",
-    "info": "worlds:info",
-    "gui": "live:gui",
-    "mappers": "mappers:mappers",
-    "robot": "robot_card:robot",
-    "export": "reports:export",
-    "record": "validate:record",
-    "live": "live:live",
-    "bench": "bench:bench",
-    "collide": "collide:collide",
-    "convert": "worlds:convert",
-    "doctor": "doctor:doctor",
+    "verdict": "lirs_validation.cli.commands.verdict:verdict",
+    "validate": "lirs_validation.cli.commands.validate:validate",
+    "map": "lirs_validation.cli.commands.map:map_log",
+    "falsify": "lirs_extensions.search.commands:falsify",
+    "tune": "lirs_extensions.search.commands:tune",
+    "twin": "lirs_extensions.search.commands:twin",
+    "build": "lirs_validation.cli.commands.worlds:build",
+    "report": "lirs_validation.cli.commands.reports:report",
+    "compare": "lirs_validation.cli.commands.reports:compare",
+    "score": "lirs_validation.cli.commands.reports:score",
+    "info": "lirs_validation.cli.commands.worlds:info",
+    "gui": "lirs_validation.cli.commands.gui:gui",
+    "mappers": "lirs_validation.cli.commands.mappers:mappers",
+    "robot": "lirs_validation.cli.commands.robot_card:robot",
+    "export": "lirs_validation.cli.commands.reports:export",
+    "record": "lirs_validation.cli.commands.validate:record",
+    "live": "lirs_extensions.live.command:live",
+    "bench": "lirs_extensions.bench.command:bench",
+    "collide": "lirs_validation.cli.commands.collide:collide",
+    "convert": "lirs_validation.cli.commands.worlds:convert",
+    "doctor": "lirs_validation.cli.commands.doctor:doctor",
 }
-"""Module and function of each command in `commands`, in order of use."""
+"""Module and function of each command, in order of use."""
 MOVED: Mapping[str, str] = {"view": "info SOURCE -o PICTURE.png"}
 """New ways of old commands."""
 COMPLETION = "_LIRS_WCT_COMPLETE"
@@ -77,8 +77,7 @@ def make_app(names: Collection[str] = tuple(COMMANDS), *, listed_only: bool = Fa
         help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
     )
     for name in names:
-        module, function = COMMANDS[name].split(":")
-        command = getattr(import_module(f"lirs_validation.cli.commands.{module}"), function)
+        command = resolve_name(COMMANDS[name])
         taken = _without_options(command) if listed_only else with_options(command)
         app.command(name, cls=Command, epilog=epilog(name))(taken)
     app.callback()(options)

@@ -13,6 +13,7 @@ import sys
 import traceback
 from contextlib import suppress
 from functools import partial
+from importlib import import_module
 from multiprocessing import Pipe
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -40,7 +41,7 @@ IDLE_END = 0.3
 """Seconds within which an idle process ends when its pipe is closed."""
 PATIENCE = 1.0
 """Seconds that a mapper at work is given to tidy up before its process is killed."""
-OURS = ("lirs_wct", "slam_baselines", "lirs_validation")
+OURS = ("lirs_wct", "slam_baselines", "lirs_validation", "lirs_extensions")
 SERVE = "from lirs_validation.experiment.mapper_process import serve; serve({handle}, {parent})"
 PROGRAM = "import sys; sys.argv, sys.path[:] = {argv!r}, {path!r}; " + SERVE
 """Of the process. Those of multiprocessing run the caller's script again, which then needs a guard."""
@@ -197,7 +198,7 @@ def _start_process(far: Connection, python: str | None, errors: IO[bytes] | None
     """
     handle = far.fileno()
     program = PROGRAM if python is None else ELSEWHERE + SERVE
-    folders = {name: [str(Path(str(sys.modules[name].__file__)).parents[1])] for name in OURS}
+    folders = {name: [str(Path(str(import_module(name).__file__)).parents[1])] for name in OURS}
     program = program.format(argv=sys.argv, path=sys.path, handle=handle, parent=os.getpid(), folders=folders)
     options: dict[str, Any] = {"pass_fds": (handle,), "start_new_session": True}
     if sys.platform == "win32":

@@ -43,7 +43,7 @@ from slam_baselines.mapper import (
     parameters,
     read_parameters,
 )
-from slam_baselines.mapping.known_pose import KnownPoseMapper
+from slam_baselines.mapping.map_builder import KnownPoseMapper
 from slam_baselines.warm_up import warm_up
 
 WARM_UP_CONFIG = {"gmapping": {"particles": 4}}

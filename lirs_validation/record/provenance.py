@@ -21,7 +21,7 @@ from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.source import find_source
 
 PACKAGES = ("lirs-wct", "mujoco", "gymnasium", "numpy", "scipy", "numba")
-OWN = ("lirs_wct", "lirs_envs", "slam_baselines", "lirs_validation")
+OWN = ("lirs_wct", "lirs_envs", "slam_baselines", "lirs_validation", "lirs_extensions")
 
 CODE = (".py", ".xml", ".npz")
 """Endings of the files that decide a result."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from lirs_validation.analysis.groups import RunGroup, by_group, unusual_fields
 from lirs_validation.analysis.result_folders import ResultFolder, RunFolder
@@ -69,16 +69,17 @@ def page(report: Report, command: str) -> str:
     return render("report.html.j2", **context)
 
 
-def render(template: str, **context: Any) -> str:
-    """Return a template of this package as HTML, with the report's style."""
+def render(template: str, package: str = __package__, **context: Any) -> str:
+    """Return a package's template as HTML, with the report's style."""
+    own = PackageLoader(__package__)
     environment = Environment(
-        loader=PackageLoader("lirs_validation.report"),
+        loader=ChoiceLoader([own, PackageLoader(package)]),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    style, _, _ = PackageLoader("lirs_validation.report").get_source(environment, "report.css")
+    style, _, _ = own.get_source(environment, "report.css")
     return environment.get_template(template).render(style=style, worse_mark=WORSE_MARK, **context)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from lirs_wct.errors import ConfigError
 from lirs_wct.field_validators import number_fields, require_above, require_within
 from lirs_wct.geometry import OccupancyGrid, Pose2
+from slam_baselines.leveling import InterpolationConfig
 from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import UpdateConfig
@@ -17,7 +18,6 @@ from slam_baselines.matching.registration import MatchConfig, RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.motion_filter import MotionFilterConfig
-from slam_baselines.scan.leveling import InterpolationConfig
 
 
 @dataclass(frozen=True, kw_only=True)

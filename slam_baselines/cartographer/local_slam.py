@@ -15,13 +15,13 @@ from slam_baselines.cartographer.config import LocalConfig
 from slam_baselines.cartographer.node import NOWHERE, Node, compose_estimates
 from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.front_end import FrontEndConfig, Registered, ScanToMapFrontEnd
+from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits
 from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.mapping.occupancy_map import bounding_box, union_of
 from slam_baselines.matching.registration import Registration
 from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionStep, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
-from slam_baselines.scan.leveling import LeveledScan, ScanPoints, interpolate_hits
 
 
 class LocalSlam(ScanToMapFrontEnd[Node]):

@@ -20,8 +20,8 @@ from slam_baselines.cartographer.localization import CartographerLocalizer, Know
 from slam_baselines.cartographer.loop_closure import LoopEvent
 from slam_baselines.cartographer.node import Node, NodeMap
 from slam_baselines.front_end import FrontEndConfig
+from slam_baselines.leveling import LeveledScan
 from slam_baselines.mapper import Mapper, MapperStats
-from slam_baselines.scan.leveling import LeveledScan
 
 WARM_UP = {
     "local": LocalConfig(submaps=SubmapConfig(num_range_data=20), sparse_distance=0.1),

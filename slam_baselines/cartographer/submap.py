@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry import Pose2
 from slam_baselines.cartographer.config import SubmapConfig
+from slam_baselines.leveling import ScanPoints
 from slam_baselines.mapping.occupancy_map import (
     FREE,
     UNKNOWN,
@@ -32,7 +33,6 @@ from slam_baselines.mapping.occupancy_map import (
 )
 from slam_baselines.mapping.ray_tracing import RayTracer, Trace
 from slam_baselines.matching.branch_and_bound import BoundGrids
-from slam_baselines.scan.leveling import ScanPoints
 
 
 class TracedScan(NamedTuple):

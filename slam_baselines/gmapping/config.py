@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 from lirs_wct.field_validators import require_above, require_at_least, require_within
 from slam_baselines.gmapping.proposal import ProposalConfig
+from slam_baselines.leveling import InterpolationConfig
 from slam_baselines.mapping.bootstrap import BootstrapConfig
 from slam_baselines.mapping.ground_filter import GroundFilterConfig
 from slam_baselines.matching.localizability import LocalizabilityConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.dead_reckoning import MotionConfig
 from slam_baselines.motion.gyro_bias import GyroBiasConfig
-from slam_baselines.scan.leveling import InterpolationConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,8 +26,8 @@ from slam_baselines.gmapping.patches import (
     resize,
     space_needed,
 )
+from slam_baselines.leveling import ScanPoints
 from slam_baselines.mapping.occupancy_map import ABOVE, STEP, TOP_STEP, UNKNOWN, UpdateConfig
-from slam_baselines.scan.leveling import ScanPoints
 
 NEW, PASSED, WALL, DONE = 0, 1, 2, 4
 """Marks of a cell: not met yet; met by a beam; a wall not met yet; hit, or a wall with a beam above it.

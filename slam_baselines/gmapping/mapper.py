@@ -23,6 +23,7 @@ from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagate
 from slam_baselines.gmapping.scan_matching import ScanBeams
+from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits
 from slam_baselines.linalg import in_axes_of
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.bootstrap import register_backwards
@@ -32,7 +33,6 @@ from slam_baselines.mapping.occupancy_map import NO_WALL
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
 from slam_baselines.motion.increment import MotionIncrement, remove_bias
-from slam_baselines.scan.leveling import LeveledScan, ScanPoints, interpolate_hits
 
 __all__ = ["GmappingConfig", "GmappingMapper"]
 

@@ -27,8 +27,8 @@ from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, IntArray
 from lirs_wct.field_validators import require_above
 from lirs_wct.geometry import Pose2
 from lirs_wct.kernels import njit
+from slam_baselines.leveling import LeveledScan, ScanPoints
 from slam_baselines.mapping.occupancy_map import SLOPE_STEP, GrowingGrid, OccupancyMap, bounding_box
-from slam_baselines.scan.leveling import LeveledScan, ScanPoints
 
 BLOCK_BITS = 3
 """A block is 8 x 8 cells of the upper bound."""

@@ -11,8 +11,8 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 from lirs_wct.geometry import Pose2, Trajectory
+from slam_baselines.leveling import LeveledScan
 from slam_baselines.linalg import compose_poses, relative_poses, wrap
-from slam_baselines.scan.leveling import LeveledScan
 
 Motion = TypeVar("Motion")
 

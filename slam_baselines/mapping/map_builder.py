@@ -7,10 +7,16 @@ from dataclasses import dataclass, field
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.field_validators import require_above, require_at_least
-from lirs_wct.geometry import OccupancyGrid, Pose2, wrap_angle
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, wrap_angle
+from slam_baselines.leveling import (
+    InterpolationConfig,
+    LeveledScan,
+    ScanLeveler,
+    ScanPoints,
+    interpolate_hits,
+)
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import NO_WALL, MapPyramid, OccupancyMap, UpdateConfig, bounding_box
-from slam_baselines.scan.leveling import InterpolationConfig, LeveledScan, ScanPoints, interpolate_hits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,3 +158,25 @@ class MapBuilder:
 def _pyramid(config: BuilderConfig) -> MapPyramid:
     resolutions = [config.map_resolution * 2**level for level in range(config.map_multi_res_levels)]
     return MapPyramid(tuple(OccupancyMap(r, config.update) for r in resolutions))
+
+
+class KnownPoseMapper:
+    """Map of scans at known poses, in the frame of the poses."""
+
+    def __init__(self, resolution: float = 0.05, config: BuilderConfig | None = None) -> None:
+        """Use `config`, or the default one at `resolution`."""
+        self._builder = MapBuilder(config or BuilderConfig(map_resolution=resolution, map_multi_res_levels=1))
+        self._leveler = ScanLeveler()
+        self._last: Pose2 | None = None
+
+    def update(self, scan: LaserScan, T_map_base: Pose2, imu: Imu | None) -> None:
+        """Process a scan; it enters the map if the robot has moved enough."""
+        level = self._leveler.level(scan, imu)
+        self._builder.move_base(level, Pose2() if self._last is None else self._last.inverse() @ T_map_base)
+        self._last = T_map_base
+        if self._builder.due(level, T_map_base):
+            self._builder.enter(level, T_map_base)
+
+    def map(self) -> OccupancyGrid:
+        """Return the map so far."""
+        return self._builder.map()

@@ -18,8 +18,8 @@ from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.field_validators import require_within
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.kernels import njit
+from slam_baselines.leveling import ScanPoints
 from slam_baselines.mapping.ray_tracing import BITS, COLUMN, RayTracer, Trace
-from slam_baselines.scan.leveling import ScanPoints
 
 BLOCK = 128
 """Bounds are multiples of this number of cells, so that the grid grows seldom."""

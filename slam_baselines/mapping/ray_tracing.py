@@ -12,7 +12,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
 from lirs_wct.kernels import njit
-from slam_baselines.scan.leveling import ScanPoints
+from slam_baselines.leveling import ScanPoints
 
 BITS = 32
 ONE = float(1 << BITS)

@@ -1,4 +1,4 @@
-"""Dead reckoning: expected pose and covariance by odometry and gyro."""
+"""Dead reckoning: expected pose and covariance by odometry and gyro, in the plane and in space."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.field_validators import require_above
-from lirs_wct.geometry import Imu, Pose2, wrap_angle
+from lirs_wct.geometry import Imu, Pose2, Pose3, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.linalg import moved_covariance
 from slam_baselines.motion.calibration import LEVEL, Calibration, CalibrationConfig, Slope
@@ -288,3 +288,39 @@ def _downhill(imu: Imu | None) -> tuple[Slope, float]:
     if imu is None:
         return LEVEL, 0.0
     return (math.sin(imu.pitch), -math.sin(imu.roll)), math.hypot(imu.roll, imu.pitch)
+
+
+def climb(dx: float, dy: float, up: FloatArray) -> float:
+    """Return the rise of a step on an inclined plane, meters.
+
+    A robot on wheels moves in the plane of its x and y axes, so that up . (dx, dy, rise) = 0.
+
+    Args:
+        dx: horizontal step along x of a level frame, meters.
+        dy: along y.
+        up: (3,) z axis of the robot in that frame, of any length; upward.
+    """
+    return float(-(up[0] * dx + up[1] * dy) / max(up[2], 0.1))
+
+
+def spatial_odometry(odometry: Sequence[Pose2], readings: Sequence[Imu | None]) -> list[Pose3]:
+    """Return poses in space by planar odometry and attitude.
+
+    Position and yaw in the plane are the odometry's. Roll and pitch are those of the inertial readings, 0
+    without one. The height adds up the climbs, with the mean attitude of a step's two ends.
+
+    Args:
+        odometry: `T_odom_base` in the plane.
+        readings: inertial readings at the same stamps.
+    """
+    poses: list[Pose3] = []
+    for planar, imu in zip(odometry, readings, strict=True):
+        roll, pitch = (0.0, 0.0) if imu is None else (imu.roll, imu.pitch)
+        pose = Pose3.from_rpy(planar.x, planar.y, 0.0, roll, pitch, planar.yaw)
+        if poses:
+            last = poses[-1]
+            up = (last.rotation + pose.rotation)[:, 2]
+            z = last.z + climb(pose.x - last.x, pose.y - last.y, up)
+            pose = Pose3(pose.x, pose.y, z, *pose.quaternion.tolist())
+        poses.append(pose)
+    return poses

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from lirs_wct.field_validators import require_at_least
 from lirs_wct.geometry import Pose2, wrap_angle
-from slam_baselines.scan.leveling import LeveledScan
+from slam_baselines.leveling import LeveledScan
 
 
 @dataclass(frozen=True, kw_only=True)

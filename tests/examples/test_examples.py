@@ -22,7 +22,7 @@ RUN_BELOW = {
     "your_own_mapper",
 }
 RUN_ELSEWHERE = {"live_driver", "flat_robots"}
-"""In tests/lirs_validation/live/test_network.py, and by train_pretrained."""
+"""In tests/lirs_extensions/live/test_network.py, and by train_pretrained."""
 
 
 def run(name: str, *arguments: str | Path, cwd: Path) -> str:

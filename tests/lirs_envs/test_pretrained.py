@@ -146,9 +146,9 @@ def test_it_backs_off_where_it_is_stuck() -> None:
 @pytest.mark.slow
 def test_it_reaches_a_goal_in_another_room() -> None:
     """Task of the split `validation`: the straight line to the goal is blocked."""
-    from lirs_validation.bench.episode import run_episode
-    from lirs_validation.bench.policies import PolicyChoice
-    from lirs_validation.bench.tasks import task_set
+    from lirs_extensions.bench.episode import run_episode
+    from lirs_extensions.bench.policies import PolicyChoice
+    from lirs_extensions.bench.tasks import task_set
 
     tasks = [t for t in task_set("indoor").chosen("navigation", "validation") if t.robot == "jackal"]
     ended = [run_episode(task, PolicyChoice("pretrained")).reason for task in tasks if not task.world.files]

@@ -1,9 +1,7 @@
-"""The commands `map` and `twin`."""
+"""The command `map`."""
 
 from __future__ import annotations
 
-import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -49,43 +47,3 @@ def figures_table(record: MapRecord) -> Table:
     for name, value in repair_lines(record):
         table.add_row(name, value, style="yellow")
     return table
-
-
-Lidar = Annotated[str, typer.Option(help="Preset whose data sheet the log is compared with.")]
-Replayed = Annotated[
-    str, typer.Option("--replay", metavar="NAMES|all|none", help="Mappers of the log and its simulation.")
-]
-Draws = Annotated[
-    int, typer.Option(min=1, help="Simulated logs with different random numbers; errors are their medians.")
-]
-TwinOutput = Annotated[Path, typer.Option("-o", "--output", help="Folder for the result's folder.")]
-
-
-def twin(
-    log: Log,
-    output: TwinOutput = Path("out"),
-    lidar: Lidar = "lms200",
-    replay: Replayed = "all",
-    draws: Draws = 1,
-    *,
-    given: Annotated[dict[str, Any], MapConfig],
-) -> None:
-    """Compare a log with its simulation: twin.html, and fitted noise.yaml for --noise."""
-    from lirs_validation.twin.replay import parse_mappers
-    from lirs_validation.twin.twin import run_twin
-
-    config = MapConfig(log=log, **given)
-    with progress_bar(log, err) as progress:
-        result, folder = run_twin(
-            config,
-            lidar=lidar,
-            seed=config.seed,
-            out=output,
-            replayed=parse_mappers(replay),
-            draws=draws,
-            command=shlex.join(["lirs-wct", *sys.argv[1:]]),
-            progress=progress,
-        )
-    for sentence in result.sentences:
-        out.print(sentence, soft_wrap=True, highlight=False)
-    out.print(f"{folder / 'twin.html'}", soft_wrap=True, highlight=False)

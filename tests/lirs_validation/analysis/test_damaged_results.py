@@ -10,9 +10,10 @@ from typing import Any
 
 import pytest
 
-from lirs_validation import cli, resolve_source
+from lirs_validation import resolve_source
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.cli import app as cli
 from lirs_validation.config import SourceOptions
 from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.page import report_of

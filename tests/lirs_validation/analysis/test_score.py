@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lirs_validation import cli
 from lirs_validation.analysis.recorded_run import export_run, recorded_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder, read_run
 from lirs_validation.analysis.score import find_time_offset, score
+from lirs_validation.cli import app as cli
 from lirs_validation.config import SourceOptions
 from lirs_validation.metrics.agreement import agreement
 from lirs_validation.metrics.map import iou

@@ -162,7 +162,7 @@ def test_what_is_no_source_is_no_page(wct: Any) -> None:
 
 
 def test_it_needs_its_extra(wct: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lirs_validation.cli.commands.live.find_spec", lambda _: None)
+    monkeypatch.setattr("lirs_validation.cli.commands.gui.find_spec", lambda _: None)
     code, _, err = wct("gui")
     assert code == 2
     assert "pip install '.[gui]'" in err

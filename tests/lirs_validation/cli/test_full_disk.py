@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lirs_extensions.live.options import LiveOptions
+from lirs_extensions.live.run import live
+from lirs_extensions.search.twin.twin import run_twin
 from lirs_validation import RunConfig, map_log, validate
-from lirs_validation.live.options import LiveOptions
-from lirs_validation.live.run import live
 from lirs_validation.map_config import MapConfig
-from lirs_validation.twin.twin import run_twin
 from lirs_wct.errors import OutputError
 from lirs_wct.formats.images.picture import write_image
 from lirs_wct.formats.map_server import write_map
@@ -106,7 +106,7 @@ def test_a_full_disk_leaves_the_former_report(
 def test_a_terminal_without_room_is_said() -> None:
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
-            [sys.executable, "-c", "from lirs_validation.cli import main; main()", "mappers"],
+            [sys.executable, "-c", "from lirs_validation.cli.app import main; main()", "mappers"],
             env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'envs'}"},
             stdout=full,
             stderr=subprocess.PIPE,

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from lirs_validation.live import run as live_run
+from lirs_extensions.live import run as live_run
 from tests.command_line import run_command
+from tests.lirs_extensions.live.fake_network import FakeNetwork
+from tests.lirs_extensions.search.falsify.test_falsify_command import MAPPER
 from tests.lirs_validation.cli.test_full_disk import DATA, SMALL, largest_file
-from tests.lirs_validation.falsify.test_falsify_command import MAPPER
-from tests.lirs_validation.live.fake_network import FakeNetwork
 
 DRIVEN = ("--seconds", "2", "--drives", "3", "--cases", "1")
 COMMANDS = {

@@ -22,7 +22,7 @@ from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.sources.build import build_world
 from lirs_wct.world import World
-from slam_baselines.hector.mapper import HectorMapper
+from slam_baselines.hector import HectorMapper
 from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.driving.ride import ride
 

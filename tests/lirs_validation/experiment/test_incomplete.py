@@ -14,7 +14,7 @@ from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.record.run_record import damaged_files
 from lirs_validation.report.pictures import Painter
 from lirs_wct.geometry.pose import Trajectory
-from slam_baselines.hector.mapper import HectorMapper
+from slam_baselines.hector import HectorMapper
 from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -42,7 +42,8 @@ class LIO:
 """
 BLOCKED = """
 import sys
-allowed = {"numpy", "lirs_wct", "slam_baselines", "lirs_validation", *sys.stdlib_module_names}
+ours = {"lirs_wct", "slam_baselines", "lirs_validation", "lirs_extensions"}
+allowed = {"numpy", *ours, *sys.stdlib_module_names}
 class Blocker:
     @staticmethod
     def find_spec(name, path=None, target=None):
@@ -50,7 +51,7 @@ class Blocker:
             raise ModuleNotFoundError(name, name=name)
 sys.meta_path.insert(0, Blocker)
 import lirs_validation.experiment.mapper_process
-import slam_baselines.external.rko_lio, slam_baselines.external.small_gicp
+import lirs_extensions.clouds.rko_lio, lirs_extensions.clouds.small_gicp
 """
 
 
@@ -131,7 +132,7 @@ def test_your_own_mapper_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch
     python.write_text(f'#!/bin/sh\nOTHER=yes exec {sys.executable} "$@"\n')
     python.chmod(0o755)
     (tmp_path / "own_elsewhere.py").write_text(
-        "import os\nfrom slam_baselines.hector.mapper import HectorMapper\n"
+        "import os\nfrom slam_baselines.hector import HectorMapper\n"
         "class Own(HectorMapper):\n    lost = os.environ.get('OTHER') == 'yes'\n"
     )
     monkeypatch.chdir(tmp_path)

@@ -26,7 +26,7 @@ from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.progress import no_progress
-from slam_baselines.hector.mapper import HectorMapper
+from slam_baselines.hector import HectorMapper
 from tests.lirs_validation.experiment.puppets import Puppet, SlowPuppet
 
 FILES = {

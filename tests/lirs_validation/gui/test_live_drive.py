@@ -28,7 +28,7 @@ from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from tests.kit import SMALL
 
 FAILING = """
-from slam_baselines.hector.mapper import HectorMapper
+from slam_baselines.hector import HectorMapper
 class Failing(HectorMapper):
     def update(self, scan, odometry, imu):
         if scan.stamp > 0.5: raise ValueError("no more")
@@ -36,7 +36,7 @@ class Failing(HectorMapper):
 """
 LOOPING = """
 from dataclasses import replace
-from slam_baselines.hector.mapper import HectorMapper
+from slam_baselines.hector import HectorMapper
 class Looping(HectorMapper):
     @property
     def stats(self):

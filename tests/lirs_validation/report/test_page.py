@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation import cli
 from lirs_validation.analysis.groups import RunGroup, by_group
 from lirs_validation.analysis.result_folders import RunFolder, read_results
 from lirs_validation.analysis.statistics import repeats
+from lirs_validation.cli import app as cli
 from lirs_validation.record.formatting import significant
 from lirs_validation.record.metric_catalog import metrics_in, metrics_named
 from lirs_validation.report import charts

@@ -21,8 +21,8 @@ from slam_baselines.cartographer.loop_closure import (
     LoopVerification,
 )
 from slam_baselines.cartographer.submap import Submap
+from slam_baselines.leveling import ScanPoints
 from slam_baselines.mapper import make_mapper
-from slam_baselines.scan.leveling import ScanPoints
 from tests.slam_baselines.cartographer.corridor import corridor_scan, ring
 
 

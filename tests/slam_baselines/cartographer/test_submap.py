@@ -17,9 +17,9 @@ from slam_baselines.cartographer.config import (
 from slam_baselines.cartographer.global_slam import Trimmer
 from slam_baselines.cartographer.mapper import CartographerMapper
 from slam_baselines.cartographer.submap import Submap, Submaps
+from slam_baselines.leveling import ScanPoints
 from slam_baselines.mapper import make_mapper
 from slam_baselines.mapping.occupancy_map import bounding_box, union_of
-from slam_baselines.scan.leveling import ScanPoints
 from tests.slam_baselines.large_site import drive_site
 from tests.slam_baselines.synthetic import loop, room_scan
 

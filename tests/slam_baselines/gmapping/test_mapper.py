@@ -21,13 +21,13 @@ from slam_baselines.gmapping.mapper import (
 )
 from slam_baselines.gmapping.particles import TrajectoryTree
 from slam_baselines.gmapping.proposal import ProposalConfig, Proposer
+from slam_baselines.leveling import LeveledScan
 from slam_baselines.mapper import Mapper, make_mapper
 from slam_baselines.mapping.ground_filter import GroundFilter
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 from slam_baselines.motion.gyro_bias import GyroBiasConfig
 from slam_baselines.motion.increment import remove_bias
-from slam_baselines.scan.leveling import LeveledScan
 
 WALLS = (
     (-4.0, -3.0, 5.0, -3.0),

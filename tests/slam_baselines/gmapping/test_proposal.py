@@ -9,7 +9,7 @@ from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.particles import effective_number, normalize, systematic_resample
 from slam_baselines.gmapping.proposal import First, PoseDistributions, Proposal, ProposalConfig, Proposer
 from slam_baselines.gmapping.scan_matching import ScanBeams, log_likelihood, near_beams
-from slam_baselines.scan.leveling import ScanPoints
+from slam_baselines.leveling import ScanPoints
 
 ALONE = First(0, False)
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
+from slam_baselines.leveling import ScanPoints
 from slam_baselines.mapping.keyframe import KeyframeTrajectory
 from slam_baselines.mapping.occupancy_map import (
     STEP,
@@ -19,7 +20,6 @@ from slam_baselines.mapping.occupancy_map import (
     bounding_box,
 )
 from slam_baselines.mapping.ray_tracing import RayTracer
-from slam_baselines.scan.leveling import ScanPoints
 
 Array = NDArray[np.float64]
 NONE = np.zeros((0, 3))

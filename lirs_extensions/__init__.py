@@ -1,0 +1,1 @@
+"""Methods and programs around the core, each behind its own command or mapper name."""

@@ -1,0 +1,1 @@
+"""Mappers of point clouds: `wheel_lio`, and adapters of other people's packages."""

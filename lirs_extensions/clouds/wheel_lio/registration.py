@@ -1,0 +1,238 @@
+"""Registration of a sweep with a map of planes and a motion prior.
+
+Directions that the sweep does not constrain are found by the eigenvalues of the registration's information
+and left to the prior: solution remapping (Zhang, Kaess and Singh, "On Degeneracy of Optimization-based State
+Estimation Problems", ICRA 2016, sections IV and V).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from lirs_extensions.clouds.wheel_lio.sweep import SweepPoints
+from lirs_extensions.clouds.wheel_lio.voxel_map import (
+    EMPTY,
+    LEVELS,
+    VARIANCE,
+    LocalMap,
+    find_slot,
+    is_behind,
+    voxel_key,
+)
+from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.kernels import njit
+
+STEPS = 15
+"""Largest number of Gauss-Newton steps."""
+SMALL = np.repeat((2e-4, 2e-5), 3)
+"""Step at which the registration has converged, meters and radians."""
+LEAST_POINTS = 50
+"""Number of points with a plane below which a sweep constrains nothing."""
+
+
+class MatchRule(NamedTuple):
+    """Errors of a sweep's points.
+
+    Attributes:
+        noise: standard deviation of one point on a surface, meters.
+        edge: standard deviation of one point on an edge, meters.
+        gate: distances from a plane or line beyond which a point is left out, meters.
+        error: standard deviation of the error that all points share, meters. It does not average out,
+            however many points there are.
+        weak: root mean square of the share of a motion that the planes see, below which its direction is
+            weak.
+    """
+
+    noise: float
+    edge: float
+    gate: float
+    error: float
+    weak: float
+
+
+@dataclass(frozen=True, slots=True)
+class SpatialPrior:
+    """Expected pose of the base in the level map frame, and its standard deviations.
+
+    Attributes:
+        R: (3, 3) rotation.
+        t: (3,) position, meters.
+        sigmas: (6,) of the position along the frame's axes, meters, and of the turn about them, radians.
+    """
+
+    R: FloatArray
+    t: FloatArray
+    sigmas: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Constraint:
+    """Information of a sweep about six directions of motion.
+
+    A direction is a unit vector of a shift along the map frame's axes and a turn about them through the
+    robot. The turn counts by its arc at the points' root mean square distance.
+
+    Attributes:
+        values: (6,) eigenvalues, ascending: mean square of the share of the motion that the planes see.
+        directions: (6, 6) eigenvectors in columns.
+        weak: (6,) whether the sweep leaves a direction to the prior.
+    """
+
+    values: FloatArray
+    directions: FloatArray
+    weak: BoolArray
+
+    @property
+    def weak_directions(self) -> FloatArray:
+        """(n, 6) weak directions in rows."""
+        return self.directions[:, self.weak].T.copy()
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneMatch:
+    """Most probable pose of a sweep.
+
+    Attributes:
+        R: (3, 3) rotation.
+        t: (3,) position, meters.
+        points: number of points with a plane.
+        constraint: information of the sweep.
+    """
+
+    R: FloatArray
+    t: FloatArray
+    points: int
+    constraint: Constraint
+
+
+NOTHING = Constraint(np.zeros(6), np.eye(6), np.ones(6, np.bool_))
+"""Constraint of a sweep without planes."""
+
+
+def register(seen: SweepPoints, local: LocalMap, prior: SpatialPrior, rule: MatchRule) -> PlaneMatch:
+    """Return the most probable pose of a sweep; without enough planes the expected one.
+
+    Each Gauss-Newton step solves (A + E + P) x = b + e + P o. A and b are of the surfaces' points in the
+    directions that are not weak, E and e of the edges, P is the information of the prior and o the offset of
+    the expected pose. Edges count each by itself: there are few of them, and beams miss them at random.
+
+    Args:
+        seen: points in the base frame.
+        local: map.
+        prior: expected pose.
+        rule: errors of the points.
+    """
+    R, t, P = prior.R, prior.t, prior.sigmas**-2.0
+    planes, lines = local
+    for _ in range(STEPS):
+        H, g, weight, square, found = linearize(
+            seen.surfaces, seen.origin, planes.table, planes.cell, R, t, rule
+        )
+        if found < LEAST_POINTS:
+            return PlaneMatch(prior.R, prior.t, found, NOTHING)
+        arc = np.repeat((1.0, math.sqrt(square / weight)), 3)
+        constraint = find_weak(H / weight / np.outer(arc, arc), rule.weak)
+        strong = constraint.directions * ~constraint.weak
+        J = strong.T * arc
+        A = (J.T * constraint.values) @ J / rule.error**2
+        b = J.T @ (strong.T @ (g / weight / arc)) / rule.error**2
+        E, e = linearize_edges(seen.edges, lines.table, lines.cell, R, t, rule)
+        offset = np.concatenate((prior.t - t, Rotation.from_matrix(prior.R @ R.T).as_rotvec()))
+        step = np.linalg.solve(A + E + np.diag(P), b + e + P * offset)
+        t, R = t + step[:3], Rotation.from_rotvec(step[3:]).as_matrix() @ R
+        if (abs(step) < SMALL).all():
+            break
+    return PlaneMatch(R, t, found, constraint)
+
+
+def find_weak(information: FloatArray, weak: float) -> Constraint:
+    """Return eigenvalues and directions of an information matrix (6, 6); weak are those below `weak`^2."""
+    values, directions = np.linalg.eigh(information)
+    return Constraint(values, directions, values < weak**2)
+
+
+@njit
+def linearize(points: Any, origin: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
+    """Linearize the distances of points, seen from `origin` (3,), from the map's planes.
+
+    Returns:
+        Weighted sums over the points with a plane: J'J (6, 6) and J'r (6,) of a shift and a turn about the
+        robot, 1, and the square of the distance from the robot; and the number of these points.
+    """
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    total = square = 0.0
+    found = 0
+    J, sensor = np.empty(6), np.dot(R, origin) + t
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        qx = R[0, 0] * x + R[0, 1] * y + R[0, 2] * z
+        qy = R[1, 0] * x + R[1, 1] * y + R[1, 2] * z
+        qz = R[2, 0] * x + R[2, 1] * y + R[2, 2] * z
+        slot = _smallest(table, qx + t[0], qy + t[1], qz + t[2], cell)
+        if slot < 0:
+            continue
+        plane = table[2][slot]
+        if is_behind(plane, sensor):
+            continue
+        a, b, c = plane[0], plane[1], plane[2]
+        r = a * (plane[3] - qx - t[0]) + b * (plane[4] - qy - t[1]) + c * (plane[5] - qz - t[2])
+        if abs(r) > rule.gate:
+            continue
+        variance = rule.noise**2 + plane[VARIANCE]
+        w = variance / (variance + r * r) ** 2  # Geman and McClure
+        J[0], J[1], J[2] = a, b, c
+        J[3], J[4], J[5] = qy * c - qz * b, qz * a - qx * c, qx * b - qy * a
+        for i in range(6):
+            g[i] += w * r * J[i]
+            for j in range(6):
+                H[i, j] += w * J[i] * J[j]
+        total += w
+        square += w * (qx * qx + qy * qy + qz * qz)
+        found += 1
+    return H, g, total, square, found
+
+
+@njit
+def _smallest(table: Any, x: float, y: float, z: float, cell: float) -> Any:
+    """Return the slot of the smallest plane or line around a point, -1 without."""
+    keys, _, planes = table
+    for level in range(LEVELS):
+        slot = find_slot(keys, voxel_key(x, y, z, cell, level))
+        if keys[slot] != EMPTY and planes[slot, VARIANCE] > 0.0:
+            return slot
+    return -1
+
+
+@njit
+def linearize_edges(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
+    """Linearize the horizontal distances of edges from the map's vertical lines.
+
+    Returns:
+        Weighted sums J'J (6, 6) and J'r (6,), as in `linearize`.
+    """
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    J, r = np.zeros((2, 6)), np.empty(2)
+    for n in range(len(points)):
+        q = np.dot(R, points[n])
+        slot = _smallest(table, q[0] + t[0], q[1] + t[1], q[2] + t[2], cell)
+        if slot < 0:
+            continue
+        line = table[2][slot]
+        r[0], r[1] = line[3] - q[0] - t[0], line[4] - q[1] - t[1]
+        square = r[0] * r[0] + r[1] * r[1]
+        if square > rule.gate**2:
+            continue
+        variance = rule.edge**2 + line[VARIANCE]
+        w = variance / (variance + square) ** 2
+        J[0, 0], J[0, 4], J[0, 5] = 1.0, q[2], -q[1]
+        J[1, 1], J[1, 3], J[1, 5] = 1.0, -q[2], q[0]
+        for i in range(6):
+            g[i] += w * (J[0, i] * r[0] + J[1, i] * r[1])
+            for j in range(6):
+                H[i, j] += w * (J[0, i] * J[0, j] + J[1, i] * J[1, j])
+    return H, g

@@ -1,0 +1,181 @@
+"""Names, quality of service and discovery of topics as ROS 2 nodes expect them.
+
+The strings follow rmw_dds_common (`ros_discovery_info`, `typehash=`), rmw_fastrtps (`rt/` prefix, enclave)
+and rmw_zenoh (keys, liveliness tokens, attachments).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+from lirs_extensions.live.options import Distribution
+from lirs_wct.formats.rosbag.messages import LATCHED, TOPICS
+
+STORES: dict[Distribution, Stores] = {
+    "humble": Stores.ROS2_HUMBLE,
+    "jazzy": Stores.ROS2_JAZZY,
+    "kilted": Stores.ROS2_KILTED,
+}
+"""Message definitions by ROS distribution."""
+NODE = "lirs_wct"
+"""Name of our node."""
+DISCOVERY_TOPIC, DISCOVERY_TYPE = "ros_discovery_info", "rmw_dds_common/msg/ParticipantEntitiesInfo"
+ENCLAVE = b"enclave=/;"
+"""User data of a DDS participant that is a ROS context."""
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+MAP_TYPE, TRANSFORMS_TYPE = "nav_msgs/msg/OccupancyGrid", "tf2_msgs/msg/TFMessage"
+START_POSE, EMPTY = "geometry_msgs/msg/PoseWithCovarianceStamped", "std_msgs/msg/Empty"
+NO_HASH = "TypeHashNotSupported"
+"""Hash of a type in rmw_zenoh for Humble."""
+ZENOH_DEPTH = 42
+"""Depth of rmw_zenoh's default profile, which tokens omit."""
+
+
+@dataclass(frozen=True)
+class LiveTopic:
+    """A topic with type and quality of service; always reliable, keep last.
+
+    Attributes:
+        name: with the leading slash.
+        kind: type of its messages, such as `sensor_msgs/msg/LaserScan`.
+        depth: messages that are kept.
+        durable: whether late subscribers get the last messages (transient local).
+    """
+
+    name: str
+    kind: str
+    depth: int = 10
+    durable: bool = False
+
+
+PUBLISHED = tuple(
+    LiveTopic(
+        name, kind, 1 if name in LATCHED else 100 if name in ("/tf", "/imu/data_raw") else 10, name in LATCHED
+    )
+    for name, kind in TOPICS.items()
+)
+"""Topics that a drive can publish."""
+SUBSCRIBED = (
+    LiveTopic("/cmd_vel", TWIST),
+    LiveTopic("/cmd_vel", TWIST_STAMPED),
+    LiveTopic("/map", MAP_TYPE, 1),
+    LiveTopic("/tf", TRANSFORMS_TYPE, 100),
+    LiveTopic("/initialpose", START_POSE),
+    LiveTopic("/reset", EMPTY),
+)
+"""Topics that a client may publish."""
+
+
+@cache
+def typestore(distribution: Distribution) -> Typestore:
+    """Return the message types of a distribution."""
+    return get_typestore(STORES[distribution])
+
+
+def dds_type(kind: str) -> str:
+    """Return a type's name in DDS and Zenoh.
+
+    >>> dds_type("sensor_msgs/msg/LaserScan")
+    'sensor_msgs::msg::dds_::LaserScan_'
+    """
+    package, _, name = kind.split("/")
+    return f"{package}::msg::dds_::{name}_"
+
+
+def type_hash(kind: str, distribution: Distribution) -> str | None:
+    """Return a type's RIHS01 hash (REP 2016); None in Humble, which has none."""
+    if distribution == "humble":
+        return None
+    found: str = typestore(distribution).hash_rihs01(kind)
+    return found
+
+
+def user_data(kind: str, distribution: Distribution) -> bytes:
+    """Return the user data of a DDS endpoint."""
+    found = type_hash(kind, distribution)
+    return b"" if found is None else f"typehash={found};".encode()
+
+
+def discovery_message(
+    participant: bytes, readers: Sequence[bytes], writers: Sequence[bytes], distribution: Distribution
+) -> bytes:
+    """Return the message on `ros_discovery_info` that assigns endpoints to our node.
+
+    Args:
+        participant: its GUID, 16 bytes.
+        readers: GUIDs of readers.
+        writers: GUIDs of writers.
+        distribution: Humble's identifiers have 24 bytes, later ones 16.
+    """
+    store = typestore(distribution)
+    types: Any = store.types
+    length = store.fielddefs["rmw_dds_common/msg/Gid"][1][0][1][1][1]
+
+    def gid(guid: bytes) -> Any:
+        return types["rmw_dds_common/msg/Gid"](np.frombuffer(guid.ljust(length, b"\0"), np.uint8))
+
+    node = types["rmw_dds_common/msg/NodeEntitiesInfo"](
+        "/", NODE, [gid(guid) for guid in readers], [gid(guid) for guid in writers]
+    )
+    return bytes(store.serialize_cdr(types[DISCOVERY_TYPE](gid(participant), [node]), DISCOVERY_TYPE))
+
+
+def zenoh_key(topic: LiveTopic, domain: int, distribution: Distribution) -> str:
+    """Return the key expression of a topic's messages in rmw_zenoh."""
+    hashed = type_hash(topic.kind, distribution) or NO_HASH
+    return f"{domain}/{topic.name.strip('/')}/{dds_type(topic.kind)}/{hashed}"
+
+
+def zenoh_quality(topic: LiveTopic) -> str:
+    """Return a topic's quality of service as in rmw_zenoh's tokens, without its default values.
+
+    >>> zenoh_quality(LiveTopic("/scan", "sensor_msgs/msg/LaserScan"))
+    '::,10:,:,:,,'
+    """
+    depth = "" if topic.depth == ZENOH_DEPTH else f"{topic.depth}"
+    return f":{1 if topic.durable else ''}:,{depth}:,:,:,,"
+
+
+def zenoh_token(
+    zid: str,
+    entity: int,
+    domain: int,
+    distribution: Distribution,
+    topic: LiveTopic | None = None,
+    kind: str = "NN",
+) -> str:
+    """Return the liveliness token of our node, or of a topic's publisher or subscription.
+
+    Args:
+        zid: identifier of the Zenoh session.
+        entity: number of the entity in the session.
+        domain: ROS domain.
+        distribution: of ROS.
+        topic: of the endpoint; None = the node.
+        kind: `NN` node, `MP` publisher, `MS` subscription.
+    """
+    node = f"@ros2_lv/{domain}/{zid}/0/{entity}/{kind}/%/%/{NODE}"
+    if topic is None:
+        return node
+    hashed = type_hash(topic.kind, distribution) or NO_HASH
+    name = topic.name.replace("/", "%")
+    return f"{node}/{name}/{dds_type(topic.kind)}/{hashed}/{zenoh_quality(topic)}"
+
+
+def zenoh_attachment(sequence: int, nanoseconds: int, gid: bytes) -> bytes:
+    """Return the attachment of a message in rmw_zenoh: 33 bytes.
+
+    Args:
+        sequence: number of the message of its publisher, from 1.
+        nanoseconds: wall time since 1970.
+        gid: of the publisher, 16 bytes.
+    """
+    return struct.pack("<qqB16s", sequence, nanoseconds, len(gid), gid)

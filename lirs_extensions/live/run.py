@@ -1,0 +1,272 @@
+"""Live drives from start to record: a client maps, or drives, or both."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.placement import can_stand
+from lirs_envs.robots.robot import Robot, Twist, make_robot
+from lirs_envs.simulation import Simulation
+from lirs_extensions.live.bridge import Bridge, ClientDriver, ClientMapper, PublishedMapper
+from lirs_extensions.live.client import Client
+from lirs_extensions.live.graph import PUBLISHED, LiveTopic
+from lirs_extensions.live.middleware import CYCLONE_LOOPBACK, Middleware
+from lirs_extensions.live.options import LiveOptions
+from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
+from lirs_validation.driving.choice import check_driver, make_driver, start_pose
+from lirs_validation.driving.driver import StandingDriver
+from lirs_validation.experiment.cost import compile_timer
+from lirs_validation.experiment.mapper_loading import warm_up_mapper
+from lirs_validation.experiment.mapper_process import needs_process, start_mapper
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest
+from lirs_validation.experiment.recording import sensor_errors
+from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude
+from lirs_validation.experiment.scenario import Scenario, build_scenario
+from lirs_wct import ConfigError, Pose2, unknown_name
+from lirs_wct.files import check_writable
+from lirs_wct.formats.rosbag.messages import MAP_TOPIC
+from lirs_wct.progress import Progress, no_progress
+from slam_baselines.mapper import MAPPERS
+
+LOOK = 0.05
+"""Seconds between two looks for a subscriber."""
+PACKAGES = {"dds": "cyclonedds", "zenoh": "zenoh"}
+"""Package of each middleware, of the extra [live]."""
+
+
+@dataclass(frozen=True)
+class LiveRun:
+    """Result of a live drive.
+
+    Attributes:
+        run: as of any mapper.
+        bridge: with the counts of scans and answers.
+    """
+
+    run: Run
+    bridge: Bridge
+
+
+def live(
+    config: RunConfig,
+    options: LiveOptions,
+    *,
+    out: Path | None = None,
+    progress: Progress = no_progress,
+    announce: Callable[[str], None] = lambda _: None,
+) -> Iterator[LiveRun]:
+    """Drive with a client; yield the result of each drive.
+
+    A request for a new start ends a drive, and the next one begins.
+
+    Args:
+        config: of the run; its mapper is one of ours or the client's name, its driver `client` for /cmd_vel.
+        options: connection and pace.
+        out: folder that receives the runs' folders; None = nothing is written.
+        progress: of the work.
+        announce: shows a line about the connection.
+
+    Raises:
+        WctError: the source or an option cannot be used, no client came, or results cannot be written.
+    """
+    robot = make_robot(config.robot)
+    _check(config, options)
+    check_writable(out)
+    progress("build", 0.0)
+    scenario = build_scenario(config)
+    start = start_pose(scenario.world, robot, config)
+    progress("compile", 0.0)
+    compile_seconds = _warm_up(scenario, robot, start)
+    middleware = open_middleware(options, _topics(config, options))
+    with closing(middleware):
+        _await_client(middleware, options, announce)
+        yield from _Session(scenario, robot, middleware, options, start, compile_seconds).drives(
+            out, progress
+        )
+
+
+def _warm_up(scenario: Scenario, robot: Robot, start: Pose2) -> float:
+    """Compile the kernels of a drive; return the seconds it took."""
+    with compile_timer() as seconds:
+        simulation = scenario.simulation(robot, inertial=True)
+        simulation.reset(start)
+        simulation.advance(Twist())
+        if scenario.config.mapper in MAPPERS:
+            warm_up_mapper(scenario.config.mapper)
+        return seconds()
+
+
+class _Session:
+    """Drives of one client, one after the other.
+
+    Args:
+        scenario: where they take place.
+        robot: that drives.
+        middleware: connection to the client.
+        options: of the connection.
+        first: start pose of the first drive, world frame; the client's map frame begins there.
+        compile_seconds: wall seconds that the compiler took.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        robot: Robot,
+        middleware: Middleware,
+        options: LiveOptions,
+        first: Pose2,
+        compile_seconds: float,
+    ) -> None:
+        self._scenario, self._robot, self._middleware = scenario, robot, middleware
+        self._options, self._first, self._compile_seconds = options, first, compile_seconds
+
+    def drives(self, out: Path | None, progress: Progress) -> Iterator[LiveRun]:
+        """Yield the drives until the configured time is over."""
+        config, T_map_start, left, count = self._scenario.config, Pose2(), self._scenario.config.seconds, 0
+        while True:
+            count += 1
+            ready, bridge = self._ready(T_map_start, left)
+            if count > 1:
+                self._middleware.receive()  # what the client sent since the former drive is not for this one
+            name = run_name(config, self._scenario.world.name)
+            with _ended_by_interrupt(bridge.client):
+                run = drive_and_conclude(ready, out, progress, name if count == 1 else f"{name}-{count}")
+            yield LiveRun(run, bridge)
+            left -= len(run.log.walls) * ready.simulation.period
+            if bridge.client.ended or not bridge.client.reset or left < ready.simulation.period:
+                return
+            T_map_start = self._requested(bridge.client.start)
+
+    def _ready(self, T_map_start: Pose2, seconds: float) -> tuple[ReadyRun, Bridge]:
+        config, scenario = self._scenario.config, self._scenario
+        simulation = scenario.simulation(self._robot, inertial=True)
+        bridge = Bridge(self._middleware, self._options, simulation, sensor_errors(config), T_map_start)
+        mapper = self._mapper(bridge, simulation, T_map_start)
+        own = None
+        if config.driver != CLIENT:
+            own = make_driver(scenario.world, self._robot, config, mapper.map)
+            own = StandingDriver(own, config.stand) if config.stand else own
+        start = self._first @ T_map_start if own is None else own.start
+        driver = ClientDriver(start, bridge.client, own)
+        return ReadyRun(scenario, simulation, driver, mapper, seconds, self._compile_seconds), bridge
+
+    def _mapper(self, bridge: Bridge, simulation: Simulation, T_map_start: Pose2) -> MapperUnderTest:
+        config = self._scenario.config
+        if config.mapper == self._options.client:
+            clouds = simulation.preset.rings > 1
+            return ClientMapper(bridge, config.mapper, reads_clouds=clouds, T_start_map=T_map_start.inverse())
+        return PublishedMapper(bridge, start_mapper(config))
+
+    def _requested(self, T_map_start: Pose2 | None) -> Pose2:
+        """Return the requested start, map frame; the first one if the robot cannot stand there."""
+        if T_map_start is None:
+            return Pose2()
+        start = self._first @ T_map_start
+        if can_stand(self._scenario.world, self._robot, start):
+            return T_map_start
+        where = f"({T_map_start.x:.2f}, {T_map_start.y:.2f})"
+        warnings.warn(
+            f"/initialpose: {self._robot.name} cannot stand at {where}; starts at (0, 0)", stacklevel=2
+        )
+        return Pose2()
+
+
+@contextmanager
+def _ended_by_interrupt(client: Client) -> Iterator[None]:
+    """End the drive at the first Ctrl-C, so that it is evaluated; the second one interrupts."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        client.ended = True
+        signal.signal(signal.SIGINT, former)
+
+    former = signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, former)
+
+
+def _check(config: RunConfig, options: LiveOptions) -> None:
+    """Check that the middleware is installed, and that mapper and driver suit a live drive.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    package = PACKAGES[options.middleware]
+    if find_spec(package) is None:
+        raise ConfigError(
+            f"--middleware {options.middleware} needs the package {package}: pip install '.[live]'"
+        )
+    maps = config.mapper == options.client
+    if not maps and needs_process(config.mapper):
+        raise ConfigError(f"mapper {config.mapper}: live publishes the map of {', '.join(MAPPERS)}")
+    if not maps and config.mapper not in MAPPERS:
+        raise unknown_name("mapper", config.mapper, MAPPERS)
+    if config.driver == FRONTIER and maps:
+        raise ConfigError(f"driver {FRONTIER} plans on the map of one of our mappers: give --mapper")
+    if config.driver != CLIENT:
+        check_driver(config)
+
+
+def _topics(config: RunConfig, options: LiveOptions) -> tuple[LiveTopic, ...]:
+    """Return the topics of a drive: /points with rings only, /map of our mappers only."""
+    lidar = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
+    absent = {"/points"} if lidar.rings == 1 else set()
+    if config.mapper == options.client:
+        absent.add(MAP_TOPIC)
+    return tuple(topic for topic in PUBLISHED if topic.name not in absent)
+
+
+def open_middleware(options: LiveOptions, topics: tuple[LiveTopic, ...]) -> Middleware:
+    """Join a network.
+
+    Raises:
+        ConfigError: domain or host cannot be used.
+    """
+    if options.middleware == "dds":
+        from lirs_extensions.live.dds import DdsNode
+
+        return DdsNode(options, topics)
+    from lirs_extensions.live.zenoh_node import ZenohNode
+
+    return ZenohNode(options, topics)
+
+
+def _await_client(middleware: Middleware, options: LiveOptions, announce: Callable[[str], None]) -> None:
+    """Wait for a subscriber of scans; with lockstep, also for a publisher of answers.
+
+    Raises:
+        ConfigError: there is none in time.
+    """
+    if not options.wait:
+        return
+    place = f"{options.middleware} domain {options.domain} on {options.host or 'loopback'}"
+    announce(f"{place}: waiting for a subscriber of /scan or /points")
+    end = time.perf_counter() + options.wait
+    while time.perf_counter() < end:
+        listens = middleware.subscribers("/scan") + middleware.subscribers("/points")
+        if listens and (middleware.publishers() or not options.lockstep):
+            return
+        time.sleep(LOOK)
+    needed = (
+        "/scan or /points and no publisher of /cmd_vel or /tf" if options.lockstep else "/scan or /points"
+    )
+    line = f"{place}: no subscriber of {needed} within {options.wait:g} s (--wait)"
+    if options.middleware == "dds" and options.host is None:
+        line += (
+            "; Cyclone DDS is not on loopback by default: start its client with "
+            f"export CYCLONEDDS_URI='{CYCLONE_LOOPBACK}', or live with --host ADDRESS of this machine"
+        )
+    raise ConfigError(line)

@@ -1,0 +1,1 @@
+"""SLAM methods as published, for comparison with ours."""

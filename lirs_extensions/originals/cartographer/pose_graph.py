@@ -1,0 +1,285 @@
+"""Pose graph of the original: nodes tied to submaps and to the next node, loops.
+
+As in the original's pose_graph_2d, work that its threads do later is done at once here, in the same order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded, solve
+
+from lirs_extensions.originals.cartographer.config import PoseGraphConfig
+from lirs_extensions.originals.cartographer.local_slam import GridSubmap, TrajectoryNode
+from lirs_extensions.originals.cartographer.loop_search import LoopSearcher
+from lirs_extensions.originals.cartographer.trust_region import NormalEquations, minimize
+from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry import Pose2
+from slam_baselines.cartographer.loop_closure import LoopEvent
+from slam_baselines.cartographer.pose_graph import PoseConstraint, PoseConstraints, errors, linearize
+
+
+def pose_tie(
+    a: int, b: int, measured: Pose2, weights: tuple[float, float], *, loop: bool = False
+) -> PoseConstraint:
+    """Return a constraint of pose b in a's frame, weighted in 1/m and 1/rad."""
+    translation, rotation = weights
+    information = np.diag((translation**2, translation**2, rotation**2))
+    return PoseConstraint(a, b, measured.as_array(), information, loop)
+
+
+class GraphHessian(NamedTuple):
+    """J'J of the pose graph.
+
+    Attributes:
+        submaps: (s, 3, 3) diagonal blocks, without the first.
+        nodes: (n, 3, 3) diagonal blocks.
+        chain: (n - 1, 3, 3) blocks of each node and the next.
+        cross: (3 n, 3 s) of nodes and submaps.
+    """
+
+    submaps: FloatArray
+    nodes: FloatArray
+    chain: FloatArray
+    cross: FloatArray
+
+
+@dataclass(frozen=True)
+class PoseGraphProblem:
+    """Least-squares problem over the poses of all submaps but the first, and of all nodes.
+
+    Attributes:
+        first: (3,) pose of the first submap.
+        submaps: number of submaps.
+        to_submaps: ties of nodes to submaps (a).
+        to_nodes: ties of nodes to the node before (a).
+        huber_scale: weighted error from which on a loop counts linearly.
+    """
+
+    first: FloatArray
+    submaps: int
+    to_submaps: PoseConstraints
+    to_nodes: PoseConstraints
+    huber_scale: float
+
+    def poses(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (s, 3) submaps and (n, 3) nodes of a point."""
+        rows = x.reshape(-1, 3)
+        split = self.submaps - 1
+        return np.concatenate((self.first[None], rows[:split])), rows[split:]
+
+    def evaluate(self, x: FloatArray) -> NormalEquations:
+        """Return the normal equations; loops have Huber's loss, as weights."""
+        submaps, nodes = self.poses(x)
+        s, n = len(submaps), len(nodes)
+        (Hs, gs), (Hn, gn) = ((np.zeros((k, 3, 3)), np.zeros((k, 3))) for k in (s, n))
+        cost, weighted = self._weigh_ties(submaps, nodes)
+        B, E = np.empty((len(weighted.a), 3, 3)), np.empty((len(self.to_nodes.a), 3, 3))
+        linearize(weighted.rows, submaps, nodes, 1.0, (Hs, gs), (Hn, gn), B)
+        linearize(self.to_nodes.rows, nodes, nodes, 1.0, (Hn, gn), (Hn, gn), E)
+        chain, cross = np.zeros((max(0, n - 1), 3, 3)), np.zeros((n, 3, s, 3))
+        np.add.at(chain, self.to_nodes.a, E)
+        # A node is tied to a submap at most once.
+        cross[weighted.b, :, weighted.a] = B.transpose(0, 2, 1)
+        hessian = GraphHessian(Hs[1:], Hn, chain, cross[:, :, 1:].reshape(3 * n, 3 * (s - 1)))
+        diagonal = np.concatenate((Hs[1:], Hn))[:, range(3), range(3)].ravel()
+        return NormalEquations(cost, np.concatenate((gs[1:], gn)).ravel(), diagonal, hessian)
+
+    def solve(self, equations: NormalEquations, damping: FloatArray) -> FloatArray:
+        """Return the damped step."""
+        H: GraphHessian = equations.hessian
+        split = 3 * len(H.submaps)
+        band = _band(H.nodes, H.chain)
+        band[-1] += damping[split:]
+        right = np.concatenate((H.cross, equations.gradient[split:, None]), axis=1)
+        solved = cho_solve_banded((cholesky_banded(band), False), right, overwrite_b=True)
+        if not split:
+            return -solved[:, -1]
+        S = _block_diagonal(H.submaps) + np.diag(damping[:split]) - H.cross.T @ solved[:, :-1]
+        step = -solve(S, equations.gradient[:split] - H.cross.T @ solved[:, -1], assume_a="pos")
+        return np.concatenate((step, -solved[:, -1] - solved[:, :-1] @ step))
+
+    def _weigh_ties(self, submaps: FloatArray, nodes: FloatArray) -> tuple[float, PoseConstraints]:
+        """Return the cost, and the ties to submaps with the weights of Huber's loss."""
+        ties, chain = self.to_submaps, self.to_nodes
+        square, by_chain = (
+            np.einsum("mi,mij,mj->m", e, t.information, e)
+            for t, e in (
+                (ties, errors(submaps[ties.a], nodes[ties.b], ties.z)),
+                (chain, errors(nodes[chain.a], nodes[chain.b], chain.z)),
+            )
+        )
+        a = self.huber_scale
+        length = np.sqrt(square)
+        far = ties.robust & (length > a)
+        cost = 0.5 * float(np.where(far, a * (2 * length - a), square).sum() + by_chain.sum())
+        weights = np.where(far, a / np.maximum(length, a), 1.0)
+        information = ties.information * weights[:, None, None]
+        return cost, replace(ties, information=information, robust=np.zeros(len(ties.a), np.bool_))
+
+
+def _band(diagonal: FloatArray, chain: FloatArray) -> FloatArray:
+    """Return the upper band (6, 3 n) of a block tridiagonal matrix."""
+    n = len(diagonal)
+    band = np.zeros((6, n, 3))
+    for i in range(3):
+        for j in range(3):
+            if j >= i:
+                band[5 + i - j, :, j] = diagonal[:, i, j]
+            band[2 + i - j, 1:, j] = chain[:, i, j]
+    return band.reshape(6, 3 * n)
+
+
+def _block_diagonal(blocks: FloatArray) -> FloatArray:
+    s = len(blocks)
+    matrix = np.zeros((s, 3, s, 3))
+    matrix[np.arange(s), :, np.arange(s)] = blocks
+    return matrix.reshape(3 * s, 3 * s)
+
+
+def adjust(
+    submaps: Sequence[Pose2], nodes: Sequence[Pose2], to_submaps: Sequence[PoseConstraint],
+    to_nodes: Sequence[PoseConstraint], huber_scale: float, iterations: Sequence[int],
+) -> tuple[list[Pose2], list[Pose2]]:  # fmt: skip
+    """Return poses of submaps and nodes after optimizations of at most so many iterations each."""
+    x = np.array([pose.as_array() for pose in (*submaps, *nodes)])
+    problem = PoseGraphProblem(
+        x[0], len(submaps), PoseConstraints.stack(to_submaps), PoseConstraints.stack(to_nodes), huber_scale
+    )
+    point = x[1:].ravel()
+    for most in iterations:
+        point = minimize(problem, point, most)
+    adjusted_submaps, adjusted_nodes = (
+        [Pose2(*pose) for pose in poses.tolist()] for poses in problem.poses(point)
+    )
+    return adjusted_submaps, adjusted_nodes
+
+
+class OriginalPoseGraph:
+    """Poses of submaps and nodes in the map frame.
+
+    Attributes:
+        nodes: all of them, in the local frame.
+        events: loops closed so far.
+        loop_searches: number of them.
+        optimizations: number of them.
+    """
+
+    def __init__(self, config: PoseGraphConfig, submaps: list[GridSubmap]) -> None:
+        """Use the submaps of local SLAM; the list grows there."""
+        self._config, self._submaps = config, submaps
+        self.nodes: list[TrajectoryNode] = []
+        self.events: list[LoopEvent] = []
+        self.loop_searches = self.optimizations = 0
+        self._node_poses: list[Pose2] = []
+        self._submap_poses: list[Pose2] = []
+        self._searchers: dict[int, LoopSearcher] = {}
+        self._members: list[set[int]] = []
+        self._ties: list[PoseConstraint] = []
+        self._chain: list[PoseConstraint] = []
+        self._nodes_since = 0
+        self._optimized = 0
+
+    @property
+    def T_map_local(self) -> Pose2:  # noqa: N802
+        """Correction of local SLAM since the last optimization."""
+        if not self._optimized:
+            return Pose2()
+        last = self._optimized - 1
+        return self._submap_poses[last] @ self._submaps[last].pose.inverse()
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the searched bounds and of the nodes' points."""
+        searched = sum(searcher.nbytes for searcher in self._searchers.values())
+        return searched + sum(node.points.nbytes for node in self.nodes)
+
+    def add_node(self, node: TrajectoryNode) -> None:
+        """Tie a node to its submaps, search loops, optimize if due."""
+        c, index = self._config, len(self.nodes)
+        self._add_submaps(node)
+        oldest = node.submaps[0]
+        self.nodes.append(node)
+        self._node_poses.append(self._submap_poses[oldest] @ self._submaps[oldest].pose.inverse() @ node.pose)
+        self._tie(node, index)
+        for submap in self._searchers:
+            self._search(index, submap)
+        if node.finished:
+            builder = c.constraint_builder
+            self._searchers[oldest] = LoopSearcher(self._submaps[oldest].grid, builder)
+            for earlier in range(index + 1):
+                if earlier not in self._members[oldest]:
+                    self._search(earlier, oldest)
+        self._nodes_since += 1
+        if self._nodes_since > c.optimize_every_n_nodes:
+            self._submap_poses, self._node_poses = self._adjust([c.max_num_iterations])
+            self.optimizations += 1
+            self._nodes_since, self._optimized = 0, len(self._submap_poses)
+
+    def final_poses(self) -> list[Pose2]:
+        """Return `T_map_base` of all nodes after the last optimization; the graph stays as it is."""
+        if not self.nodes:
+            return []
+        c = self._config
+        _, poses = self._adjust([c.max_num_iterations, c.max_num_final_iterations])
+        return [pose @ Pose2(yaw=node.heading) for pose, node in zip(poses, self.nodes, strict=True)]
+
+    def _add_submaps(self, node: TrajectoryNode) -> None:
+        """Give a new submap its pose relative to the one before."""
+        for i in node.submaps[len(self._submap_poses) - node.submaps[0] :]:
+            pose = self._submaps[i].pose
+            if i:
+                pose = self._submap_poses[i - 1] @ self._submaps[i - 1].pose.inverse() @ pose
+            self._submap_poses.append(pose)
+            self._members.append(set())
+
+    def _tie(self, node: TrajectoryNode, index: int) -> None:
+        """Tie a node to its submaps, and to the last node by SLAM and odometry."""
+        c = self._config
+        for i in node.submaps:
+            self._members[i].add(index)
+            measured = self._submaps[i].pose.inverse() @ node.pose
+            weights = c.matcher_translation_weight, c.matcher_rotation_weight
+            self._ties.append(pose_tie(i, index, measured, weights))
+        for before, now in pairwise(self.nodes[-2:]):
+            if before.odometry is not None and now.odometry is not None:
+                moved = before.odometry.inverse() @ now.odometry
+                moved = Pose2(yaw=before.heading) @ moved @ Pose2(yaw=-now.heading)
+                weights = c.odometry_translation_weight, c.odometry_rotation_weight
+                self._chain.append(pose_tie(index - 1, index, moved, weights))
+            weights = c.local_slam_pose_translation_weight, c.local_slam_pose_rotation_weight
+            moved = before.pose.inverse() @ now.pose
+            self._chain.append(pose_tie(index - 1, index, moved, weights))
+
+    def _search(self, index: int, submap: int) -> None:
+        """Search for a node in a finished submap near it; tie it if found."""
+        builder, node, searcher = self._config.constraint_builder, self.nodes[index], self._searchers[submap]
+        relative = self._submap_poses[submap].inverse() @ self._node_poses[index]
+        if relative.distance(Pose2()) > builder.max_constraint_distance or not searcher.draw_sample():
+            return
+        self.loop_searches += 1
+        T_local_submap = self._submaps[submap].pose
+        found = searcher.search(node.points, T_local_submap @ relative)
+        if found is None:
+            return
+        measured = T_local_submap.inverse() @ found.pose
+        weights = builder.loop_closure_translation_weight, builder.loop_closure_rotation_weight
+        self._ties.append(pose_tie(submap, index, measured, weights, loop=True))
+        seen = self.nodes[min(self._members[submap])].stamp
+        base = Pose2(yaw=node.heading)
+        before, after = self._node_poses[index] @ base, self._submap_poses[submap] @ measured @ base
+        self.events.append(LoopEvent(node.stamp, seen, before, after, found.score))
+
+    def _adjust(self, iterations: list[int]) -> tuple[list[Pose2], list[Pose2]]:
+        return adjust(
+            self._submap_poses,
+            self._node_poses,
+            self._ties,
+            self._chain,
+            self._config.huber_scale,
+            iterations,
+        )

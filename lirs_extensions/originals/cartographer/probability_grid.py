@@ -1,0 +1,148 @@
+"""Probability grid of a submap, as in the original: 16-bit values, updated by tables.
+
+Cell values 1 to 32767 stand for 1 - p between 0.1 and 0.9; 0 is unknown and reads as p = 0.1. Row 0 is the
+largest x, column 0 the largest y.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lirs_extensions.originals.cartographer.range_data import RangeData, round_half_away
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.kernels import njit
+
+CellArray = NDArray[np.uint16]
+
+MIN_COST, MAX_COST = np.float32(1) - np.float32(0.9), np.float32(0.9)
+"""Smallest and largest 1 - p of a cell."""
+VALUES = 32767
+"""Number of values of known cells."""
+MARK = 32768
+"""Added to the cells that a scan has updated."""
+INITIAL_CELLS = 100
+"""Cells along an edge of a new grid."""
+SUBCELLS = 1000
+"""Parts of a cell's edge to which the ends of beams are rounded."""
+
+
+def _cost_table() -> Float32Array:
+    step = (MAX_COST - MIN_COST) / np.float32(VALUES - 1)
+    table = np.arange(VALUES + 1, dtype=np.float32) * step + (MIN_COST - step)
+    table[0] = MAX_COST
+    return table
+
+
+COST = _cost_table()
+"""(32768,) 1 - p by cell value."""
+
+
+@cache
+def update_table(probability: float) -> CellArray:
+    """Return (32768,) marked cell values after an observation of a probability, by the value before."""
+    p = np.float32(probability)
+    odds = p / (1 - p)
+    before = np.float32(1) - COST
+    after = odds * (before / (1 - before))
+    after[0] = odds
+    cost = np.clip(1 - after / (1 + after), MIN_COST, MAX_COST)
+    scale = np.float32(VALUES - 1) / (MAX_COST - MIN_COST)
+    values: CellArray = (np.floor((cost - MIN_COST) * scale + 0.5) + 1 + MARK).astype(np.uint16)
+    return values
+
+
+class ProbabilityGrid:
+    """Square cells that grow around a center.
+
+    Attributes:
+        cells: (rows, cols) values.
+        resolution: edge of a cell, meters.
+        corner: (2,) largest x and y of the grid, meters.
+    """
+
+    def __init__(self, resolution: float, center: FloatArray) -> None:
+        """Start with unknown cells around a center (2,), meters."""
+        # The original reads the edge of a cell as float32.
+        self.resolution = float(np.float32(resolution))
+        self.corner = center + 0.5 * INITIAL_CELLS * self.resolution
+        self.cells: CellArray = np.zeros((INITIAL_CELLS, INITIAL_CELLS), np.uint16)
+
+    def insert(self, data: RangeData, hit: CellArray, miss: CellArray) -> None:
+        """Update each cell that beams hit or pass once; a hit wins.
+
+        Args:
+            data: in the frame of the grid.
+            hit: table of a hit (see `update_table`).
+            miss: table of a miss.
+        """
+        points = np.concatenate((data.origin[None], data.returns, data.misses))
+        self._grow(points)
+        ends = self._indices(points, self.resolution / SUBCELLS)
+        _cast_rays(self.cells, ends, len(data.returns), hit, miss)
+        self.cells &= np.uint16(MARK - 1)
+
+    def indices(self, points: FloatArray | Float32Array) -> IntArray:
+        """Return (..., 2) row and column of points (..., 2), also outside the grid."""
+        return self._indices(points, self.resolution)
+
+    def crop(self) -> ProbabilityGrid:
+        """Return the smallest grid with all known cells, not to be inserted into."""
+        known = self.cells > 0
+        if not known.any():
+            return self
+        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        small = ProbabilityGrid(self.resolution, np.zeros(2))
+        small.corner = self.corner - self.resolution * np.array((rows[0], cols[0]))
+        small.cells = self.cells[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].copy()
+        return small
+
+    def _indices(self, points: FloatArray | Float32Array, edge: float) -> IntArray:
+        return round_half_away((self.corner - points) / edge - 0.5)
+
+    def _grow(self, points: Float32Array) -> None:
+        """Double the grid until it holds points (n, 2)."""
+        box = np.stack((points.min(axis=0) - np.float32(1e-6), points.max(axis=0) + np.float32(1e-6)))
+        while True:
+            at, (rows, cols) = self.indices(box), self.cells.shape
+            if (at >= 0).all() and (at < (rows, cols)).all():
+                return
+            larger = np.zeros((2 * rows, 2 * cols), np.uint16)
+            larger[rows // 2 : rows // 2 + rows, cols // 2 : cols // 2 + cols] = self.cells
+            self.cells = larger
+            self.corner = self.corner + self.resolution * np.array((rows // 2, cols // 2))
+
+
+@njit
+def _cast_rays(cells: Any, ends: Any, returns: int, hit: Any, miss: Any) -> None:
+    """Update the cells by beams from ends[0], in subcells; the first `returns` hit."""
+    for k in range(1, returns + 1):
+        row, col = ends[k, 0] // SUBCELLS, ends[k, 1] // SUBCELLS
+        if cells[row, col] < MARK:
+            cells[row, col] = hit[cells[row, col]]
+    for k in range(1, len(ends)):
+        _miss_cells(cells, ends[0], ends[k], miss)
+
+
+@njit
+def _miss_cells(cells: Any, first: Any, last: Any, miss: Any) -> None:
+    """Update all cells whose interior the segment between two centers of subcells meets."""
+    if first[1] > last[1]:
+        first, last = last, first
+    # In half subcells, in which centers of subcells are odd and borders of cells even.
+    edge = 2 * SUBCELLS
+    u0, v0, u1, v1 = 2 * first[1] + 1, 2 * first[0] + 1, 2 * last[1] + 1, 2 * last[0] + 1
+    du, dv = u1 - u0, v1 - v0
+    for col in range(u0 // edge, u1 // edge + 1):
+        if du == 0:
+            low, high, unit = min(v0, v1), max(v0, v1), edge
+        else:
+            enter = v0 * du + (max(u0, col * edge) - u0) * dv
+            leave = v0 * du + (min(u1, (col + 1) * edge) - u0) * dv
+            low, high, unit = min(enter, leave), max(enter, leave), edge * du
+        for row in range(low // unit, max(low // unit, -(-high // unit) - 1) + 1):
+            if cells[row, col] < MARK:
+                cells[row, col] = miss[cells[row, col]]

@@ -1,0 +1,372 @@
+"""Planar GMapping with the scan matcher and the defaults of OpenSLAM's program.
+
+Grisetti, Stachniss, Burgard 2007, as the authors' program has it: particles are matched by a hill climb and
+stay where it ends, and a processed scan is registered by its hits alone. No attitude, no ground filter: on
+uneven ground hillsides are walls. With the random numbers of the original the same seed gives the
+original's trajectory; readings are used as finely as a CARMEN log holds them, so that a run and its
+recorded log give the same too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from lirs_extensions.originals.gmapping.hit_maps import HitMaps, MatchingParameters, match_scan
+from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.field_validators import require_above, require_at_least, require_within
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
+from lirs_wct.kernels import njit
+from slam_baselines.gmapping.particles import Particles, normalize
+from slam_baselines.linalg import compose_poses
+from slam_baselines.mapper import MapperStats, Stopwatch, check_motion, required_odometry
+from slam_baselines.mapping.keyframe import KeyframeTrajectory
+from slam_baselines.mapping.occupancy_map import GrowingGrid
+from slam_baselines.mapping.ray_tracing import line_cells
+
+MILLIMETER, MICROMETER = 3, 6
+"""Decimals of a range and of a position in a CARMEN log."""
+HEADING = 8
+"""Decimals of a heading in a CARMEN log, radians."""
+BEAM = 6
+"""Decimals of a beam's angle, degrees: the original's table of beams is in whole or half degrees."""
+WARM_UP = {"resampleThreshold": 1.0}
+"""Configuration with which a short drive reaches every kernel: particles are resampled at every scan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GmappingOriginalConfig:
+    """Parameters of OpenSLAM's GMapping with its defaults.
+
+    Attributes:
+        particles: number of paths.
+        seed: of the random numbers, as for the C library's `srand48`.
+        linearUpdate: meters to drive before the next scan is processed.
+        angularUpdate: radians to turn before the next scan is processed.
+        resampleThreshold: particles are resampled when N_eff falls below this share of them.
+        srr: error of the odometry in translation after one meter, meters.
+        srt: error of the odometry in rotation after one meter, radians.
+        str: error of the odometry in translation after one radian, meters.
+        stt: error of the odometry in rotation after one radian, radians.
+        sigma: of the matcher's score, square meters.
+        kernelSize: cells around the end of a beam in which the matcher looks for hits.
+        lstep: first step of the matcher in x and y, meters.
+        astep: first step of the matcher in yaw, radians.
+        iterations: how often the steps are halved.
+        lsigma: of the likelihood, square meters.
+        ogain: likelihoods are taken to the power 1 / (ogain * particles).
+        delta: edge of a map's cell, meters.
+        maxrange: farther readings are not used, meters. A beam without return reads the lidar's largest
+            range, as in a CARMEN log.
+        maxUrange: farther readings are no hits, meters: free up to there.
+        occ_thresh: share of hits among the beams through a cell above which it is occupied.
+
+    Raises:
+        ConfigError: a value that is not legal.
+    """
+
+    particles: int = 30
+    seed: int = 0
+    linearUpdate: float = 1.0  # noqa: N815  the original's names
+    angularUpdate: float = 0.5  # noqa: N815
+    resampleThreshold: float = 0.5  # noqa: N815
+    srr: float = 0.1
+    srt: float = 0.2
+    str: float = 0.1
+    stt: float = 0.2
+    sigma: float = 0.05
+    kernelSize: int = 1  # noqa: N815
+    lstep: float = 0.05
+    astep: float = 0.05
+    iterations: int = 5
+    lsigma: float = 0.075
+    ogain: float = 3.0
+    delta: float = 0.05
+    maxrange: float = 80.0
+    maxUrange: float = 80.0  # noqa: N815
+    occ_thresh: float = 0.25
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, "particles", "sigma", "lstep", "astep", "lsigma", "ogain", "delta")
+        require_above(self, 0, "maxrange", "maxUrange", unit="m")
+        require_at_least(self, 0, "linearUpdate", "angularUpdate", "srr", "srt", "str", "stt", "kernelSize")
+        require_at_least(self, 1, "iterations")
+        require_within(self, "[0, 1]", "resampleThreshold")
+        require_within(self, "[0, 1)", "occ_thresh")
+
+    @property
+    def matching(self) -> MatchingParameters:
+        """Parameters of the matcher."""
+        return MatchingParameters(
+            self.sigma, self.kernelSize, self.lstep, self.astep, self.iterations, self.lsigma
+        )
+
+
+class GmappingOriginalMapper:
+    """Particle filter over paths, as published by its authors.
+
+    Attributes:
+        lost: always False: the original has no monitor.
+        requires_odometry: True.
+    """
+
+    lost = False
+    requires_odometry = True
+
+    def __init__(self, config: GmappingOriginalConfig | None = None) -> None:
+        self.config = config or GmappingOriginalConfig()
+        self._particles = OriginalParticles(self.config)
+        self._scans = KeyframeTrajectory()
+        self._kept: list[ProcessedScan] = []
+        self._odometry: Pose2 | None = None
+        self._processed_at = self._best = Pose2()
+        self._distance = self._turn = 0.0
+        self._received = 0
+        self._stopwatch = Stopwatch()
+
+    @property
+    def resolution(self) -> float:
+        """Edge of a cell of the map, meters."""
+        return self.config.delta
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Move the particles by the odometry, process the scan if due; return `T_map_base`.
+
+        Raises:
+            ConfigError: there is no odometry, or it is not finite.
+        """
+        check_motion(odometry, imu)
+        started = self._stopwatch.start()
+        now = _logged_pose(required_odometry("gmapping_original", odometry, scan.stamp))
+        self._received += 1
+        self._move(now)
+        if self._due:
+            self._process(scan, now)
+        increment = self._processed_at.inverse() @ now
+        self._scans.add(scan.stamp, len(self._kept) - 1, increment)
+        self._stopwatch.stop(started)
+        return self._best @ increment
+
+    def map(self) -> OccupancyGrid:
+        """Return the map along the best particle's path."""
+        c = self.config
+        return path_map(self._particles.path, self._kept, c.delta, c.occ_thresh)
+
+    def trajectory(self) -> Trajectory:
+        """Return the pose of every scan: the best particle's path, and the odometry in between."""
+        return self._scans.trajectory([Pose2(*pose) for pose in self._particles.path.tolist()])
+
+    @property
+    def stats(self) -> MapperStats:
+        """Counts, times and memory so far."""
+        particles, processed = self._particles, len(self._kept)
+        return MapperStats(
+            received=self._received,
+            used=processed,
+            skipped={"not moved": self._received - processed},
+            memory=particles.maps.nbytes + sum(s.ends.nbytes + s.hits.nbytes for s in self._kept),
+            counts={
+                "particles": self.config.particles,
+                "resamplings": particles.resamplings,
+                "patches": particles.maps.in_use,
+            },
+            **self._stopwatch.summary(),
+        )
+
+    @property
+    def _due(self) -> bool:
+        c = self.config
+        return not self._kept or self._distance >= c.linearUpdate or self._turn >= c.angularUpdate
+
+    def _move(self, now: Pose2) -> None:
+        before, self._odometry = self._odometry or now, now
+        self._particles.move(before.inverse() @ now)
+        self._distance += before.distance(now)
+        self._turn += abs(wrap_angle(now.yaw - before.yaw))
+
+    def _process(self, scan: LaserScan, now: Pose2) -> None:
+        increment = self._processed_at.inverse() @ now if self._kept else Pose2()
+        self._kept.append(kept := _usable(scan, self.config.maxrange, self.config.maxUrange))
+        self._particles.process_scan(kept.ends[kept.hits], increment)
+        self._best, self._processed_at = self._particles.pose, now
+        self._distance = self._turn = 0.0
+
+
+class OriginalParticles(Particles[HitMaps]):
+    """Particles with noisy motion, matched by a hill climb against maps of hits."""
+
+    def __init__(self, config: GmappingOriginalConfig) -> None:
+        super().__init__(HitMaps(config.particles, config.delta))
+        self._config = config
+        self._rng = Drand48(config.seed)
+
+    @property
+    def path(self) -> FloatArray:
+        """(generations, 3) poses of the best particle at the processed scans."""
+        return self.tree.path(self.best_leaf)
+
+    def move(self, delta: Pose2) -> None:
+        """Move every particle by the odometry since the last scan, with independent noise."""
+        c, x, y, turn = self._config, abs(delta.x), abs(delta.y), abs(delta.yaw)
+        across = 0.3 * c.srr
+        sigma = np.array(
+            (
+                c.srr * x + c.str * turn + across * y,
+                c.srr * y + c.str * turn + across * x,
+                c.stt * turn + c.srt * float(np.hypot(x, y)),
+            )
+        )
+        noise = np.zeros((len(self._poses), 3))
+        # The original draws no number where there is nothing to scatter.
+        scattered = sigma > 0
+        noise[:, scattered] = self._rng.standard_normal((len(noise), int(scattered.sum()))) * sigma[scattered]
+        self._poses = compose_poses(self._poses, delta.as_array() + noise)
+
+    def process_scan(self, ends: FloatArray, increment: Pose2) -> None:
+        """Match and weigh, resample where due, and register the scan.
+
+        Args:
+            ends: (n, 2) of beams in the base frame, meters.
+            increment: `T_processed_now` by odometry since the scan processed before.
+        """
+        c = self._config
+        if self.tree.generations:
+            self._match(ends)
+            gain = 1 / (c.ogain * len(self._poses))
+            self.resample(normalize(gain * self._log_weights), c.resampleThreshold, self._rng)
+        self.maps.register_scan(self._poses, ends)
+        self.add_generation(increment)
+
+    def _match(self, ends: FloatArray) -> None:
+        parameters = self._config.matching
+        for k, expected in enumerate(self._poses):
+            self._poses[k], log_likelihood = match_scan(self.maps[k], expected, ends, parameters)
+            self._log_weights[k] += log_likelihood
+            self._totals[k] += log_likelihood
+
+
+def _logged_pose(pose: Pose2) -> Pose2:
+    return Pose2(round(pose.x, MICROMETER), round(pose.y, MICROMETER), round(pose.yaw, HEADING))
+
+
+def _usable(scan: LaserScan, maxrange: float, max_urange: float) -> ProcessedScan:
+    """Return the usable beams, rounded as in a CARMEN log."""
+    most = round(scan.range_max, MILLIMETER)
+    ranges = np.round(scan.ranges.astype(np.float64), MILLIMETER)
+    ranges[scan.ranges == np.inf] = most
+    known = np.isfinite(ranges) & (ranges > 0) & (ranges <= maxrange)
+    r = ranges[known]
+    angles = np.radians(np.round(np.degrees(scan.angles[known]), BEAM))
+    mount = _logged_pose(scan.T_base_laser.to_pose2())
+    hits = r <= max_urange
+    ends: FloatArray = mount.apply(
+        np.minimum(r, max_urange)[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
+    )
+    return ProcessedScan(np.array((mount.x, mount.y)), ends, hits)
+
+
+class ProcessedScan(NamedTuple):
+    """Processed scan, kept for the map.
+
+    Attributes:
+        laser: (2,) in the base frame, meters.
+        ends: (n, 2) of beams in the base frame, meters.
+        hits: (n,) whether an end is a hit; else a long beam leaves the usable range there.
+    """
+
+    laser: FloatArray
+    ends: FloatArray
+    hits: BoolArray
+
+
+def path_map(
+    path: FloatArray, scans: Sequence[ProcessedScan], delta: float, occ_thresh: float
+) -> OccupancyGrid:
+    """Draw scans at their poses; cells are occupied, free or unknown as in slam_gmapping.
+
+    Args:
+        path: (n, 3) x, y, yaw of `T_map_base`, of each scan.
+        scans: n of them.
+        delta: edge of a cell, meters.
+        occ_thresh: share of hits among the beams through a cell above which it is occupied.
+    """
+    grid = GrowingGrid(delta, {"hits": (np.int32, 0), "visits": (np.int32, 0)})
+    for pose, scan in zip(path.tolist(), scans, strict=True):
+        T_map_base = Pose2(*pose)
+        points = np.vstack((T_map_base.apply(scan.laser[None]), T_map_base.apply(scan.ends)))
+        grid.ensure(*points.min(axis=0), *points.max(axis=0))
+        # Cell (0, 0) has its center in the origin, as in the maps that are matched against.
+        cells = np.floor(points / delta + 0.5).astype(np.int64) - (grid.col0, grid.row0)
+        _draw(grid.layers["hits"], grid.layers["visits"], cells, scan.hits)
+    return _occupancy(grid, occ_thresh)
+
+
+def _occupancy(grid: GrowingGrid, occ_thresh: float) -> OccupancyGrid:
+    hits, visits, delta = grid.layers["hits"], grid.layers["visits"], grid.resolution
+    if not visits.any():
+        return OccupancyGrid(np.full((1, 1), np.nan, np.float32), delta)
+    rows, cols = (np.flatnonzero(visits.any(axis=axis)) for axis in (1, 0))
+    box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
+    occupied = hits[box] > occ_thresh * visits[box]
+    p = np.where(visits[box] > 0, occupied, np.nan)
+    corner = Pose2((grid.col0 + cols[0] - 0.5) * delta, (grid.row0 + rows[0] - 0.5) * delta)
+    return OccupancyGrid.from_probability(p, delta, corner)
+
+
+@njit
+def _draw(hits: Any, visits: Any, cells: Any, is_hit: Any) -> None:
+    """Count the beams from cells[0] to all others, each (col, row)."""
+    for k in range(1, len(cells)):
+        for row, col in line_cells(cells[0, 1], cells[0, 0], cells[k, 1], cells[k, 0]):
+            visits[row, col] += 1
+        if is_hit[k - 1]:
+            row, col = cells[k, 1], cells[k, 0]
+            visits[row, col] += 1
+            hits[row, col] += 1
+
+
+MULTIPLIER, INCREMENT, MASK = np.uint64(0x5DEECE66D), np.uint64(0xB), np.uint64((1 << 48) - 1)
+"""Of the linear congruential generator (POSIX)."""
+LOW = 0x330E
+"""The low 16 bits of a seeded state (POSIX); the seed's 32 bits are above."""
+
+
+class Drand48:
+    """A stream of random numbers."""
+
+    def __init__(self, seed: int) -> None:
+        """Start as `srand48(seed)` does."""
+        self._state = np.array([((seed & 0xFFFFFFFF) << 16) + LOW], np.uint64)
+
+    def random(self) -> float:
+        """Return the next number of the uniform distribution over [0, 1)."""
+        return float(_uniform(self._state))
+
+    def standard_normal(self, shape: tuple[int, ...]) -> FloatArray:
+        """Return the next numbers of the standard normal distribution, in row order."""
+        out = np.empty(shape)
+        _fill_normal(self._state, out.reshape(-1))
+        return out
+
+
+@njit
+def _uniform(state: Any) -> Any:
+    state[0] = (state[0] * MULTIPLIER + INCREMENT) & MASK
+    return np.float64(state[0]) / 281474976710656.0  # 2^48
+
+
+@njit
+def _fill_normal(state: Any, out: Any) -> None:
+    """Fill `out` by Marsaglia's polar method; like the original, skip every second number."""
+    for k in range(len(out)):
+        while True:
+            x = 2 * _uniform(state) - 1
+            _uniform(state)
+            y = 2 * _uniform(state) - 1
+            w = x * x + y * y
+            if 0 < w <= 1:
+                break
+        out[k] = y * np.sqrt(-2 * np.log(w) / w)

@@ -1,0 +1,1 @@
+"""Searches: failures of a method, parameters of a mapper, sensor noise of a log."""

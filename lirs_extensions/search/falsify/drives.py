@@ -1,0 +1,457 @@
+"""Cases of a search (docs/howto/falsify.md) and their drives: scored, concurrent, kept in a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import yaml
+
+from lirs_envs.generators.arena import ArenaConfig, arena
+from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.robots.robot import make_robot
+from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
+from lirs_extensions.bench.episode import EpisodeLog, episode_metrics, run_episode
+from lirs_extensions.bench.policies import PolicyChoice
+from lirs_extensions.bench.task_worlds import WorldSpec
+from lirs_extensions.bench.tasks import BenchTask, TaskSet, set_entry
+from lirs_extensions.search.case_search import Case, SearchParameter, SearchSpace, TrialArchive, trial_key
+from lirs_extensions.search.options import FalsifyOptions
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.run import run_unwritten
+from lirs_validation.metrics.verdict import LIMITS, VerdictFigures, classify
+from lirs_validation.sweep.experiment import SlamExperiment
+from lirs_validation.sweep.suites import CASE, case_options, read_yaml_fields
+from lirs_wct.errors import ConfigError, MapperError, SimulationError, unknown_name
+from lirs_wct.files import atomic_write
+from slam_baselines.mapper import short_name
+
+LEAST_RETURNS = 0.3
+"""Smallest median share of beams with a return: without walls in sight no planar method can work."""
+
+
+PARAMETERS: tuple[SearchParameter, ...] = (
+    SearchParameter("relief", "ground", 0.0, 0.0, 2.0, "m"),
+    SearchParameter("slope", "ground", 0.0, 0.0, 14.0, "deg"),
+    SearchParameter("slope_direction", "ground", 90.0, 0.0, 90.0, "deg"),
+    SearchParameter("roughness", "ground", 0.0, 0.0, 0.015, "m"),
+    SearchParameter("obstacles", "obstacles", 20, 6, 60, whole=True),
+    SearchParameter("obstacle_height", "obstacles", 2.0, 0.3, 2.0, "m"),
+    SearchParameter("round_obstacles", "obstacles", 0.0, 0.0, 1.0),
+    SearchParameter("symmetry", "obstacles", 0.0, 0.0, 1.0),
+    SearchParameter("corridor", "obstacles", 0.0, 0.0, 26.0, "m"),
+    SearchParameter("corridor_width", "obstacles", 3.0, 2.4, 6.0, "m"),
+    SearchParameter("boundary", "obstacles", 1.0, 0.3, 1.0),
+    SearchParameter("actors", "obstacles", 0, 0, 12, whole=True),
+    SearchParameter("speed", "drive", 1.0, 0.4, 1.25),
+    SearchParameter("turn_rate", "drive", 1.0, 0.5, 1.6),
+    SearchParameter("reversing", "drive", 0.0, 0.0, 0.5),
+    SearchParameter("stand", "drive", 0.0, 0.0, 10.0, "s"),
+    SearchParameter("sigma", "sensors", 0.0, 0.0, 0.03, "m"),
+    SearchParameter("dropout", "sensors", 0.0, 0.0, 0.3),
+    SearchParameter("lag", "sensors", 0.0, 0.0, 0.12, "s"),
+    SearchParameter("field_of_view", "sensors", 360.0, 120.0, 360.0, "deg"),
+    SearchParameter("dust", "sensors", 0.0, 0.0, 0.1),
+    SearchParameter("slip", "sensors", 0.0, 0.0, 0.3),
+)
+"""All parameters with their defaults and limits."""
+OF_A_POLICY = ("ground", "obstacles")
+"""Groups that matter to a policy; the environments have no faults of sensors."""
+
+
+@dataclass(frozen=True)
+class SearchLimits(SearchSpace):
+    """Parameters to search, and the plausibility of a case.
+
+    Attributes:
+        parameters: all parameters, with the limits in use.
+        returns: smallest median share of beams with a return.
+    """
+
+    parameters: tuple[SearchParameter, ...] = PARAMETERS
+    returns: float = LEAST_RETURNS
+
+    def of_policy(self) -> SearchLimits:
+        """Return the limits of a search for a policy's failures."""
+        other = [p.name for p in self.parameters if p.group not in OF_A_POLICY or p.name == "actors"]
+        return replace(self.held(other), returns=0.0)
+
+
+def search_limits(options: FalsifyOptions) -> SearchLimits:
+    """Return the limits of a search.
+
+    Raises:
+        ConfigError: the file of the limits cannot be used.
+    """
+    limits = SearchLimits() if options.limits is None else read_search_limits(Path(options.limits))
+    return limits if options.policy is None else limits.of_policy()
+
+
+def read_search_limits(path: Path) -> SearchLimits:
+    """Read limits from a YAML file: `name: [low, high]`, `name: value`, and `returns`.
+
+    Parameters that are left out keep their limits.
+
+    Raises:
+        SourceError: the file cannot be read; the message begins with its path.
+        ConfigError: a name or value is not legal; the same.
+    """
+    entry = read_yaml_fields(path)
+    names = {p.name: p for p in PARAMETERS}
+    limits = SearchLimits()
+    for name, given in entry.items():
+        if name != "returns" and name not in names:
+            raise ConfigError(f"{path}: {unknown_name('parameter', str(name), [*names, 'returns'])}")
+        known = SearchParameter("returns", "sensors", 0.0, 0.0, 1.0) if name == "returns" else names[name]
+        found = known.read_within(path, given, LEGAL.get(name, (0.0, 1.0)))
+        limits = replace(limits, returns=found.low) if name == "returns" else limits.with_parameter(found)
+    return limits
+
+
+LEGAL: Mapping[str, tuple[float, float]] = {
+    "relief": (0, 10), "slope": (0, 40), "slope_direction": (-360, 360), "roughness": (0, 0.3),
+    "obstacles": (0, 300), "obstacle_height": (0, 10), "corridor": (0, 30), "corridor_width": (1, 20),
+    "actors": (0, 50), "speed": (0.1, 2), "turn_rate": (0.1, 2), "stand": (0, 60), "sigma": (0, 1),
+    "lag": (0, 1), "field_of_view": (10, 360),
+}  # fmt: skip
+"""Values that a limits file may give; of a share, 0 to 1."""
+
+
+Values = Mapping[str, float]
+
+
+def _slope(v: Values) -> str:
+    across = abs(math.sin(math.radians(v["slope_direction"])))
+    kind = "cross slope" if across > 0.87 else "slope" if across < 0.5 else "diagonal slope"
+    return f"{v['slope']:.2g} deg {kind}"
+
+
+PHRASES: Mapping[str, Callable[[Values], str]] = {
+    "slope": _slope,
+    "relief": lambda v: f"hills of {v['relief']:.2g} m",
+    "roughness": lambda v: f"rough ground ({100 * v['roughness']:.2g} cm)",
+    "corridor": lambda v: (
+        f"two parallel walls {v['corridor']:.2g} m long and {v['corridor_width']:.2g} m apart"
+    ),
+    "obstacles": lambda v: f"{v['obstacles']:.0f} obstacles",
+    "obstacle_height": lambda v: f"obstacles {v['obstacle_height']:.2g} m high",
+    "round_obstacles": lambda v: f"{100 * v['round_obstacles']:.0f} % round obstacles",
+    "symmetry": lambda v: f"obstacles in a regular grid ({100 * v['symmetry']:.0f} %)",
+    "boundary": lambda v: f"an outer wall of which {100 * v['boundary']:.0f} % stands",
+    "actors": lambda v: f"{v['actors']:.0f} walkers",
+    "speed": lambda v: f"{v['speed']:.2g} times the usual speed",
+    "turn_rate": lambda v: f"{v['turn_rate']:.2g} times the usual turn rate",
+    "reversing": lambda v: f"driving backwards for {100 * v['reversing']:.0f} % of the time",
+    "stand": lambda v: f"{v['stand']:.2g} s of standing at the start",
+    "sigma": lambda v: f"range noise of {1000 * v['sigma']:.2g} mm",
+    "dropout": lambda v: f"{100 * v['dropout']:.0f} % lost beams",
+    "lag": lambda v: f"scans {1000 * v['lag']:.0f} ms late",
+    "field_of_view": lambda v: f"a field of view of {v['field_of_view']:.0f} deg",
+    "dust": lambda v: f"dust in {100 * v['dust']:.2g} % of the beams",
+    "slip": lambda v: f"wheel slip of {100 * v['slip']:.0f} % of the slope",
+}
+"""Words for a changed parameter; directions and widths belong to another one."""
+
+
+def cause(case: Case, limits: SearchLimits) -> str:
+    """Return the changed parameters as words; empty if none is changed."""
+    names = [p.name for p in limits.difference(case)]
+    words = [PHRASES[name](case.values) for name in names if name in PHRASES]
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def sentence(options: FalsifyOptions, case: Case, limits: SearchLimits) -> str:
+    """Return one sentence on the failure of a method."""
+    who = f"{short_name(options.method)} on {options.robot}"
+    found = cause(case, limits)
+    fails = f"{who} fails with {found}" if found else f"{who} fails on the easiest ground already"
+    reference = options.compared_with
+    return f"{fails}; {short_name(reference)} does not." if reference else f"{fails}."
+
+
+NOISE = "noise.yaml"
+OF_RUN = ("actors", "speed", "turn_rate", "reversing", "stand")
+"""Parameters that are options of a run."""
+OF_FAULTS = ("lag", "field_of_view", "dust", "slip")
+OF_ARENA = tuple(p.name for p in PARAMETERS if p.group in ("ground", "obstacles") and p.name not in OF_RUN)
+
+
+def arena_options(case: Case, seed: int) -> dict[str, Any]:
+    """Return the parameters of a case's arena as options of `ArenaConfig`."""
+    found: dict[str, Any] = {name: case.values[name] for name in OF_ARENA}
+    return found | {"obstacles": int(found["obstacles"]), "seed": seed}
+
+
+def case_noise(case: Case, robot: str) -> SensorNoise:
+    """Return the sensor noise of a case: the lidar's simulated noise and the case's degradation."""
+    usual, v = SensorNoise().of_lidar(make_lidar_preset(make_robot(robot).lidar)), case.values
+    lidar = replace(usual, sigma=usual.sigma + v["sigma"], dropout=v["dropout"])
+    return SensorNoise(lidar=lidar, faults=SensorFaults(**{name: v[name] for name in OF_FAULTS}))
+
+
+def write_case(
+    folder: Path, case: Case, options: FalsifyOptions, *, method: str, seed: int, comment: str = ""
+) -> RunConfig:
+    """Write a case into a folder; return the run that `lirs-wct validate` reads from it.
+
+    Args:
+        folder: for the files.
+        case: values of its parameters.
+        options: of the search.
+        method: mapper of the run.
+        seed: of the drive and its sensors.
+        comment: first line of the file with the run's options.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    run: dict[str, Any] = {"robot": options.robot, "mapper": method, "seed": seed}
+    run |= {"seconds": float(options.seconds)}
+    run |= {p.name: _number(case, p.name) for p in PARAMETERS if p.name in OF_RUN and _is_set(case, p.name)}
+    arena(folder.name, ArenaConfig(**arena_options(case, options.seed))).save(folder)
+    if any(_is_set(case, p.name) for p in PARAMETERS if p.group == "sensors"):
+        write_noise(folder / NOISE, case_noise(case, options.robot), "Sensor noise of this case.")
+        run["noise"] = NOISE
+    text = yaml.safe_dump({"run": run, "parameters": dict(case.values)}, sort_keys=False)
+    with atomic_write(folder / CASE) as path:
+        path.write_text((f"# {comment}\n" if comment else "") + text, encoding="utf-8")
+    return read_case(folder)
+
+
+def read_case(folder: Path, changed: Mapping[str, Any] | None = None) -> RunConfig:
+    """Return the run of a case's folder, with some options changed."""
+    return RunConfig(source=str(folder), **(case_options(folder) | dict(changed or {})))
+
+
+def _is_set(case: Case, name: str) -> bool:
+    return case.values[name] != next(p.default for p in PARAMETERS if p.name == name)
+
+
+def _number(case: Case, name: str) -> float:
+    value = case.values[name]
+    return int(value) if next(p.whole for p in PARAMETERS if p.name == name) else value
+
+
+GOAL = (11.0, 0.0)
+"""Goal of a policy, x and y in the arena, meters."""
+WORST = 100.0
+"""Ratio of a mapper that raised, and the largest ratio of any drive."""
+
+
+@dataclass(frozen=True)
+class DriveScore:
+    """Score of one drive.
+
+    Attributes:
+        ratio: path error over the limit; of a policy, above the search's factor if it failed, the more of
+            the way is left the higher, else below 1.
+        counted: whether the case is plausible: the robot could drive, and its lidar saw walls.
+        error: path error, meters; None of a policy and of a drive without one.
+        limit: limit of `loses its way`, or that of a reference, meters; None without one.
+        returns: median share of beams with a return; None of a policy or a mapper of point clouds.
+        reason: why the drive ended early or does not count; empty if neither.
+    """
+
+    ratio: float
+    counted: bool = True
+    error: float | None = None
+    limit: float | None = None
+    returns: float | None = None
+    reason: str = ""
+
+
+def check_methods(options: FalsifyOptions) -> None:
+    """Check that robot and methods exist.
+
+    Raises:
+        WctError: one does not, or cannot run.
+    """
+    if options.policy is not None:
+        policy_task(options, SearchLimits().easiest, options.seed)  # checks the robot
+    for method in filter(None, (options.method, options.compared_with)):
+        if options.policy is not None:
+            PolicyChoice(method).check(options.task)
+        else:
+            SlamExperiment(RunConfig(source="simple", robot=options.robot, mapper=method)).check()
+
+
+def measure(options: FalsifyOptions, method: str, case: Case, seed: int, returns: float) -> DriveScore:
+    """Drive a method through a case and return its score.
+
+    Args:
+        options: of the search.
+        method: mapper or policy.
+        case: values of the parameters.
+        seed: of the drive and its sensors.
+        returns: smallest median share of beams with a return.
+    """
+    if options.policy is not None:
+        return _measure_policy(options, method, case, seed)
+    with TemporaryDirectory(prefix="lirs-wct-case-") as folder:
+        config = write_case(Path(folder) / "case", case, options, method=method, seed=seed)
+        try:
+            return _measure_mapper(config, returns)
+        except MapperError as error:
+            return DriveScore(WORST, reason=str(error).replace(f"{folder}/", ""))
+        except (SimulationError, ConfigError) as error:  # no place for the robot, or nothing was driven
+            return DriveScore(0.0, counted=False, reason=str(error).replace(f"{folder}/", ""))
+
+
+def _measure_mapper(config: RunConfig, least: float) -> DriveScore:
+    """Return the score of a mapper's drive.
+
+    Raises:
+        ConfigError: the robot fits nowhere.
+        MapperError: the mapper failed.
+        SimulationError: nothing was driven.
+    """
+    entry = run_unwritten(config)
+    trajectory, scans, reason = entry["trajectory"], entry["scans"], entry["reason"]
+    error, odometry = trajectory.get("ate_rmse"), trajectory.get("odometry_ate_rmse")
+    figures = VerdictFigures(
+        status=entry["status"],
+        has_reference=True,
+        robot_lengths=trajectory["robot_lengths"],
+        error=error,
+        odometry_error=odometry,
+        distance=trajectory["length"],
+    )
+    kind, _ = classify(figures)
+    if kind == "not evaluated" or error is None or odometry is None:
+        return DriveScore(0.0, counted=False, reason=reason or "too short a drive")
+    share = scans["returns_median"] / scans["beams"] if scans else None  # of point clouds
+    limit = LIMITS.times_odometry * odometry + LIMITS.over_odometry
+    seen = share is None or share >= least
+    reason = reason if seen else f"only {100 * (share or 0):.0f} % of the beams have a return"
+    return DriveScore(min(error / limit, WORST), seen, error, limit, share, reason)
+
+
+def policy_task(options: FalsifyOptions, case: Case, seed: int, name: str = "case") -> BenchTask:
+    """Return the task of a policy in a case."""
+    world = WorldSpec(name=name, maker="arena", options=tuple(arena_options(case, options.seed).items()))
+    return BenchTask(
+        name=f"{name}-s{seed}",
+        task=options.task,
+        split="test",
+        robot=options.robot,
+        seed=seed,
+        time_limit=options.seconds,
+        world=world,
+        start=(0.0, 0.0, 0.0),
+        goal=GOAL,
+    )
+
+
+def policy_suite(tasks: Sequence[BenchTask]) -> dict[str, Any]:
+    """Return the JSON value of a set of tasks for `lirs-wct bench --set`."""
+    return set_entry(TaskSet(name="cases", version=1, tasks=tuple(tasks)))
+
+
+def policy_episode(method: str, task: BenchTask) -> EpisodeLog:
+    """Run a policy on a case's task."""
+    return run_episode(task, PolicyChoice(method))
+
+
+def _measure_policy(options: FalsifyOptions, method: str, case: Case, seed: int) -> DriveScore:
+    """Return the score of a policy's episode."""
+    task = policy_task(options, case, seed)
+    try:
+        log = policy_episode(method, task)
+    except (SimulationError, ConfigError) as error:  # start or goal are blocked
+        return DriveScore(0.0, counted=False, reason=str(error))
+    metrics = episode_metrics(task, log)
+    if metrics["success"]:
+        return DriveScore(1.0 - metrics["score"], reason=log.reason)
+    x, y = log.poses[-1][:2].tolist()
+    left = math.hypot(GOAL[0] - x, GOAL[1] - y) / math.hypot(*GOAL)
+    return DriveScore(min(options.factor * (1.0 + left), WORST), reason=log.reason)
+
+
+PERFECT = DriveScore(0.0, error=0.0)
+"""Score of a reference without error, which is compared where no reference needs to be driven."""
+
+
+def against(score: DriveScore, other: DriveScore, reference: str) -> DriveScore:
+    """Return a score in comparison with the reference's in the same drive.
+
+    A mapper's limit is 1.1 x the ATE of the reference + 0.05 m in place of the odometry's. Nothing counts
+    where the reference itself loses its way, or as a policy fails.
+    """
+    if not other.counted or other.ratio > 1.0:
+        return replace(score, counted=False, reason=f"{reference} does not succeed there")
+    if score.error is None or other.error is None:
+        return score
+    limit = LIMITS.times_odometry * other.error + LIMITS.over_odometry
+    return replace(score, ratio=min(score.error / limit, WORST), limit=limit)
+
+
+ARCHIVE = "drives.jsonl"
+Trial = tuple[Case, int]
+"""A case and the seed of its drive."""
+
+
+class CaseDrives:
+    """Runs drives, counts them and keeps their scores.
+
+    Attributes:
+        history: every score of the method under test, in order, with its stage, case and seed.
+        stage: present part of the search.
+
+    Args:
+        options: of the search.
+        limits: plausibility of a case.
+        out: folder of the archive.
+        pool: runs drives in other processes; None = in this one.
+    """
+
+    def __init__(
+        self, options: FalsifyOptions, limits: SearchLimits, out: Path, pool: Executor | None = None
+    ) -> None:
+        self.options, self.limits = options, limits
+        self.history: list[tuple[str, Case, int, DriveScore]] = []
+        self.stage = "search"
+        self._archive = TrialArchive(out / ARCHIVE, DriveScore, pool)
+
+    @property
+    def count(self) -> int:
+        """Number of drives that the search has used, repetitions of earlier ones in the file included."""
+        return self._archive.count
+
+    def fails(self, score: DriveScore) -> bool:
+        """Return whether a drive is a failure that counts."""
+        return score.counted and score.ratio > self.options.factor
+
+    def run(self, trials: Sequence[Trial]) -> list[DriveScore]:
+        """Return the scores of trials, in their order; with a reference, as `against` compares them.
+
+        Raises:
+            WctError: a worker process died, or the archive cannot be written.
+        """
+        scores = self._scores(self.options.method, trials)
+        reference = self.options.compared_with
+        if reference is not None:
+            doubtful = [k for k, s in enumerate(scores) if self.fails(against(s, PERFECT, reference))]
+            compared = self._scores(reference, [trials[k] for k in doubtful])
+            others = dict(zip(doubtful, compared, strict=True))
+            scores = [against(s, others.get(k, PERFECT), reference) for k, s in enumerate(scores)]
+        self.history += [(self.stage, *trial, score) for trial, score in zip(trials, scores, strict=True)]
+        return scores
+
+    def _scores(self, method: str, trials: Sequence[Trial]) -> list[DriveScore]:
+        returns = self.limits.returns
+        keyed = [(self._key(method, *t), (self.options, method, *t, returns)) for t in trials]
+        return self._archive.scores(measure, keyed, method)
+
+    def _key(self, method: str, case: Case, seed: int) -> str:
+        """Return the digest of everything that decides a drive."""
+        options = asdict(self.options)
+        decisive = {name: options[name] for name in ("policy", "task", "robot", "seconds", "seed", "factor")}
+        entry = decisive | {"method": method, "drive": seed, "returns": self.limits.returns}
+        return trial_key(entry | {"values": dict(case.values)})

@@ -1,0 +1,126 @@
+"""Options of the searches for failures and for parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from lirs_validation.config import DRIVABLE, RunConfig
+from lirs_wct.errors import ConfigError
+from lirs_wct.option import Options, declared, documented, one_of, option, within
+
+SEARCH = "Search of parameters"
+UPPER_BOUND = "astar"
+"""Policy that must succeed where another one counts as failed."""
+_RUN = dict(declared(RunConfig))
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions(Options):
+    """Search of a space of parameters.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    search: Literal["cma", "random"] = option(
+        "cma",
+        "CMA-ES (extra `search`), or random values for comparison.",
+        metavar="cma|random",
+        panel=SEARCH,
+        check=one_of(("cma", "random")),
+    )
+    limits: str | None = option(
+        None,
+        "YAML file with other limits of the parameters, such as `NAME: [LOW, HIGH]`; a number holds one.",
+        flags=("--within",),
+        metavar="FILE.yaml",
+        panel=SEARCH,
+    )
+    jobs: int = option(
+        1, "Concurrent drives, each in its own process.", metavar="N", panel=SEARCH, check=within("[1, 256]")
+    )
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class FalsifyOptions(SearchOptions):
+    """Search for the failures of one mapper or policy.
+
+    Raises:
+        ConfigError: a value is not legal, or two options contradict.
+    """
+
+    mapper: str = option(
+        "hector",
+        "SLAM method under test; module:Class for your own.",
+        metavar="NAME|module:Class",
+        names=_RUN["mapper"].names,
+    )
+    policy: str | None = option(
+        None, "Policy under test, in place of a mapper (see `bench`).", metavar="NAME|module:Class"
+    )
+    task: Literal["navigation"] = option(
+        "navigation", "Task of the policy.", metavar="navigation", check=one_of(("navigation",))
+    )
+    reference: str | None = option(
+        None,
+        "Mapper with whose path error a failure is compared; for a policy, the policy that must succeed "
+        f"(default: {UPPER_BOUND}).",
+        metavar="NAME|module:Class",
+    )
+    robot: str = option("husky", "Robot.", metavar="NAME", names=_RUN["robot"].names)
+    drives: int = option(150, "Drives of the search, confirmations included.", check=within("[1, 100000]"))
+    cases: int = option(3, "Cases after which the search ends.", check=within("[1, 20]"))
+    seconds: float = option(60.0, "Simulated seconds of a drive.", check=DRIVABLE)
+    factor: float = option(
+        3.0,
+        "A mapper fails if its path error exceeds the limit of `loses its way` by this factor.",
+        check=within("[1, 100]"),
+    )
+    seed: int = option(1, "Seed of the search, the layout and the first drive.", check=within("[0, inf)"))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.policy is not None and self.mapper != type(self).mapper:
+            raise ConfigError(f"--mapper {self.mapper} and --policy {self.policy}: give one of them")
+        if self.method == self.compared_with:
+            raise ConfigError(f"--reference must be another method than {self.method}, which is under test")
+
+    @property
+    def decisive(self) -> dict[str, Any]:
+        """Options that decide the results."""
+        return {n: getattr(self, n) for n, _ in declared(type(self)) if n not in ("limits", "jobs")}
+
+    @property
+    def method(self) -> str:
+        """Name of the mapper or policy under test."""
+        return self.policy or self.mapper
+
+    @property
+    def compared_with(self) -> str | None:
+        """Name of the method that must succeed; None = none."""
+        if self.policy is None:
+            return self.reference
+        return self.reference or UPPER_BOUND
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class TuneOptions(SearchOptions):
+    """Search for a mapper's parameters.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    drives: int = option(120, "Drives of the search, shrinking not included.", check=within("[1, 100000]"))
+    repeats: int = option(
+        3, "Drives of each set of values, each with another seed.", check=within("[1, 100]")
+    )
+    unseen: int = option(
+        10, "Unseen seeds on which the result is compared with the defaults.", check=within("[3, 1000]")
+    )
+    relations: str | None = option(None, "True relations between poses of a log.", metavar="FILE")
+    reference: str | None = option(None, "Reference trajectory of a log.", metavar="FILE")

@@ -1,0 +1,432 @@
+"""Search for parameters of a mapper: drives, comparison with the defaults on unseen seeds, files."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any
+
+import numpy as np
+import scipy  # its modules load on first use
+import yaml
+
+from lirs_extensions.search.case_search import (
+    Case,
+    SearchParameter,
+    SearchSpace,
+    TrialArchive,
+    make_proposer,
+    shrink,
+    trial_key,
+)
+from lirs_extensions.search.options import TuneOptions
+from lirs_extensions.search.tune.tunable import TUNABLE, usual_values
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.run import run_unwritten
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.logs.log_replay import check_log, inertial_readings, log_mapper, replay
+from lirs_validation.logs.map_log import (
+    odometry_accuracy,
+    read_log,
+    read_truth,
+    reference_in_time,
+    relations_in_time,
+)
+from lirs_validation.map_config import MapConfig
+from lirs_validation.metrics.consistency import scan_consistency
+from lirs_validation.metrics.log_accuracy import trajectory_accuracy
+from lirs_validation.metrics.verdict import AGREEING, LIMITS, VerdictFigures, classify
+from lirs_validation.record.verdict import log_figures, run_figures
+from lirs_validation.report.table import ReportTable
+from lirs_validation.sweep.suites import read_yaml_fields
+from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, unknown_name
+from lirs_wct.files import staged_files, write_json
+from lirs_wct.formats.laser_log import LaserLog
+from lirs_wct.option import changed, declared
+from slam_baselines.mapper import read_parameters
+
+UNSEEN = 1000
+"""Offset of the unseen seeds."""
+STREAM = 43
+"""Random stream of the search."""
+KEPT = 0.9
+"""Share of the gain over the defaults that a simpler set of values must keep."""
+Target = RunConfig | MapConfig
+Report = Callable[[str], None]
+LEAST, WORST = 0.01, 100.0
+"""Smallest and largest ratio of a path error and its limit; the latter also of a mapper that fails."""
+_SCENARIOS = ScenarioCache()
+
+
+def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpace:
+    """Return a mapper's parameters without those that the user sets.
+
+    Raises:
+        ConfigError: the mapper has none, or the file of limits holds a wrong name or value.
+        SourceError: the file cannot be read.
+    """
+    if mapper not in TUNABLE:
+        raise unknown_name("mapper with parameters to tune", mapper, TUNABLE)
+    usual, given = usual_values(mapper), read_parameters(parameters)
+    whole = {name for name, value in usual.items() if isinstance(value, int)}
+    made = [
+        SearchParameter(t.name, mapper, usual[t.name], t.low, t.high, whole=t.name in whole, log=t.log)
+        for t in TUNABLE[mapper]
+        if t.name not in given
+    ]
+    space, bounds = SearchSpace(tuple(made)), {p.name: (p.low, p.high) for p in made}
+    for name, pair in ({} if limits is None else read_yaml_fields(limits)).items():
+        if name not in bounds:
+            raise ConfigError(f"{limits}: {unknown_name('parameter', str(name), bounds)}")
+        known = next(p for p in made if p.name == name)
+        assert limits is not None
+        space = space.with_parameter(known.read_within(limits, pair, bounds[name]))
+    space.require_free()
+    return space
+
+
+class TuneDrives:
+    """Runs the drives of a tuning and keeps their scores.
+
+    Args:
+        target: world and robot, or log, with the parameters that are held.
+        options: of the search.
+        space: parameters.
+        out: folder of the archive.
+        pool: runs drives in other processes; None = in this one.
+    """
+
+    def __init__(
+        self,
+        target: Target,
+        options: TuneOptions,
+        space: SearchSpace,
+        out: Path,
+        pool: Executor | None = None,
+    ) -> None:
+        self.target, self.options, self.space = target, options, space
+        self.usual = Case(dict(usual_values(target.mapper)))
+        self.archive = TrialArchive(out / "drives.jsonl", TuneScore, pool)
+
+    def text(self, case: Case) -> str:
+        """Return the held parameters and those of a case that differ from the mapper's defaults."""
+        found = [self.target.parameters] if self.target.parameters else []
+        changed = [n for n, value in case.values.items() if value != self.usual.values[n]]
+        return ",".join([*found, *(f"{name}={case.values[name]:g}" for name in changed)])
+
+    def run(self, cases: Sequence[Case], seeds: Sequence[int]) -> list[list[TuneScore]]:
+        """Return the scores of cases by seed; of a log, seed k is its part k.
+
+        Raises:
+            WctError: a drive cannot be run, or the archive not be written.
+        """
+        trials = [self._trial(case, seed) for case in cases for seed in seeds]
+        measure = measure_run if isinstance(self.target, RunConfig) else measure_part
+        scores = self.archive.scores(measure, trials, self.target.mapper)
+        return [scores[k : k + len(seeds)] for k in range(0, len(scores), len(seeds))]
+
+    def _trial(self, case: Case, seed: int) -> tuple[str, tuple[Any, ...]]:
+        parameters = self.text(case)
+        if isinstance(self.target, RunConfig):
+            config = replace(self.target, parameters=parameters, seed=seed)
+            return trial_key({"run": config.digest, "seed": seed}), (config,)
+        parts = 2 * self.options.unseen
+        log = replace(self.target, parameters=parameters, seed=self.target.seed + seed)
+        truth = [
+            log.relations,
+            log.reference,
+            log.digest(Path(log.log)) if Path(log.log).is_file() else log.log,
+        ]
+        return trial_key({"log": [*truth, parameters, seed, parts]}), (log, seed, parts)
+
+    @property
+    def seeds(self) -> tuple[list[int], list[int]]:
+        """Seeds of the search and unseen ones; of a log, parts of its halves."""
+        repeats, unseen = self.options.repeats, self.options.unseen
+        if isinstance(self.target, RunConfig):
+            first = self.target.seed
+            return list(range(first, first + repeats)), list(range(first + UNSEEN, first + UNSEEN + unseen))
+        known = np.unique(np.linspace(0, unseen - 1, repeats).round().astype(int))
+        return known.tolist(), list(range(unseen, 2 * unseen))
+
+
+def mean_loss(scores: Sequence[TuneScore]) -> float:
+    """Return the mean loss of the drives that count; infinite if none does."""
+    losses = [s.loss for s in scores if s.loss is not None]
+    return fmean(losses) if losses else math.inf
+
+
+def tune(drives: TuneDrives, report: Report = lambda line: None) -> Case:
+    """Return the best set of values, reduced to the parameters that matter.
+
+    Raises:
+        ConfigError: no drive with the defaults counts.
+        WctError: a drive cannot be run.
+    """
+    space, options, seeds = drives.space, drives.options, drives.seeds[0]
+    (scores,) = drives.run([space.easiest], seeds)
+    usual = best_loss = mean_loss(scores)
+    if math.isinf(usual):
+        raise ConfigError(f"no drive can be evaluated: {scores[0].reason}")
+    best = space.easiest
+    proposer = make_proposer(options.search, space, np.random.default_rng((drives.target.seed, STREAM)))
+    while options.drives - drives.archive.count >= len(seeds):
+        proposed = proposer.propose()[: (options.drives - drives.archive.count) // len(seeds)]
+        before = drives.archive.count
+        losses = [min(mean_loss(found), 10.0) for found in drives.run(proposed, seeds)]
+        if min(losses) < best_loss:
+            best_loss, best = min(losses), proposed[int(np.argmin(losses))]
+        report(_state(drives, best_loss, usual))
+        proposer.learn(losses)
+        if drives.archive.count == before:  # all cases of a small space are known
+            break
+    allowed = usual - KEPT * (usual - best_loss)
+
+    def good(case: Case) -> bool:
+        return mean_loss(drives.run([case], seeds)[0]) <= allowed
+
+    return best if best == space.easiest else shrink(best, space, good)[-1]
+
+
+def _state(drives: TuneDrives, best: float, usual: float) -> str:
+    scores = f"smallest score {math.exp(best):.3f}, defaults {math.exp(usual):.3f}"
+    return f"{drives.archive.count} drives; {scores}"
+
+
+@dataclass(frozen=True)
+class UnseenComparison:
+    """Tuned values and defaults on the unseen seeds on which both count.
+
+    Attributes:
+        pairs: number of seeds.
+        error: median path error of the defaults and of the tuned values, meters.
+        works: number of seeds that work, of the defaults and of the tuned values.
+        ratio: of the scores, tuned over default, geometric mean.
+        low: of its 95 % interval (bootstrap of the paired differences).
+        high: the other end.
+    """
+
+    pairs: int
+    error: tuple[float, float]
+    works: tuple[int, int]
+    ratio: float
+    low: float
+    high: float
+
+    @property
+    def better(self) -> bool:
+        """Whether the interval lies below 1."""
+        return self.high < 1.0
+
+
+def compare(drives: TuneDrives, tuned: Case) -> UnseenComparison:
+    """Compare tuned values with the defaults on unseen seeds.
+
+    Raises:
+        ConfigError: fewer than 3 of them count.
+    """
+    usual, found = drives.run([drives.space.easiest, tuned], drives.seeds[1])
+    pairs = [(a, b) for a, b in zip(usual, found, strict=True) if a.loss is not None and b.loss is not None]
+    if len(pairs) < 3:
+        raise ConfigError(
+            f"only {len(pairs)} of {len(usual)} unseen drives can be evaluated: {usual[0].reason}"
+        )
+    d = np.array([(b.loss or 0.0) - (a.loss or 0.0) for a, b in pairs])
+    interval = (0.0, 0.0)
+    if np.ptp(d) > 0:
+        made = scipy.stats.bootstrap((d,), np.mean, method="percentile", rng=np.random.default_rng(0))
+        interval = (float(made.confidence_interval.low), float(made.confidence_interval.high))
+    elif len(d):
+        interval = (float(d[0]), float(d[0]))
+    errors = [
+        median(s.error if s.error is not None else math.inf for s in side)
+        for side in zip(*pairs, strict=True)
+    ]
+    works = [sum(s.works for s in side) for side in zip(*pairs, strict=True)]
+    ratio, low, high = (math.exp(x) for x in (float(d.mean()), *interval))
+    return UnseenComparison(len(pairs), (errors[0], errors[1]), (works[0], works[1]), ratio, low, high)
+
+
+def conclusion(drives: TuneDrives, tuned: Case, found: UnseenComparison) -> str:
+    """Return one sentence on the result."""
+    seeds = "seeds" if isinstance(drives.target, RunConfig) else "parts of the log"
+    figures = (
+        f"path error {found.error[1]:.3f} m instead of {found.error[0]:.3f} m (median of {found.pairs} "
+        f"unseen {seeds}; works in {found.works[1]} instead of {found.works[0]}; "
+        f"ratio of the scores {found.ratio:.2f}, 95 % interval {found.low:.2f} to {found.high:.2f})."
+    )
+    if found.better:
+        values = ", ".join(drives.text(tuned).split(","))
+        return f"{drives.target.mapper} with {values}: {figures}"
+    if tuned == drives.space.easiest:
+        return "No set was better than the defaults in the search."
+    return f"No set was better than the defaults on unseen {seeds}. The best of the search has a {figures}"
+
+
+def parameters_table(drives: TuneDrives, tuned: Case) -> ReportTable:
+    """Return the changed ROS parameters, their defaults and tuned values."""
+    names = {t.name: t.ros_name for t in TUNABLE[drives.target.mapper]}
+    rows = tuple(
+        (names[p.name], f"{p.default:g}", f"{tuned.values[p.name]:g}") for p in drives.space.difference(tuned)
+    )
+    return ReportTable("parameters", "Parameters", "", ("ROS parameter", "default", "tuned"), rows)
+
+
+def ros_text(drives: TuneDrives, tuned: Case) -> tuple[str, str]:
+    """Return name and content of a YAML or Lua file for the node."""
+    mapper = drives.target.mapper
+    names = {t.name: t.ros_name for t in TUNABLE[mapper]}
+    values = {
+        names[p.name]: int(v) if p.whole else float(v)
+        for p in drives.space.difference(tuned)
+        for v in [tuned.values[p.name]]
+    }
+    if mapper.startswith("cartographer"):
+        return "tuned.lua", "".join(f"{name} = {value:g}\n" for name, value in values.items())
+    node = "slam_gmapping" if mapper.startswith("gmapping") else "hector_mapping"
+    return "tuned.yaml", yaml.safe_dump({node: {"ros__parameters": values}}, sort_keys=False)
+
+
+def again(drives: TuneDrives, tuned: Case) -> str:
+    """Return the command that runs the tuned values and the defaults again."""
+    target, values = drives.target, drives.text(tuned)
+    options: dict[str, Any] = changed(target) | {"mapper": target.mapper}
+    if isinstance(target, MapConfig):
+        command, source, options["parameters"] = "map", target.log, values
+    else:
+        command, source = "validate", target.source
+        options["parameters"] = f"{target.parameters or 'none'};{values}"
+        options["seed"] = f"{drives.seeds[1][0]}-{drives.seeds[1][-1]}"
+    flags = {name: found.flags[0] for name, found in declared(type(target))}
+    pairs = [(flags[name], str(value)) for name, value in options.items() if name in flags]
+    return shlex.join(["lirs-wct", command, source, *(word for pair in pairs for word in pair)])
+
+
+def write_results(out: Path, drives: TuneDrives, tuned: Case, found: UnseenComparison) -> tuple[Path, ...]:
+    """Write `tune.json`, `tune.md` and, if the values are better, the file for the ROS node.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    sentence = conclusion(drives, tuned, found)
+    table = parameters_table(drives, tuned).as_markdown()
+    texts = {"tune.md": f"{sentence}\n\n{table}\n\n    {again(drives, tuned)}\n"}
+    if found.better:
+        name, text = ros_text(drives, tuned)
+        texts[name] = text
+    entry = {"sentence": sentence, "better": found.better, "parameters": drives.text(tuned)}
+    entry |= {"values": dict(tuned.values), "drives": drives.archive.count, "unseen": asdict(found)}
+    with staged_files(out) as folder:
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        write_json(folder / "tune.json", entry)
+        for old in ("tuned.yaml", "tuned.lua"):
+            (out / old).unlink(missing_ok=True)
+    return tuple(out / name for name in (*texts, "tune.json"))
+
+
+@dataclass(frozen=True)
+class TuneScore:
+    """Score of one drive.
+
+    Attributes:
+        loss: logarithm of the path error over its limit, more for an unusable map; None = not counted.
+        error: path error, meters; without truth the revisit residual.
+        works: whether the verdict is `works`; of a log without truth, whether the passes agree.
+        reason: why the drive does not count, or the mapper failed; empty if neither.
+    """
+
+    loss: float | None
+    error: float | None = None
+    works: bool = False
+    reason: str = ""
+
+
+def score_of(figures: VerdictFigures) -> TuneScore:
+    """Return the score of a drive by the figures of its verdict.
+
+    The limit of the path error is that of `loses its way`. A map beyond its limits adds to the loss, so that
+    a path that follows the odometry, or a map full of false walls, does not win.
+    """
+    kind, reasons = classify(figures)
+    error, odometry = figures.error, figures.odometry_error
+    text = "; ".join(f"{r.figure} {r.value}" for r in reasons)
+    if kind in ("not evaluated", "no reference"):
+        return TuneScore(None, reason=text)
+    if kind == "failed" or figures.status == "lost" or error is None:
+        return TuneScore(math.log(WORST), error, reason=text)
+    limit = LIMITS.over_odometry + LIMITS.times_odometry * (odometry or 0.0)
+    loss = math.log(min(max(error / limit, LEAST), WORST))
+    if figures.f1_aligned is not None:
+        loss += math.log(max(1.0, (1.0 - figures.f1_aligned) / (1.0 - LIMITS.f1_aligned)))
+    if figures.false_occupied is not None:
+        allowed = (figures.reference_false_occupied or 0.0) + LIMITS.false_occupied
+        loss += math.log(max(1.0, figures.false_occupied / allowed))
+    return TuneScore(loss, error, kind == "works")
+
+
+def measure_run(config: RunConfig) -> TuneScore:
+    """Drive through a world; return the score."""
+    try:
+        entry = run_unwritten(config, maps=True, scenarios=_SCENARIOS)
+    except MapperError as error:
+        return TuneScore(math.log(WORST), reason=str(error))
+    except SimulationError as error:  # nothing was driven
+        return TuneScore(None, reason=str(error))
+    return score_of(run_figures(entry | {"config": {"driver": config.driver}}))
+
+
+@lru_cache(maxsize=1)
+def _read(config: MapConfig) -> tuple[LaserLog, Any, Any]:
+    """Return a log with the relations and the reference, stamps repaired."""
+    log, (relations, reference) = read_log(config), read_truth(config)
+    return (
+        log,
+        None if relations is None else relations_in_time(relations, log.lines),
+        None if reference is None else reference_in_time(reference, log.lines),
+    )
+
+
+def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
+    """Map one of the equal parts of a log; return the score."""
+    plain = replace(config, parameters="", mapper=MapConfig.mapper, seed=MapConfig.seed)
+    whole, relations, reference = _read(plain)
+    first, end = (k * len(whole.scans) // parts for k in (part, part + 1))
+    readings = inertial_readings(config, whole)[first:end]
+    log = replace(whole, scans=whole.scans[first:end], odometry=whole.odometry[first:end])
+    with log_mapper(config) as mapper:
+        if mapper.reads_clouds:
+            raise ConfigError(f"{config.mapper} reads point clouds: tune takes planar mappers")
+        check_log(config, mapper, log)
+        try:
+            tracking = replay(config, mapper, log, readings, lambda *_: None)
+            path = mapper.trajectory()
+        except MapperError as error:
+            return TuneScore(math.log(WORST), reason=str(error))
+    status = "lost" if tracking.reason() else "ok"
+    if relations is None and reference is None:
+        quality = scan_consistency(log.scans, readings, path)
+        residual = None if quality is None else quality.revisit_residual
+        if residual is None:
+            return TuneScore(None, reason="no place was seen twice")
+        loss = math.log(WORST if status == "lost" else max(residual / AGREEING, LEAST))
+        return TuneScore(loss, residual, status == "ok" and residual <= AGREEING)
+    odometry = _odometry(log)
+    entry = {
+        "status": status,
+        "accuracy": trajectory_accuracy(path, odometry, relations, reference).metrics(),
+        "odometry": odometry_accuracy(odometry, relations, reference),
+    }
+    return score_of(log_figures(entry | {"log": {}, "trajectory": {}, "map": {}}))
+
+
+def _odometry(log: LaserLog) -> Trajectory:
+    """Return the odometry at the scans of a log; empty without any."""
+    given = [(s.stamp, pose) for s, pose in zip(log.scans, log.odometry, strict=True) if pose is not None]
+    return Trajectory.from_poses([stamp for stamp, _ in given], [pose for _, pose in given])

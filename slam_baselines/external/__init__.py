@@ -1,1 +1,0 @@
-"""Adapters of other people's SLAM systems; each needs its package, which an extra installs."""

@@ -1,1 +1,0 @@
-"""HectorSLAM: scan-to-map matching by Gauss-Newton (Kohlbrecher et al. 2011)."""

@@ -1,0 +1,145 @@
+"""KISS-ICP in the authors' package, and the adapter of such an odometry.
+
+Vizzo et al., "KISS-ICP: In Defense of Point-to-Point ICP" (RA-L 2023).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from lirs_wct.arrays import FloatArray
+from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.geometry import Imu, PointCloud, Pose3, Trajectory
+from slam_baselines.mapper import MapperStats, Stopwatch
+
+Register = Callable[[FloatArray, FloatArray], FloatArray]
+"""Takes points (n, 3) in the sensor's frame, meters, and their times (n,) in the sweep, seconds, or none (0,)
+of a sweep at one instant; returns the (4, 4) pose of the sensor at the sweep's stamp in its first frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KissIcpConfig:
+    """Configurable parameters of KISS-ICP; the defaults are the authors'.
+
+    Attributes:
+        max_range: points beyond are left out, meters.
+        min_range: points nearer are left out, meters.
+        voxel_size: edge of the map's voxels, meters; None = `max_range` / 100, as the authors do.
+        threads: of the registration; 1 = as every other mapper here, 0 = all.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    mapper: ClassVar[str] = "kiss-icp"
+    max_range: float = 100.0
+    min_range: float = 0.0
+    voxel_size: float | None = None
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        require_above(self, 0, "max_range", of=self.mapper, unit="m", finite=True)
+        require_at_least(self, 0, "min_range", "threads", of=self.mapper)
+        if self.voxel_size is not None:
+            require_above(self, 0, "voxel_size", of=self.mapper, unit="m", finite=True)
+
+
+def make_kiss_icp(config: KissIcpConfig) -> CloudOdometry:
+    """Return KISS-ICP as a mapper."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    settings = KISSConfig()
+    configure(settings.data, settings.mapping, settings.registration, config)
+    odometry = KissICP(settings)
+
+    def register(points: FloatArray, times: FloatArray) -> FloatArray:
+        odometry.register_frame(points, times)
+        return pose_at_start(odometry, times)
+
+    return CloudOdometry(register)
+
+
+def configure(data: Any, mapping: Any, registration: Any, config: KissIcpConfig) -> None:
+    """Fill in the parts of KISS-ICP's configuration, in place."""
+    data.max_range, data.min_range = config.max_range, config.min_range
+    mapping.voxel_size = config.max_range / 100 if config.voxel_size is None else config.voxel_size
+    registration.max_num_threads = config.threads
+
+
+def pose_at_start(odometry: Any, times: FloatArray) -> FloatArray:
+    """Return the (4, 4) pose of the sensor when the last sweep began.
+
+    KISS-ICP's pose is that of the last point: a rolling sweep began one motion earlier.
+    """
+    pose: FloatArray = odometry.last_pose
+    return pose if len(times) == 0 else pose @ np.linalg.inv(odometry.last_delta)
+
+
+class CloudOdometry:
+    """A `CloudMapper` of a function that registers one sweep after the other.
+
+    The inertial unit is not used. A sweep without any return leaves the pose as it was.
+    """
+
+    reads_clouds = True
+    lost = False
+
+    def __init__(self, register: Register) -> None:
+        self._register = register
+        self._stamps: list[float] = []
+        self._poses: list[Pose3] = []
+        self._empty = 0
+        self._watch = Stopwatch()
+
+    def update(self, cloud: PointCloud, imu: Imu | None) -> Pose3:
+        """Register a sweep; return `T_map_base` at its stamp."""
+        started = self._watch.start()
+        if len(cloud):
+            T_first_sensor = pose_of(self._register(cloud.xyz.astype(np.float64), sweep_times(cloud)))
+            pose = cloud.T_base_laser @ T_first_sensor @ cloud.T_base_laser.inverse()
+        else:
+            self._empty += 1
+            pose = self._poses[-1] if self._poses else Pose3()
+        self._stamps.append(cloud.stamp)
+        self._poses.append(pose)
+        self._watch.stop(started)
+        return pose
+
+    def trajectory(self) -> Trajectory:
+        """Return the poses of all sweeps; an odometry corrects none of them later."""
+        return Trajectory.from_poses(self._stamps, self._poses)
+
+    @property
+    def stats(self) -> MapperStats:
+        """Sweeps and times."""
+        received = len(self._poses)
+        skipped = {"empty": self._empty} if self._empty else {}
+        return MapperStats(
+            received=received, used=received - self._empty, skipped=skipped, **self._watch.summary()
+        )
+
+
+def sweep_times(cloud: PointCloud) -> FloatArray:
+    """Return (n,) seconds, or none (0,) of a sweep at one instant.
+
+    KISS-ICP scales times by their span, and a span of 0 ends the whole process.
+    """
+    return cloud.time.astype(np.float64) if cloud.rolling else np.empty(0)
+
+
+def pose_of(matrix: FloatArray) -> Pose3:
+    """Return the pose of a homogeneous matrix (4, 4), meters.
+
+    The quaternion is an eigenvector (Bar-Itzhack, "New Method for Extracting the Quaternion from a Rotation
+    Matrix", JGCD 2000): another environment may have NumPy, but no SciPy.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
+    corners = ((a - e - i, b + d, c + g, h - f), (0, e - a - i, f + h, c - g), (0, 0, i - a - e, d - b))
+    K = np.array((*corners, (0, 0, 0, a + e + i)))
+    x, y, z, w = np.linalg.eigh(K, UPLO="U")[1][:, -1] * 1.0
+    return Pose3.from_arrays(matrix[:3, 3], np.array((w, x, y, z)) * (1.0 if w >= 0 else -1.0))

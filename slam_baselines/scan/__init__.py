@@ -1,1 +1,0 @@
-"""Scans in the leveled base frame."""

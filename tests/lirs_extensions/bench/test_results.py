@@ -1,0 +1,112 @@
+"""Results of a folder: whose scores stand beside each other, and who knew what no robot knows."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from lirs_envs.episodes.observations import GROUPS
+from lirs_extensions.bench.bench_table import difference_line
+from lirs_extensions.bench.experiment import RECORD, BenchExperiment, read_results, share_of_bound
+from lirs_extensions.bench.policies import PolicyChoice
+from lirs_extensions.bench.tasks import BenchTask, TaskSet
+from lirs_validation.sweep.experiment import Outcome
+
+COURSE = BenchTask(
+    name="a",
+    task="traverse",
+    split="test",
+    robot="husky",
+    seed=1,
+    time_limit=3.0,
+    course="waves",
+    difficulty=0.5,
+)
+TASKS = (COURSE, replace(COURSE, name="b", seed=2))
+OWN = """
+class Plain:
+    def reset(self, info): ...
+    def act(self, observation): ...
+
+class Modest(Plain):
+    observe = ("scan", "goal")
+
+class Knowing(Plain):
+    observe = ("scan", "their_truth")
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own_policies.py").write_text(OWN)
+    monkeypatch.delitem(__import__("sys").modules, "own_policies", raising=False)
+
+
+def write(out: Path, policy: str, scores: dict[str, float], **changed: Any) -> None:
+    """Write records of a policy as the experiment does, with other scores."""
+    for task in TASKS:
+        if task.name in scores:
+            experiment = BenchExperiment(
+                set_name="mine", set_version=1, task=task, policy=PolicyChoice(policy)
+            )
+            experiment.write_failure(out, Outcome(experiment=experiment.name, status="ok"))
+            path = out / experiment.name / RECORD
+            entry = json.loads(path.read_text())
+            entry["metrics"]["score"] = scores[task.name]
+            path.write_text(json.dumps(entry | changed))
+
+
+def results(out: Path) -> dict[str, Any]:
+    return {r.policy.name: r for r in read_results(out, TaskSet(name="mine", version=1, tasks=TASKS), TASKS)}
+
+
+def test_the_best_comes_first_and_the_bound_is_shared_over_common_tasks(tmp_path: Path) -> None:
+    write(tmp_path, "straight", {"a": 0.1})
+    write(tmp_path, "astar", {"a": 0.5, "b": 1.0})
+    found = results(tmp_path)
+    assert list(found) == ["astar", "straight"]
+    assert found["astar"].score.mean == 0.75
+    assert share_of_bound(found["straight"], found["astar"]) == pytest.approx(0.2)
+    assert share_of_bound(found["straight"], None) is None
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [{"set_version": 2}, {"versions": {"code": "00000000"}}, {"task": COURSE.describe() | {"seed": 9}}],
+)
+def test_what_does_not_compare_is_left_out(changed: dict[str, Any], tmp_path: Path) -> None:
+    write(tmp_path, "straight", {"a": 0.1})
+    assert set(results(tmp_path)) == {"straight"}
+    write(tmp_path, "straight", {"a": 0.1}, **changed)
+    assert results(tmp_path) == {}
+
+
+def test_who_is_given_the_truth_is_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(GROUPS, "their_truth", replace(GROUPS["height_map"]))
+    # Crossing has heights from the truth among its own observations.
+    for policy in (
+        "straight",
+        "go_to_goal",
+        "astar",
+        "own_policies:Plain",
+        "own_policies:Modest",
+        "own_policies:Knowing",
+    ):
+        write(tmp_path, policy, {"a": 0.1})
+    marked = {name for name, result in results(tmp_path).items() if result.privileged}
+    assert marked == {"astar", "own_policies:Plain", "own_policies:Knowing"}
+
+
+def test_differences_are_paired_over_common_tasks(tmp_path: Path) -> None:
+    write(tmp_path, "straight", {"a": 0.1, "b": 0.7})
+    write(tmp_path, "astar", {"a": 0.3, "b": 0.9})
+    write(tmp_path, "random", {"b": 0.4})
+    found = results(tmp_path)
+    line = difference_line(found["astar"], found["straight"])
+    assert line == "astar - straight: +0.200 [0.200, 0.200], paired over 2 tasks"
+    assert difference_line(found["random"], found["straight"]).startswith("random - straight: -0.300")
+    del found["random"].episodes["b"]
+    assert difference_line(found["random"], found["straight"]) == "random - straight: no common tasks"

@@ -1,0 +1,169 @@
+"""Tuning with planted scores: best value, resumption, same bytes, names and bad input."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from lirs_extensions.search.options import TuneOptions
+from lirs_extensions.search.tune import search as search_module
+from lirs_extensions.search.tune.search import (
+    TuneDrives,
+    TuneScore,
+    compare,
+    conclusion,
+    ros_text,
+    score_of,
+    search_space,
+    tune,
+)
+from lirs_extensions.search.tune.tunable import TUNABLE, usual_values
+from lirs_validation.config import RunConfig
+from lirs_validation.map_config import MapConfig
+from lirs_validation.metrics.verdict import VerdictFigures
+from lirs_wct.errors import ConfigError
+from slam_baselines.mapper import make_mapper, read_parameters
+from tests.command_line import run_command
+
+BEST = 0.2
+
+
+class Planted:
+    """Drives whose error is smallest where linearUpdate is `BEST`; other parameters have no effect."""
+
+    def __init__(self) -> None:
+        self.calls, self.stop_after = 0, math.inf
+
+    def __call__(self, config: RunConfig) -> TuneScore:
+        if self.calls >= self.stop_after:
+            raise KeyboardInterrupt
+        self.calls += 1
+        value = read_parameters(config.parameters).get("linearUpdate", 1.0)
+        loss = abs(math.log(value / BEST)) + 0.01 * (config.seed % 3)
+        return TuneScore(loss, 0.1 * math.exp(loss), works=loss < 0.5)
+
+
+@pytest.fixture
+def planted(monkeypatch: pytest.MonkeyPatch) -> Planted:
+    made = Planted()
+    monkeypatch.setattr(search_module, "measure_run", made)
+    return made
+
+
+def drives(out: Path, number: int = 240) -> TuneDrives:
+    out.mkdir(exist_ok=True)
+    config = RunConfig(source="simple", mapper="gmapping_original", seed=1)
+    return TuneDrives(config, TuneOptions(drives=number), search_space(config.mapper, "", None), out)
+
+
+def test_the_planted_value_alone_is_found_and_is_better_on_unseen_seeds(
+    tmp_path: Path, planted: Planted
+) -> None:
+    made = drives(tmp_path / "out")
+    tuned = tune(made)
+    assert {p.name for p in made.space.difference(tuned)} == {"linearUpdate"}
+    assert 0.5 * BEST < tuned.values["linearUpdate"] < 2 * BEST
+    found = compare(made, tuned)
+    assert found.better
+    assert found.works == (0, 10)
+    assert conclusion(made, tuned, found).startswith("gmapping_original with linearUpdate=")
+    assert ros_text(made, tuned)[1].startswith("slam_gmapping:\n  ros__parameters:\n    linearUpdate: ")
+
+
+def test_defaults_against_themselves_are_not_better(tmp_path: Path, planted: Planted) -> None:
+    made = drives(tmp_path / "out")
+    assert not compare(made, made.space.easiest).better
+
+
+def test_an_interrupted_search_ends_with_the_same_bytes(tmp_path: Path, planted: Planted) -> None:
+    tune(drives(tmp_path / "whole", 120))
+    planted.calls, planted.stop_after = 0, 50
+    with pytest.raises(KeyboardInterrupt):
+        tune(drives(tmp_path / "cut", 120))
+    planted.stop_after = math.inf
+    tune(drives(tmp_path / "cut", 120))
+    texts = [(tmp_path / name / "drives.jsonl").read_bytes() for name in ("whole", "cut")]
+    assert texts[0] == texts[1]
+
+
+def test_a_path_that_follows_the_odometry_or_a_map_of_false_walls_does_not_win() -> None:
+    def loss(error: float, f1: float = 0.9, false: float = 0.0) -> float:
+        figures = VerdictFigures(
+            status="ok",
+            error=error,
+            odometry_error=0.4,
+            robot_lengths=20.0,
+            f1_aligned=f1,
+            false_occupied=false,
+        )
+        found = score_of(figures).loss
+        assert found is not None
+        return found
+
+    assert loss(0.1) < loss(0.4)
+    assert loss(0.1) < loss(0.1, f1=0.5)
+    assert loss(0.1) < loss(0.1, false=0.5)
+
+
+@pytest.mark.parametrize("mapper", sorted(TUNABLE))
+def test_parameters_are_fields_whose_defaults_lie_within_the_limits(mapper: str) -> None:
+    usual = usual_values(mapper)
+    for tunable in TUNABLE[mapper]:
+        assert tunable.low <= usual[tunable.name] <= tunable.high
+        for value in (tunable.low, tunable.high):
+            kind = type(usual[tunable.name])
+            make_mapper(mapper, **{tunable.name: kind(value)})
+
+
+def test_values_that_the_user_sets_are_held() -> None:
+    names = {p.name for p in search_space("gmapping", "srr=0.1", None).parameters}
+    assert "srr" not in names
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("simple", "--mapper", "wheel_lio", "--lidar", "vlp16"), "mapper with parameters to tune"),
+        (("simple", "--mapper", "hector,gmapping"), "tune takes one robot, mapper, seed, ..., got 2"),
+        (("simple", "--within", "w.yaml"), "w.yaml: unknown parameter 'slope'"),
+        (("simple", "--reference", "a.tum"), "simple: --relations and --reference are for logs"),
+        (("simple", "--robot", "huskie"), "did you mean husky"),
+        (("nowhere.png",), "nowhere.png"),
+        (("simple", "--unseen", "1"), "unseen must be within [3, 1000], got 1"),
+    ],
+)
+def test_bad_input_is_one_line(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("w.yaml").write_text("slope: 3\n")
+    assert run_command("tune", *arguments, "-o", "out") == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert not Path("out").exists()
+
+
+def test_nothing_to_evaluate_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search_module, "measure_run", lambda config: TuneScore(None, reason="stuck"))
+    with pytest.raises(ConfigError, match="no drive can be evaluated: stuck"):
+        tune(drives(tmp_path / "out"))
+
+
+def test_the_printed_command_of_a_log_names_its_truth_and_seed(tmp_path: Path) -> None:
+    log = MapConfig(log="hall.clf", mapper="gmapping_original", reference="truth.tum", seed=4)
+    made = TuneDrives(log, TuneOptions(), search_space(log.mapper, "", None), tmp_path)
+    tuned = made.space.easiest.with_value("linearUpdate", 0.3)
+    command = search_module.again(made, tuned)
+    assert command.startswith("lirs-wct map hall.clf ")
+    for words in (
+        "--reference truth.tum",
+        "--seed 4",
+        "--mapper gmapping_original",
+        "--parameters linearUpdate=0.3",
+    ):
+        assert words in command

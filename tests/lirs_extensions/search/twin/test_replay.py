@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import kendalltau
+
+from lirs_envs.lidar.presets import LidarNoise
+from lirs_envs.sensing.imu import ImuConfig
+from lirs_envs.sensing.odometry import OdometryConfig
+from lirs_envs.sensing.sensors import SensorNoise
+from lirs_extensions.search.twin.fit import fit_odometry, odometry_deviations
+from lirs_extensions.search.twin.replay import (
+    REPLAYED,
+    Replay,
+    ReplayedMapper,
+    TwinPath,
+    parse_mappers,
+    simulate_odometry,
+)
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry import LaserScan, Pose2, Trajectory
+
+ERRORS = st.floats(0.001, 100.0)
+
+
+def turning_path(length: float) -> Trajectory:
+    """Return poses every 5 cm of a path that turns left and right, ten a second."""
+    s = np.arange(0, length, 0.05)
+    yaw = np.sin(s / 6)
+    x, y = np.cumsum(0.05 * np.cos(yaw)), np.cumsum(0.05 * np.sin(yaw))
+    return Trajectory.from_poses(0.1 * np.arange(len(s)), map(Pose2, x.tolist(), y.tolist(), yaw.tolist()))
+
+
+def test_simulated_odometry_has_the_errors_of_its_noise() -> None:
+    noise = SensorNoise(
+        odometry=OdometryConfig(scale_sigma=0.04, scale_bias=0.03),
+        imu=ImuConfig(rate_sigma=0.02, rate_bias=0.0),
+    )
+    path = turning_path(600.0)
+    odometry = Trajectory.from_poses(path.stamps, simulate_odometry(path, noise, seed=3))
+    truth, measured = path.planar_at(path.stamps), odometry.planar_at(path.stamps)
+    fitted = fit_odometry(measured, truth, path.stamps, truth, 5.0, seed=5)
+    assert fitted is not None
+    assert fitted.scale_sigma[0] == pytest.approx(0.04, rel=0.15)
+    assert fitted.scale == pytest.approx(0.03, abs=0.006)
+    assert fitted.rate_sigma[0] == pytest.approx(0.02, rel=0.1)
+
+
+def test_without_noise_the_simulated_log_is_exact() -> None:
+    rng = np.random.default_rng(1)
+    path = turning_path(2.0)
+    scans = tuple(LaserScan(np.ones(5, np.float32), -1.0, 0.5, 0.0, 30.0, stamp) for stamp in path.stamps)
+    exact = rng.uniform(1, 20, (len(scans), 5))
+    objects = np.full(exact.shape, np.nan)
+    objects[3, 2] = 0.5
+    exactly = SensorNoise(
+        lidar=LidarNoise(), odometry=OdometryConfig(scale_sigma=0), imu=ImuConfig(rate_sigma=0, rate_bias=0)
+    )
+    log = TwinPath(scans, path, exact, objects, path.planar_at(path.stamps)).simulate_log(exactly, seed=1)
+    exact[3, 2] = 0.5
+    np.testing.assert_allclose([scan.ranges for scan, _ in log], exact, rtol=1e-6)
+    T_odom_map = path.pose2(0).inverse()
+    for k, (scan, odometry) in enumerate(log):
+        assert scan.stamp == path.stamps[k]
+        np.testing.assert_allclose(odometry.as_array(), (T_odom_map @ path.pose2(k)).as_array(), atol=1e-9)
+
+
+def test_odometry_errors_of_log_and_simulation_are_compared() -> None:
+    noise = SensorNoise(odometry=OdometryConfig(scale_sigma=0.04), imu=ImuConfig(rate_sigma=0.05))
+    path = turning_path(400.0)
+    poses = path.planar_at(path.stamps)
+    found = [
+        odometry_deviations(np.array([p.as_array() for p in simulate_odometry(path, noise, seed)]), poses)
+        for seed in (1, 2)
+    ]
+    assert None not in found
+    np.testing.assert_allclose(*found, rtol=0.25)
+    exact = odometry_deviations(poses, poses)
+    assert exact == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert odometry_deviations(poses[:200], poses[:200]) is None
+
+
+@given(st.lists(st.tuples(ERRORS, ERRORS), min_size=3, max_size=8))
+def test_order_and_size_of_errors_are_compared(pairs: list[tuple[float, float]]) -> None:
+    mappers = tuple(ReplayedMapper(str(k), real, (twin,)) for k, (real, twin) in enumerate(pairs))
+    replay = Replay("ATE", (*mappers, ReplayedMapper("without odometry", reason="needs it")))
+    tau = kendalltau(*zip(*pairs, strict=True)).statistic
+    assert replay.tau == (None if np.isnan(tau) else pytest.approx(tau))
+    within = sum(abs(np.log2(real / twin)) <= 1 for real, twin in pairs)
+    assert f"Errors of {within} of {len(pairs)} mappers" in replay.sentence
+
+
+def test_the_median_of_the_simulations_counts() -> None:
+    mapper = ReplayedMapper("hector", 0.1, (0.3, None, 0.05, 0.15))
+    assert mapper.simulated == 0.15
+    assert mapper.agrees
+    assert ReplayedMapper("hector", 0.1, (None,)).ratio is None
+    alone = Replay("ATE", (mapper, ReplayedMapper("gmapping", reason="needs odometry")))
+    assert "Errors of 1 of 1 mappers" in alone.sentence
+    assert "Kendall" not in alone.sentence
+    assert Replay("ATE", alone.mappers[1:]).sentence.startswith("No mapper could be compared")
+
+
+def test_mappers_of_a_replay_are_named() -> None:
+    assert parse_mappers("all") == REPLAYED
+    assert parse_mappers("none") == ()
+    assert parse_mappers("hector,gmapping") == ("hector", "gmapping")
+    with pytest.raises(ConfigError, match="unknown --replay 'hectors'; legal: all, cartographer, "):
+        parse_mappers("hectors")
