@@ -26,7 +26,8 @@ from tests.slam_baselines.synthetic import loop, room_scan
 def kernels():
     return {
         f"{module}.{name}": set(kernel.signatures)
-        for module, held in list(sys.modules.items()) if module.startswith("slam_baselines")
+        for module, held in list(sys.modules.items())
+        if module.startswith(("slam_baselines", "lirs_extensions"))
         for name, kernel in vars(held).items() if hasattr(kernel, "py_func")
     }
 
