@@ -9,7 +9,7 @@ import typer
 
 from lirs_extensions.live.options import LiveOptions
 from lirs_validation.cli.progress import err, out, progress_bar
-from lirs_validation.cli.typer_options import Source
+from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source
 from lirs_validation.config import CLIENT, RUN_AXES, RunConfig, SourceOptions
 from lirs_wct.errors import ConfigError
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 SECONDS = 600.0
 """Simulated seconds of a live drive."""
+Source = Annotated[str, typer.Argument(metavar="SOURCE", help=SOURCE_HELP, autocompletion=complete_source)]
 Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the run's folder.")]
 
 
