@@ -6,9 +6,9 @@
 Parts: builds, runs, options, originals, clouds, logs, score, collide, bench, envs. `record` stores the
 SHA-256 of trajectories, maps, meshes, models, scans and tables, every value of the JSON files except
 `EXCLUDED`, and each step of the environments. `compare` repeats the parts in FILE, or those named, and exits
-1 with the first values that differ, by file. A key that one side lacks is named, and is no difference: the
-script also runs on version 1.0.0 and compares later versions with it. Digests hold on one machine: compilers
-round differently on another. It uses the command line and Gymnasium only, so that internals may move.
+1 with the first values that differ, by file. Digests hold on one machine: compilers round differently on
+another. The script uses the command line and Gymnasium only, so that internals may move; it also runs on
+version 1.0.0, whose records lack the keys in `NEWER`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,9 @@ import argparse
 import gzip
 import hashlib
 import json
-import re
 import subprocess
 import sys
 import tempfile
-from collections import Counter
 from collections.abc import Iterator
 from fnmatch import fnmatch
 from pathlib import Path
@@ -47,14 +45,20 @@ EXCLUDED = (
     *("rtf.mean", "rtf.std", "rtf.min", "rtf.parts*", "rtf.physics*", "rtf.series*", "rtf.concurrent"),
     *("*wall_seconds", "*compile_seconds", "*cpu_seconds", "*read_seconds", "*map_seconds"),
     *("*peak_memory", "mapper.ms_*", "*date", "*created"),
-    *("config.threads", "config.bag", "file_sizes*"),  # of version 1.0.0
+    *("config.threads", "config.bag", "rtf.mapper_in", "file_sizes*"),  # of 1.0.0
 )
 """Patterns of JSON keys that change from run to run: wall-clock times, RTF, machine, versions, dates.
 
 Of paths, the data folder and the output folder are replaced by DATA and OUT.
 """
+NEWER = (
+    *("config.build.up", "config.time", "log.findings", "log.unfit"),
+    *("step *.info.is_success", "step *.info._is_success"),
+)
+"""Patterns of keys that records of 1.0.0 lack: they may be absent before, as no other key may."""
 SHOWN = 3
 """Differing values that are printed for each file."""
+ABSENT = "absent"
 Outcomes = dict[str, Any]
 
 
@@ -175,26 +179,16 @@ def stable_name(file: Path, folder: Path) -> str:
 
 
 def differences(before: Any, now: Any, path: str = "") -> Iterator[str]:
-    """Yield the path of every differing value that both sides have, with both values."""
-    if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+    """Yield the path of every differing value, with both values."""
+    if isinstance(before, list) and isinstance(now, list):
         before, now = ({f"[{i}]": item for i, item in enumerate(items)} for items in (before, now))
     if isinstance(before, dict) and isinstance(now, dict):
-        for key in before.keys() & now.keys():
-            yield from differences(before[key], now[key], f"{path}.{key}".lstrip("."))
+        for key in before | now:
+            place = f"{path}.{key}".lstrip(".")
+            if key in before or not any(fnmatch(place, pattern) for pattern in NEWER):
+                yield from differences(before.get(key, ABSENT), now.get(key, ABSENT), place)
     elif before != now:
         yield f"{path}: {short_text(before)} -> {short_text(now)}"
-
-
-def one_sided(before: Any, now: Any, path: str = "") -> Iterator[str]:
-    """Yield the path of every key that one side lacks, and which side has it."""
-    if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        for pair in zip(before, now, strict=True):
-            yield from one_sided(*pair, path)
-    if isinstance(before, dict) and isinstance(now, dict):
-        yield from (f"{path}.{key} (before)" for key in before.keys() - now.keys())
-        yield from (f"{path}.{key} (now)" for key in now.keys() - before.keys())
-        for key in before.keys() & now.keys():
-            yield from one_sided(before[key], now[key], f"{path}.{key}")
 
 
 def short_text(value: Any) -> str:
@@ -206,20 +200,13 @@ def short_text(value: Any) -> str:
 def compare(before: Outcomes, now: Outcomes) -> int:
     """Print the first differing values by file; return the number of files that differ."""
     changed = 0
-    keys: Counter[str] = Counter()
     for name in sorted(before.keys() | now.keys()):
-        if name in before and name in now:
-            found = sorted(differences(before[name], now[name]))
-            found_keys = one_sided(before[name], now[name])
-            keys.update(re.sub(r"step \d+", "step N", key).lstrip(".") for key in found_keys)
-        else:
-            found = ["only before" if name in before else "only now"]
+        sides = (without_excluded(side.get(name, ABSENT)) for side in (before, now))
+        found = list(differences(*sides))
         if found:
             more = f" (and {len(found) - SHOWN} more)" if len(found) > SHOWN else ""
             print(f"differs: {name}: {'; '.join(line.lstrip(': ') for line in found[:SHOWN])}{more}")
             changed += 1
-    for key, count in sorted(keys.items()):
-        print(f"on one side only: {key}, {count} times")
     print(f"{changed} of {len(before)} differ")
     return changed
 
