@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from lirs_extensions.bench.experiment import PolicyResult, share_of_bound
-from lirs_extensions.bench.policies import UPPER_BOUND
 from lirs_extensions.bench.scores import PolicyScore, score_of
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.report.table import ReportTable
@@ -49,8 +48,7 @@ def interval(score: PolicyScore) -> str:
 
 def bench_table(results: Sequence[PolicyResult], task: str) -> ReportTable:
     """Return the table of policies, the best first."""
-    bound = next((result for result in results if result.policy.name == UPPER_BOUND), None)
-    rows = tuple(_row(result, bound) for result in results)
+    rows = tuple(_row(result, results) for result in results)
     caption = (
         f"Score: {MEASURES[task]}, mean over tasks; 95 % by bootstrap over tasks. "
         "of astar: share of the upper bound's score on the same tasks."
@@ -62,8 +60,8 @@ def bench_table(results: Sequence[PolicyResult], task: str) -> ReportTable:
     return ReportTable("bench", "", caption, HEADINGS, rows)
 
 
-def _row(result: PolicyResult, bound: PolicyResult | None) -> tuple[str, ...]:
-    share = share_of_bound(result, bound)
+def _row(result: PolicyResult, results: Sequence[PolicyResult]) -> tuple[str, ...]:
+    share = share_of_bound(result, results)
     return (
         result.policy.label + ("*" if result.privileged else ""),
         f"{result.score.mean:.3f}",
@@ -82,11 +80,10 @@ def write_scores(path: Path, results: Sequence[PolicyResult], about: dict[str, o
     Raises:
         OutputError: the file cannot be written.
     """
-    bound = next((result for result in results if result.policy.name == UPPER_BOUND), None)
     policies = [
         {"policy": result.policy.name, "arguments": dict(result.policy.arguments)}
         | {"score": vars(result.score), "success": result.successes, "collision": result.collisions}
-        | {"failed": result.failed, "of_astar": share_of_bound(result, bound)}
+        | {"failed": result.failed, "of_astar": share_of_bound(result, results)}
         | {"tasks": {name: entry["metrics"]["score"] for name, entry in sorted(result.episodes.items())}}
         for result in results
     ]

@@ -14,8 +14,9 @@ import cv2
 
 from lirs_envs.episodes.episodes import TASKS as ENVIRONMENT_TASKS
 from lirs_envs.episodes.observations import GROUPS
+from lirs_extensions.bench import UPPER_BOUND
 from lirs_extensions.bench.episode import EpisodeLog, episode_metrics, run_episode
-from lirs_extensions.bench.policies import UPPER_BOUND, PolicyChoice
+from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.scores import PolicyScore, score_of
 from lirs_extensions.bench.tasks import BenchTask, TaskSet
 from lirs_validation.config import RunConfig
@@ -222,8 +223,9 @@ class PolicyResult:
         return sum(bool(entry["metrics"][name]) for entry in self.episodes.values()) / len(self.episodes)
 
 
-def share_of_bound(result: PolicyResult, bound: PolicyResult | None) -> float | None:
-    """Return a policy's share of the upper bound's score over common tasks."""
+def share_of_bound(result: PolicyResult, results: Sequence[PolicyResult]) -> float | None:
+    """Return a policy's share of the upper bound's score over common tasks; None without the bound."""
+    bound = next((each for each in results if each.policy.name == UPPER_BOUND), None)
     if bound is None:
         return None
     common = result.episodes.keys() & bound.episodes.keys()

@@ -22,6 +22,7 @@ from lirs_envs.env import RobotEnv
 from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, StraightAhead
 from lirs_envs.pretrained import Pretrained
 from lirs_envs.tasks.site import SEEN_CELL
+from lirs_extensions.bench import UPPER_BOUND
 from lirs_extensions.bench.tasks import TASKS, BenchTask
 from lirs_validation.driving.choice import MARGIN
 from lirs_validation.driving.driver import Driver, Frame
@@ -254,10 +255,9 @@ BASELINES: Mapping[str, Baseline] = {
     ),
     "pretrained": Baseline(lambda env, context: Pretrained(context), ("navigation",), Pretrained.observe),
     "frontier": Baseline(Explorer, ("navigation", "mapping")),
-    "astar": Baseline(OnTrueMap),
+    UPPER_BOUND: Baseline(OnTrueMap),
 }
-"""Policies of this package by name; the last one plans on the true map and is the upper bound."""
-UPPER_BOUND = "astar"
+"""Policies of this package by name."""
 
 
 @dataclass(frozen=True)

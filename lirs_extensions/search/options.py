@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from lirs_extensions.bench import UPPER_BOUND
 from lirs_validation.config import DRIVABLE, RunConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options, declared, documented, one_of, option, within
 
 SEARCH = "Search of parameters"
-UPPER_BOUND = "astar"
-"""Policy that must succeed where another one counts as failed."""
 _RUN = dict(declared(RunConfig))
 
 
@@ -101,9 +100,7 @@ class FalsifyOptions(SearchOptions):
     @property
     def compared_with(self) -> str | None:
         """Name of the method that must succeed; None = none."""
-        if self.policy is None:
-            return self.reference
-        return self.reference or UPPER_BOUND
+        return self.reference or (UPPER_BOUND if self.policy else None)
 
 
 @documented
