@@ -54,8 +54,10 @@ GROUPS = {
     "readers": (85, READERS),
 }
 """Mutants that are drawn, and the modules."""
-PACKAGES = ("lirs_wct", "envs", "slam_baselines", "lirs_validation", "lirs_extensions")
-COPIED = (*PACKAGES, "tests", "examples", "pyproject.toml")
+COPIED = (
+    *("lirs_wct", "envs", "slam_baselines", "lirs_validation", "lirs_extensions"),
+    *("tests", "examples", "pyproject.toml"),
+)
 PRELOADED = (
     "numpy",
     "scipy.spatial",

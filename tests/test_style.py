@@ -14,11 +14,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 LIMITS = tomllib.loads(Path(__file__).with_name("style_limits.toml").read_text(encoding="utf-8"))
 PACKAGES = ("lirs_wct", "envs", "slam_baselines", "lirs_validation", "lirs_extensions")
-OWN_IMPORT = re.compile(
-    r"^ *(from (\.|(lirs_wct|lirs_envs|slam_baselines|lirs_validation|lirs_extensions)\b)"
-    r"|import (lirs_wct|lirs_envs|slam_baselines|lirs_validation|lirs_extensions)\b)",
-    re.MULTILINE,
-)
+OWN = "lirs_wct|lirs_envs|slam_baselines|lirs_validation|lirs_extensions"
+OWN_IMPORT = re.compile(rf"^ *(from (\.|({OWN})\b)|import ({OWN})\b)", re.MULTILINE)
 OPENING = re.compile(r"^(What|Who|Whose|Whom|How|Where|Which)\b")
 FROM_OUTSIDE = re.compile(r"rpe_metre")
 BRITISH = re.compile(

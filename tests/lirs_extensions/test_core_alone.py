@@ -1,4 +1,4 @@
-"""The core works without the extensions, and names only those that exist."""
+"""The core works without the extensions, and its mappers name only those that exist."""
 
 import subprocess
 import sys
@@ -7,7 +7,6 @@ from pkgutil import resolve_name
 
 import pytest
 
-from lirs_validation.cli.app import COMMANDS
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
 ALONE = """
@@ -27,9 +26,7 @@ def test_the_core_runs_without_extensions(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").exists()
 
 
-def test_the_tables_name_what_exists() -> None:
-    for place in COMMANDS.values():
-        assert callable(resolve_name(place)), place
+def test_mappers_name_what_exists() -> None:
     for method in (MAPPERS | ALL_CLOUD_MAPPERS).values():
         for name in (method.config, method.factory):
             assert callable(resolve_name(f"{method.module}:{name}")), method
