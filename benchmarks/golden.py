@@ -81,8 +81,8 @@ def commands(part: str, data: Path, quick: bool) -> list[list[str]]:
             ["build", str(data / "stl" / "unitree_mujoco__terrain.STL")],
         ],
         "runs": [
-            ["validate", "simple", "medium", "advanced", *run, "--seeds", seeds],
-            ["validate", depot, *run, "--seeds", "1"],
+            ["validate", "simple", "medium", "advanced", *run, "--seed", seeds],
+            ["validate", depot, *run, "--seed", "1"],
         ],
         "options": [
             ["validate", "simple", "--robot", "jackal,turtlebot3_burger,quadrotor", *short],

@@ -97,7 +97,7 @@ def verdict(checkout: Checkout, out: Path) -> float:
 
 def jobs(checkout: Checkout, out: Path) -> float:
     """Return the runs a minute of twenty in two processes."""
-    words = f"validate medium --mapper hector --seconds 60 --seeds 1-20 --jobs 2 -o {out}"
+    words = f"validate medium --mapper hector --seconds 60 --seed 1-20 --jobs 2 -o {out}"
     return 60 * 20 / checkout.run(words, cores=2)[0]
 
 

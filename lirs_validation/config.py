@@ -9,36 +9,30 @@ import hashlib
 import json
 import re
 from collections.abc import Collection
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
+from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.suffixes import STORAGES, Storage
 from lirs_wct.option import (
     Options,
     Slider,
-    Switch,
-    choice,
     declared,
     digest_fields,
     documented,
     one_of,
     option,
     positive,
-    read_factors,
-    read_names,
-    read_numbers,
     within,
 )
-from lirs_wct.sources.options import MAP_PANEL, BuildOptions, SourceKind
+from lirs_wct.sources.options import BuildOptions
 from slam_baselines.mapper import MAPPERS, file_name, read_parameters
 
 Attitude = Literal["imu", "none"]
 ATTITUDES: tuple[Attitude, ...] = get_args(Attitude)
 ScanTime = Literal["instant", "rolling"]
-SCAN_TIMES: tuple[ScanTime, ...] = get_args(ScanTime)
 DRIVABLE = within("(0, 1e6]", "simulated seconds")
 """Check of a drive's duration; 1e6 s are 12 days."""
 STAND = 3.0
@@ -58,30 +52,10 @@ NOISE_LEVELS, NOISE_FILES = ("none", "simulated", "datasheet"), (".yaml", ".yml"
 MANUAL, CLIENT = "manual", "client"
 """Driver of a record that a person drove on the live page; `replay:RUN` repeats it."""
 
-AXES, RECORDING = "Axes of a sweep: every combination is run", "ROS 2 bags (no ROS needed)"
+WORLD_FLAGS = ("size", "height", "resolution", "kind", "invert", "window", "wall_height", "start")
+"""Options of a world that have flags of their own on commands that drive through it."""
+AXES = "Axes of a sweep: every combination is run"
 ENGINE = "Execution of a sweep"
-
-
-@dataclass(frozen=True, kw_only=True)
-class SourceOptions(BuildOptions):
-    """Options of the construction of a world. A laser log is mapped first."""
-
-    log_mapper: str = option(
-        "cartographer",
-        "SLAM method that makes the map of a laser log.",
-        flags=("--log-mapper", "--mapper"),
-        metavar="NAME|module:Class",
-        panel=MAP_PANEL,
-        kinds={SourceKind.LOG},
-        names=tuple(MAPPERS),
-    )
-
-    @classmethod
-    def of(cls, options: BuildOptions) -> SourceOptions:
-        """Return the options, with the defaults for a log if they have none."""
-        if isinstance(options, SourceOptions):
-            return options
-        return cls(**{entry.name: getattr(options, entry.name) for entry in fields(options)})
 
 
 def driver_parts(text: str) -> tuple[str, str]:
@@ -135,12 +109,12 @@ def drive_factor(default: float, text: str, legal: str, shown: str) -> Any:
     return option(
         default,
         text,
-        axis=read_factors,
+        axis=True,
         metavar="X,X,...",
         panel=AXES,
         check=within(legal),
         shown=shown,
-        hidden=True,
+        rare=True,
         on_page=False,
     )
 
@@ -170,18 +144,20 @@ class RunConfig(Options):
 
     Attributes:
         source: a bundled world's name, a built folder, an image, a map YAML, a mesh or a laser log.
-        build: options of the world's construction.
+        bag: Storage of a ROS 2 bag in the run's folder; None = no bag.
+        sensors_only: Whether the bag lacks map -> odom and /map, for a SLAM system that publishes these.
+        build: Options of the world's construction.
 
     Raises:
         ConfigError: a value is not legal, or two options contradict.
     """
 
     source: str
-    robot: str = option("husky", "Robots.", axis=read_names, metavar="R,R,...", panel=AXES, names=_robots)
+    robot: str = option("husky", "Robots.", axis=True, metavar="R,R,...", panel=AXES, names=_robots)
     mapper: str = option(
         "hector",
-        "SLAM methods (lirs-wct mappers lists them); module:Class or file.py:Class for your own.",
-        axis=read_names,
+        "SLAM methods (lirs-wct list mappers); module:Class or file.py:Class for your own.",
+        axis=True,
         metavar="M,M,...",
         panel=AXES,
         names=tuple(MAPPERS),
@@ -189,7 +165,8 @@ class RunConfig(Options):
     parameters: str = option(
         "",
         "Parameters of the mapper, fields of its configuration; `none;a=1` compares its defaults with a=1.",
-        axis=read_parameter_sets,
+        axis=True,
+        reader=read_parameter_sets,
         metavar="NAME=VALUE,...",
         panel=AXES,
         check=lambda value, label: read_parameters(value, label) and None,
@@ -203,27 +180,19 @@ class RunConfig(Options):
         on_page=False,
     )
     lidar: str | None = option(
-        None,
-        "Lidars; default: the robot's own.",
-        axis=read_names,
-        metavar="L,L,...",
-        panel=AXES,
-        names=_lidars,
+        None, "Lidars; default: the robot's own.", axis=True, metavar="L,L,...", panel=AXES, names=_lidars
     )
     terrain: ContactGeometry = option(
         "hfield",
         "Contact geometry: the height field; the same, and rays meet the mesh; a prism per triangle within "
         "--max-error; the convex parts of a closed mesh, or its faces if they are many.",
-        axis=read_names,
-        metavar="hfield|mesh|prisms|convex",
+        axis=True,
         panel=AXES,
-        check=one_of(CONTACT_GEOMETRIES),
-        label="terrain for MuJoCo",
     )
     rays: str = option(
         "builtin",
         "Ray caster of the lidar: this package's own, or MuJoCo's for comparison.",
-        axis=read_names,
+        axis=True,
         metavar="builtin|mujoco",
         panel=AXES,
         check=one_of(_ray_casters),
@@ -233,17 +202,16 @@ class RunConfig(Options):
     attitude: Attitude = option(
         "imu",
         "Roll and pitch of the mapper: the IMU's readings, or none, as in planar SLAM.",
-        axis=read_names,
-        metavar="imu|none",
+        axis=True,
         panel=AXES,
-        check=one_of(ATTITUDES),
         shown="attitude: {}",
     )
     driver: str = option(
         TOUR,
         "A tour over the true ground; an explorer on the mapper's map and pose; waypoints (x, y[, yaw] per "
         "line) or a goal by the true pose; the commands of a finished run; the policy that ships.",
-        axis=read_drivers,
+        axis=True,
+        reader=read_drivers,
         metavar="|".join(f"{name}{argument}" for name, argument in DRIVERS.items()),
         panel=AXES,
         check=lambda value, _: driver_parts(value) and None,
@@ -261,7 +229,7 @@ class RunConfig(Options):
     actors: int = option(
         0,
         "Walkers on seeded paths: the lidar sees them, the robot touches them.",
-        axis=read_numbers,
+        axis=True,
         metavar="N,N,...",
         panel=AXES,
         check=within("[0, inf)"),
@@ -273,29 +241,27 @@ class RunConfig(Options):
         None,
         "Beams of a scan: all at its stamp, or one after the other while the robot goes on; default: rolling "
         "for lidars with rings, instant for planar ones.",
-        axis=read_names,
-        metavar="instant|rolling",
+        axis=True,
         panel=AXES,
-        check=one_of(SCAN_TIMES),
         shown="scan time: {}",
-        hidden=True,
+        rare=True,
         on_page=False,
     )
     odometry_noise: float = option(
         1.0,
         "Factors of the noise of wheels and gyro.",
-        axis=read_factors,
+        axis=True,
         metavar="X,X,...",
         panel=AXES,
         check=within("[0, 10]"),
         shown="odometry noise x {:g}",
-        hidden=True,
+        rare=True,
         on_page=False,
     )
     noise: str = option(
         "simulated",
         "Sensor noise: a level of the lidar's, or a YAML file such as `lirs-wct twin` writes.",
-        axis=read_names,
+        axis=True,
         metavar="none|simulated|datasheet|FILE.yaml",
         panel=AXES,
         check=_known_noise,
@@ -306,8 +272,7 @@ class RunConfig(Options):
     seed: int = option(
         1,
         "Seeds of every random number: 1-5 or 1,3,7-9.",
-        axis=read_numbers,
-        flags=("--seed", "--seeds"),
+        axis=True,
         metavar="N|N-M|N,N,...",
         panel=AXES,
         check=within("[0, inf)"),
@@ -326,7 +291,7 @@ class RunConfig(Options):
         metavar="S",
         check=within("[0, inf)"),
         shown="stands for {:g} s",
-        hidden=True,
+        rare=True,
         on_page=False,
     )
     wall_limit: float | None = option(
@@ -337,37 +302,16 @@ class RunConfig(Options):
         in_digest=False,
         on_page=False,
     )
-    bag: Storage | None = option(
-        None,
-        "Storage of the bag's messages.",
-        flags=("--storage",),
-        metavar="mcap|sqlite3",
-        panel=RECORDING,
-        read=choice(*STORAGES),
-        check=one_of(STORAGES),
-        label="storage of a bag",
-        switch=Switch(flag="--bag", value=STORAGES[0], help="Record each run as a ROS 2 bag in its folder."),
-        hidden=True,
-        in_digest=False,
-        on_page=False,
-    )
-    sensors_only: bool = option(
-        False,
-        "Bags without map -> odom and /map, for a SLAM system that publishes these.",
-        panel=RECORDING,
-        hidden=True,
-        in_digest=False,
-        on_page=False,
-    )
-    build: BuildOptions = field(default_factory=SourceOptions)
+    bag: Storage | None = None
+    sensors_only: bool = False
+    build: BuildOptions = field(default_factory=BuildOptions)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "build", SourceOptions.of(self.build))
         if self.stand is not None:
             object.__setattr__(self, "stand", float(self.stand))
-        if self.sensors_only and self.bag is None:
-            raise ConfigError("--sensors-only is an option of bags: give --bag")
+        if self.bag is not None:
+            one_of(STORAGES)(self.bag, "storage of a bag")
 
     @property
     def digest(self) -> str:
@@ -378,7 +322,7 @@ class RunConfig(Options):
         return digest_text(entry)
 
 
-RUN_AXES = tuple(name for name, found in declared(RunConfig) if found.axis is not None)
+RUN_AXES = tuple(name for name, found in declared(RunConfig).items() if found.axis)
 """Options that a sweep crosses, in the order of its runs."""
 
 
@@ -397,27 +341,24 @@ class EngineOptions(Options):
         ConfigError: a value is not legal, or two options contradict.
     """
 
-    engine: str | None = option(
+    engine: Literal["serial", "processes", "ray"] | None = option(
         None,
         "Serial runs, processes of this machine, or a Ray cluster. RTFs of concurrent runs are marked.",
-        metavar="serial|processes|ray",
         panel=ENGINE,
-        check=one_of(("serial", "processes", "ray")),
+        rare=True,
     )
     jobs: int | None = option(None, "Concurrent runs, each in its own process.", metavar="N", panel=ENGINE)
-    address: str | None = option(
-        None, "Address of a Ray cluster; default: start a local one.", panel=ENGINE, hidden=True
-    )
+    address: str | None = option(None, "Address of a Ray cluster; default: start a local one.", panel=ENGINE)
     cell_timeout: float | None = option(
         None,
         "End a run after this many wall seconds in all.",
         metavar="S",
         panel=ENGINE,
         check=positive,
-        hidden=True,
+        rare=True,
     )
     cell_memory: float | None = option(
-        None, "End a run that takes more memory.", metavar="GB", panel=ENGINE, check=positive, hidden=True
+        None, "End a run that takes more memory.", metavar="GB", panel=ENGINE, check=positive, rare=True
     )
     retry_failed: bool = option(False, "Repeat failed runs of an earlier sweep.", panel=ENGINE)
 

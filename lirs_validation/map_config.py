@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from lirs_validation.config import ATTITUDES, Attitude, digest_text, sha256
-from lirs_wct.errors import ConfigError
-from lirs_wct.formats.suffixes import CLOCKS, Clock
-from lirs_wct.option import Options, choice, digest_fields, documented, one_of, option, positive, within
+from lirs_validation.config import Attitude, digest_text, sha256
+from lirs_wct.formats.suffixes import Clock
+from lirs_wct.option import Options, digest_fields, documented, option, positive, within
 from slam_baselines.mapper import MAPPERS, read_parameters
 
 LOG = "The log"
@@ -43,12 +42,7 @@ class LogOptions(Options):
         panel=LOG,
     )
     time: Clock = option(
-        "header",
-        "Stamps of a bag: those of the headers, or the times of reception.",
-        metavar="header|receive",
-        read=choice(*CLOCKS),
-        check=one_of(CLOCKS),
-        panel=LOG,
+        "header", "Stamps of a bag: those of the headers, or the times of reception.", panel=LOG
     )
 
 
@@ -61,7 +55,7 @@ class MapConfig(LogOptions):
         log: path of a CARMEN log or a ROS bag.
 
     Raises:
-        ConfigError: a value is not legal, or two options contradict.
+        ConfigError: a value is not legal.
     """
 
     log: str
@@ -81,7 +75,6 @@ class MapConfig(LogOptions):
         None, "Python interpreter of a mapper that is not ours.", metavar="PATH", in_digest=False
     )
     seed: int = option(1, "Seed of the mapper's random numbers.", check=within("[0, inf)"))
-    particles: int | None = option(None, "Number of gmapping's particles; default: 30.")
     resolution: float | None = option(
         None,
         "Cell size of the map, 0.01 to 1 m; default: the mapper's own.",
@@ -96,27 +89,15 @@ class MapConfig(LogOptions):
     )
     reference: str | None = option(
         None,
-        "Reference trajectory (TUM, ROS bag, or CARMEN of corrected poses): the record then holds the ATE.",
+        "Reference trajectory (TUM, BAG or BAG:/TOPIC, or CARMEN of corrected poses): the record then holds "
+        "the ATE.",
         metavar="FILE",
         in_digest=False,
     )
     imu: str | None = option(
         None, "Inertial readings at the scans: imu.csv.gz of a run.", metavar="FILE", in_digest=False
     )
-    attitude: Attitude = option(
-        "imu",
-        "Roll and pitch of the mapper: --imu, or none.",
-        metavar="imu|none",
-        read=choice(*ATTITUDES),
-        check=one_of(ATTITUDES),
-    )
-    reference_topic: str | None = option(
-        None,
-        "Poses of a reference bag; default: /tf, else the only such topic.",
-        metavar="TOPIC",
-        panel=LOG,
-        in_digest=False,
-    )
+    attitude: Attitude = option("imu", "Roll and pitch of the mapper: --imu, or none.", rare=True)
     second: str | None = option(
         None,
         "Mapper to compare with where no truth is given; default: hector (of hector: cartographer); or none.",
@@ -124,11 +105,6 @@ class MapConfig(LogOptions):
         names=(*MAPPERS, "none"),
         in_digest=False,
     )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.reference_topic is not None and self.reference is None:
-            raise ConfigError("--reference-topic is of a --reference, which is not given")
 
     def digest(self, content: bytes | Path, readings: bytes | None = None) -> str:
         """Return eight hex digits that distinguish this map from others.

@@ -1,4 +1,4 @@
-"""Options declared once, as dataclass fields with help, command-line flag and legal values.
+"""Options declared once, as dataclass fields with help and legal values.
 
 Command line, page, sweep axes, digest, checks and reference are generated from the fields (`declared`).
 """
@@ -8,38 +8,27 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import Enum
-from typing import Any, TypeVar
+from functools import cache
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import ConfigError, did_you_mean, unknown_name
 
 _KEY = "option"
 MAX_NUMBERS = 100_000
 """Largest length of a list such as 1-100000."""
+YES, NO = ("true", "yes", "1"), ("false", "no", "0")
 
 Check = Callable[[Any, str], None]
 """Function of a value (never None) and its name that raises ConfigError for an illegal value."""
 Reader = Callable[[str, str], Any]
-"""Function of a command line's text and the flag that returns the value."""
+"""Function of a text and the option's name that returns the value."""
 Names = Collection[Any] | Callable[[], Collection[Any]]
 """Legal values, or a function that returns them if their import is slow."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Switch:
-    """A command-line flag without value that stands for a value of an option.
-
-    Attributes:
-        flag: spelling at the command line.
-        value: value of the option that the flag sets.
-        help: one sentence.
-    """
-
-    flag: str
-    value: Any
-    help: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,45 +50,123 @@ class Slider:
 
 @dataclass(frozen=True, kw_only=True)
 class Option:
-    """Declaration of an option; type and default are those of its field.
+    """Declaration of an option; name, type and default are those of its field.
 
     Attributes:
         help: one sentence or two.
+        name: name of the field.
+        type: type of the value.
+        default: value if none is given; MISSING = one is required.
+        positional: whether the command line takes it without a flag.
+        rare: whether the command line takes it by `--option NAME=VALUE`.
         panel: heading in the help; None = the command's own.
-        metavar: placeholder of the value in the help; None = its type.
-        flags: command-line flags, the usual one first; empty = the field's name.
-        label: name in errors; empty = the field's name.
-        check: check of the value's legality.
-        read: reader of the value; None = the reader of its type.
-        axis: reader of a list of values that a sweep varies; None = the option has one value.
-        names: values that a page offers; empty = those of its type.
+        metavar: placeholder of the value in the help; empty = that of its type.
+        check: check of the value's legality, beside that of its type.
+        reader: reader of the value; None = that of its type.
+        axis: whether a sweep varies it: the command line then takes a list.
+        names: values to choose from; empty = those of its type.
+        complete: completion of the value in a shell; None = by `names`.
         shown: format of the value in the name of a group of runs.
-        hidden: whether the command line's help omits it.
         on_page: whether the live page offers it.
         in_digest: whether it distinguishes results and enters the name of their folder.
-        switch: flag that stands for a value.
         kinds: kinds of source on which it has an effect; None = all.
         title: title of its control on a page, the paper's name if it has one; empty = the field's name.
         slider: slider of its control; None = a text field.
     """
 
     help: str
+    name: str = ""
+    type: Any = str
+    default: Any = None
+    positional: bool = False
+    rare: bool = False
     panel: str | None = None
-    metavar: str | None = None
-    flags: tuple[str, ...] = ()
-    label: str = ""
+    metavar: str = ""
     check: Check | None = None
-    read: Reader | None = None
-    axis: Reader | None = None
+    reader: Reader | None = None
+    axis: bool = False
     names: Names = ()
+    complete: Callable[[str], Collection[str]] | None = None
     shown: str = "{}"
-    hidden: bool = False
     on_page: bool = True
     in_digest: bool = True
-    switch: Switch | None = None
     kinds: Collection[Enum] | None = None
     title: str = ""
     slider: Slider | None = None
+
+    @property
+    def flag(self) -> str:
+        """Flag on the command line."""
+        return f"--{self.name.replace('_', '-')}"
+
+    @property
+    def label(self) -> str:
+        """Name in messages."""
+        return self.name.replace("_", " ")
+
+    @property
+    def types(self) -> tuple[Any, ...]:
+        """Types of the value without None, of a tuple of any length those of its elements."""
+        parts = get_args(self.type) if get_origin(self.type) in (Union, UnionType) else (self.type,)
+        kinds = (get_args(part)[0] if get_args(part)[1:] == (...,) else part for part in parts)
+        return tuple(kind for kind in kinds if kind is not NoneType)
+
+    @property
+    def is_list(self) -> bool:
+        """Whether the value is a tuple of any length."""
+        return get_args(self.type)[1:] == (...,)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Legal words of a type that lists them."""
+        if not all(get_origin(part) is Literal for part in self.types):
+            return ()
+        return tuple(word for part in self.types for word in get_args(part))
+
+    @property
+    def choices(self) -> tuple[Any, ...]:
+        """Values to choose from; empty if there are too many to list."""
+        return tuple(self.names() if callable(self.names) else self.names) or self.words
+
+    @property
+    def form(self) -> str:
+        """Placeholder of the value."""
+        forms = {bool: "true|false", int: "N", float: "X", Path: "PATH"}
+        return self.metavar or "|".join(self.words) or forms.get(self.types[0], "TEXT")
+
+    def arguments(self, text: str, has_flag: bool | None = None) -> tuple[str, ...]:
+        """Return the words of a command line that set the option to a text.
+
+        Args:
+            text: Value.
+            has_flag: Whether the command has a flag for it; None = as declared.
+        """
+        if self.rare if has_flag is None else not has_flag:
+            return "--option", f"{self.name}={text}"
+        return (self.flag,) if self.type is bool else (self.flag, text)
+
+    def check_value(self, value: Any) -> None:
+        """Raise ConfigError for an illegal value; None is legal."""
+        if value is None:
+            return
+        for word in value if self.is_list else (value,):
+            if self.words and word not in self.words:
+                raise _no_such_word(self.label, word, self.words)
+        if self.check is not None:
+            self.check(value, self.label)
+
+    def read(self, text: str, label: str) -> Any:
+        """Return the value of a text, for an axis the values of a list.
+
+        Raises:
+            ConfigError: the text is no such value; the message begins with the label.
+        """
+        if self.reader is not None:
+            return self.reader(text, label)
+        if self.axis or self.is_list:
+            readers: dict[Any, Reader] = {int: read_numbers, float: read_factors}
+            return readers.get(self.types[0], read_names)(text, label)
+        return _read(text, label, self)
 
 
 def option(default: Any, help: str, **given: Any) -> Any:
@@ -107,24 +174,37 @@ def option(default: Any, help: str, **given: Any) -> Any:
     return field(default=default, metadata={_KEY: Option(help=help, **given)})
 
 
-def declared(options: type[Options]) -> Iterator[tuple[str, Option]]:
-    """Yield the name and `Option` of each declared field; its default flag is its name."""
-    for entry in fields(options):
-        if _KEY in entry.metadata:
-            found: Option = entry.metadata[_KEY]
-            usual = (f"--{entry.name.replace('_', '-')}",)
-            yield entry.name, found if found.flags else replace(found, flags=usual)
+def argument(help: str, metavar: str, default: Any = MISSING, **given: Any) -> Any:
+    """Return a dataclass field of a value without a flag; without a default it is required."""
+    return option(default, help, metavar=metavar, positional=True, **given)
+
+
+def declared(options: type[Options]) -> Mapping[str, Option]:
+    """Return the declared fields of a class by name."""
+    kind: Any = options  # mypy doubts that classes are hashable
+    return _declared(kind)
+
+
+@cache
+def _declared(options: Any) -> Mapping[str, Option]:
+    types = get_type_hints(options)
+    return {
+        entry.name: replace(
+            entry.metadata[_KEY], name=entry.name, type=types[entry.name], default=entry.default
+        )
+        for entry in fields(options)
+        if _KEY in entry.metadata
+    }
 
 
 def defaults(options: type[Options]) -> dict[str, Any]:
     """Return the default of each declared field that has one."""
-    names = dict(declared(options))
-    return {f.name: f.default for f in fields(options) if f.name in names and f.default is not MISSING}
+    return {name: o.default for name, o in declared(options).items() if o.default is not MISSING}
 
 
 def check_names(options: type[Options], given: Iterable[str]) -> None:
-    """Raise ConfigError unless every given name is a declared field."""
-    legal = dict(declared(options))
+    """Raise ConfigError unless every given name is a field."""
+    legal = [entry.name for entry in fields(options)]
     for name in given:
         if name not in legal:
             raise unknown_name("option", name, legal)
@@ -138,9 +218,9 @@ def changed(options: Options) -> dict[str, Any]:
 
 def digest_fields(options: Options) -> dict[str, Any]:
     """Return the changed fields that distinguish results; numbers have the type of their default."""
-    usual, counted = defaults(type(options)), dict(declared(type(options)))
+    counted = declared(type(options))
     return {
-        name: float(value) if isinstance(usual[name], float) else value
+        name: float(value) if isinstance(counted[name].default, float) else value
         for name, value in changed(options).items()
         if counted[name].in_digest
     }
@@ -155,10 +235,8 @@ class Options:
     """
 
     def __post_init__(self) -> None:
-        for name, found in declared(type(self)):
-            value = getattr(self, name)
-            if value is not None and found.check is not None:
-                found.check(value, found.label or name.replace("_", " "))
+        for name, found in declared(type(self)).items():
+            found.check_value(getattr(self, name))
 
 
 Declared = TypeVar("Declared", bound=type[Options])
@@ -168,7 +246,7 @@ def documented(options: Declared) -> Declared:
     """Append the help of each option to the attributes in the docstring of a class of options."""
     text, raises, errors = inspect.cleandoc(options.__doc__ or "").partition("\n\nRaises:")
     heading = () if "Attributes:" in text else ("", "Attributes:")
-    lines = (f"    {name}: {found.help}" for name, found in declared(options))
+    lines = (f"    {name}: {found.help}" for name, found in declared(options).items())
     options.__doc__ = "\n".join((text, *heading, *lines)) + raises + errors
     return options
 
@@ -205,67 +283,57 @@ def one_of(legal: Names) -> Check:
     return check
 
 
-def numbers(form: str, *counts: int) -> Reader:
-    """Return a reader of comma-separated numbers; an error names the legal `form`.
-
-    Args:
-        form: legal form in the error.
-        *counts: legal numbers of values.
-    """
-
-    def read(text: str, flag: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(part) for part in text.split(","))
-        except ValueError:
-            values = ()
-        if len(values) not in counts:
-            raise ConfigError(f"{flag} must be {form}, got {text!r}")
-        return values
-
-    return read
+def _no_such_word(label: str, word: Any, legal: tuple[str, ...]) -> ConfigError:
+    names = f"{', '.join(legal[:-1])} or {legal[-1]}"
+    return ConfigError(f"{label} must be {names}, got {word!r}{did_you_mean(word, legal)}")
 
 
-def whole_numbers(form: str, count: int) -> Reader:
-    """Return a reader of `count` comma-separated whole numbers."""
-    reader = numbers(form, count)
-
-    def read(text: str, flag: str) -> tuple[int, ...]:
-        values = reader(text, flag)
-        if any(not value.is_integer() for value in values):
-            raise ConfigError(f"{flag} must be {form}, got {text!r}")
-        return tuple(int(value) for value in values)
-
-    return read
-
-
-def choice(*legal: str) -> Reader:
-    """Return a reader of one of the legal words."""
-    return lambda text, flag: chosen(text, flag, legal)
+def _read(text: str, label: str, declaration: Option) -> Any:
+    """Return the value of a text by the type of its option."""
+    kinds = declaration.types
+    if declaration.words:
+        if text not in declaration.words:
+            raise _no_such_word(label, text, declaration.words)
+        return text
+    if kinds[0] is bool:
+        if text.lower() not in (*YES, *NO):
+            raise ConfigError(f"{label} must be true or false, got {text!r}")
+        return text.lower() in YES
+    if kinds[0] is Path:
+        return Path(text)
+    return text if kinds[0] is str else _read_numbers(text, label, declaration)
 
 
-def chosen(text: str, flag: str, legal: tuple[Any, ...]) -> Any:
-    """Return the text if it is one of the legal words.
+def _read_numbers(text: str, label: str, declaration: Option) -> Any:
+    """Return one number, or as many comma-separated ones as a type wants."""
+    wanted = {len(get_args(kind)): (*get_args(kind), kind)[0] for kind in declaration.types}
+    kind = next(iter(wanted.values()))
+    try:
+        values = tuple(kind(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if wanted.keys() == {0}:
+        if len(values) != 1:
+            raise ConfigError(f"{label} must be a {'whole ' if kind is int else ''}number, got {text!r}")
+        return values[0]
+    if (0 if len(values) == 1 else len(values)) not in wanted or not values:
+        raise ConfigError(f"{label} must be {declaration.form}, got {text!r}")
+    return values if len(values) > 1 else values[0]
+
+
+def read_pairs(text: str, label: str) -> dict[str, str]:
+    """Return names and values of a list such as `mapper=hector,world=medium`; of "" none.
 
     Raises:
-        ConfigError: the text is illegal.
+        ConfigError: the text is no such list.
     """
-    if text not in legal:
-        raise ConfigError(f"{flag} must be {', '.join(legal[:-1])} or {legal[-1]}, got {text!r}")
-    return text
+    pairs = [part.partition("=") for part in (text.split(",") if text else ())]
+    if not all(name.strip() and value.strip() for name, _, value in pairs):
+        raise ConfigError(f"{label} must be NAME=VALUE,NAME=VALUE,..., got {text!r}")
+    return {name.strip(): value.strip() for name, _, value in pairs}
 
 
-def name_of(legal: Collection[str]) -> Reader:
-    """Return a reader of one of the legal names; an error lists them."""
-
-    def read(text: str, flag: str) -> str:
-        if text not in legal:
-            raise unknown_name(flag, text, legal)
-        return text
-
-    return read
-
-
-def read_names(text: str, flag: str) -> tuple[str, ...]:
+def read_names(text: str, label: str) -> tuple[str, ...]:
     """Return the names of a comma-separated list, without repetitions.
 
     Raises:
@@ -273,11 +341,11 @@ def read_names(text: str, flag: str) -> tuple[str, ...]:
     """
     names = tuple(name.strip() for name in text.split(","))
     if not all(names):
-        raise ConfigError(f"{flag} must be a list such as a,b,c, got {text!r}")
+        raise ConfigError(f"{label} must be a list such as a,b,c, got {text!r}")
     return tuple(dict.fromkeys(names))
 
 
-def read_factors(text: str, flag: str) -> tuple[float, ...]:
+def read_factors(text: str, label: str) -> tuple[float, ...]:
     """Return the numbers of a list such as `0.5,1,2`, without repetitions.
 
     Raises:
@@ -286,10 +354,10 @@ def read_factors(text: str, flag: str) -> tuple[float, ...]:
     try:
         return tuple(dict.fromkeys(float(part) for part in text.split(",")))
     except ValueError:
-        raise ConfigError(f"{flag} must be a list such as 0.5,1,2, got {text!r}") from None
+        raise ConfigError(f"{label} must be a list such as 0.5,1,2, got {text!r}") from None
 
 
-def read_numbers(text: str, flag: str) -> tuple[int, ...]:
+def read_numbers(text: str, label: str) -> tuple[int, ...]:
     """Return the whole numbers of a list such as `1-5` or `1,3,7-9`, without repetitions.
 
     Raises:
@@ -300,6 +368,6 @@ def read_numbers(text: str, flag: str) -> tuple[int, ...]:
         match = re.fullmatch(r"\s*(\d{1,9})(?:-(\d{1,9}))?\s*", part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if last < first or last - first >= MAX_NUMBERS:
-            raise ConfigError(f"{flag} must be a list such as 1-5 or 1,3,7-9, got {text!r}")
+            raise ConfigError(f"{label} must be a list such as 1-5 or 1,3,7-9, got {text!r}")
         found += range(first, last + 1)
     return tuple(dict.fromkeys(found))

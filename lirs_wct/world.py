@@ -148,7 +148,7 @@ class World(ShownAsPicture):
         if most is not None and len(mesh.faces) > most:
             raise ConfigError(
                 f"{self.name}: has {len(mesh.faces)} triangles and is not simplified, "
-                f"--max-triangles {most} cannot be kept"
+                f"--option max-triangles={most} cannot be kept"
             )
         return mesh
 
@@ -225,7 +225,7 @@ class World(ShownAsPicture):
             ConfigError: `drape` without a texture, or a wall texture without walls.
         """
         if given.wall_texture and self.walls is None:
-            raise ConfigError(f"{self.name}: --wall-texture is for the walls of a laser map, it has none")
+            raise ConfigError(f"{self.name}: has no walls, which the option wall-texture is for")
         return replace(self, export_options=self.export_options.updated(given))
 
     def save(self, folder: str | Path) -> Path:

@@ -1,8 +1,17 @@
 """The command line, called in this process."""
 
+import shlex
+
+import click
 import pytest
 
 from lirs_validation.cli import app as cli
+from lirs_validation.cli.command import Command
+
+COMMANDS: dict[str, Command] = {
+    name: cli.PROGRAM.get_command(click.Context(cli.PROGRAM), name)  # type: ignore[misc]
+    for name in cli.COMMANDS
+}
 
 
 def run_command(*arguments: str) -> int:
@@ -12,3 +21,11 @@ def run_command(*arguments: str) -> int:
         with pytest.raises(SystemExit) as ended:
             cli.main()
     return int(ended.value.code or 0)
+
+
+def check_command(line: str) -> None:
+    """Read a line such as `lirs-wct build a.png` as the program does, without running it."""
+    _, name, *arguments = shlex.split(line, comments=True)
+    with COMMANDS[name].make_context(name, arguments) as context:
+        assert not context.args
+        COMMANDS[name].arguments(**context.params)

@@ -13,7 +13,7 @@ from lirs_wct.drawing import canvas
 from tests.command_line import run_command
 
 DATA = Path(__file__).with_name("data").resolve()
-SMALL = "--robot jackal --lidar urg04lx --size 20 --height 2 --resize 129,129"
+SMALL = "--robot jackal --lidar urg04lx --size 20 --height 2 --option resize=129,129"
 COMMANDS = {
     "run": f"validate simple {SMALL} --seconds 10",
     "mapped": "map drive.clf.gz --mapper hector",

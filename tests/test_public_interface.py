@@ -11,14 +11,14 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
+import click
 import pytest
-import typer
 from gymnasium import registry
 
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.tasks.task import Rewards
-from lirs_validation.cli.app import make_app
 from lirs_validation.record.schema import record_schema
+from tests.command_line import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 STORED = Path(__file__).with_name("public_interface.json")
@@ -56,13 +56,14 @@ def exists(name: str) -> bool:
 
 
 def options() -> Iterator[str]:
-    """Yield each command, and each flag of its options, hidden ones included."""
-    program: Any = typer.main.get_command(make_app())
-    for name, command in program.commands.items():
+    """Yield each command and each of its flags, and each option that only `--option` takes."""
+    for name, command in COMMANDS.items():
         yield name
-        for param in command.params:
-            if param.param_type_name == "option":
-                yield from (f"{name} {flag}" for flag in (*param.opts, *param.secondary_opts))
+        flags = (flag for param in command.params if isinstance(param, click.Option) for flag in param.opts)
+        yield from (f"{name} {flag}" for flag in flags)
+    own = {option.flag for command in COMMANDS.values() for option in command.own.values()}
+    rare = {option.flag for command in COMMANDS.values() for option in command.rare.values()}
+    yield from (f"rare {flag}" for flag in rare - own)
 
 
 def default(field: Field[Any]) -> str:

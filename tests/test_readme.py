@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 
-from lirs_validation.cli.app import make_app
-from tests.command_line import run_command
+from tests.command_line import check_command, run_command
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -39,7 +37,7 @@ PROGRAMS = [
 FEWER = {"0,5,20": "5", "gmapping,hector,cartographer": "hector", "husky,jackal": "husky"}
 """Values in place of lists of them."""
 SHORT = {
-    "validate": "--seconds 1 --seeds 1",
+    "validate": "--seconds 1 --seed 1",
     "verdict": "--seconds 20 --budget 1s",
     "record": "--seconds 1",
     "collide": "--seconds 1",
@@ -60,7 +58,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def shortened(command: str) -> str:
     """Return a command that takes seconds."""
     name = command.split()[1]
-    command = re.sub(r"--seed(s?) \S+", "", command) if name in SHORT else command
+    command = re.sub(r"--seed \S+", "", command) if name in SHORT else command
     for values, one in FEWER.items():
         command = command.replace(values, one)
     return f"{command} {SHORT.get(name, '')}"
@@ -82,16 +80,9 @@ def test_no_command_has_a_pattern_that_a_second_run_matches_too() -> None:
     assert [command for command in (*COMMANDS, *QUOTED) if "*" in command] == []
 
 
-@pytest.fixture(scope="module")
-def commands() -> dict[str, Any]:
-    return typer.main.get_command(make_app()).commands  # type: ignore[attr-defined,no-any-return]
-
-
 @pytest.mark.parametrize("command", dict.fromkeys((*COMMANDS, *QUOTED)))
-def test_the_parser_takes_a_command(command: str, commands: dict[str, Any]) -> None:
-    _, name, *arguments = shlex.split(command)
-    with commands[name].make_context(name, arguments) as context:
-        assert not context.args
+def test_the_parser_takes_a_command(command: str) -> None:
+    check_command(command)
 
 
 @pytest.mark.slow

@@ -11,11 +11,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
+import mujoco
 
-from lirs_envs.robots.robot import ROBOTS
+from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_validation import validate
-from lirs_validation.cli.commands.robot_card import draw
 from lirs_wct import BuildOptions, World, build_world
+from lirs_wct.arrays import ByteArray
 from lirs_wct.drawing.canvas import Canvas, new_figure, title
 from lirs_wct.drawing.world_view import block_picture
 
@@ -54,15 +55,36 @@ def draw_worlds(path: Path) -> None:
 
 
 def draw_robots(path: Path) -> None:
-    """Draw every robot as `lirs-wct robot` does."""
+    """Draw every robot with MuJoCo's renderer."""
     figure = new_figure(10.0, 5.4)
-    with TemporaryDirectory() as folder:
-        for axes, (name, robot) in zip(figure.subplots(2, 3).ravel(), ROBOTS.items(), strict=False):
-            draw(robot, Path(folder) / "robot.png")
-            axes.imshow(cv2.imread(f"{folder}/robot.png")[..., ::-1])
-            axes.set_axis_off()
-            title(axes, name)
+    for axes, (name, robot) in zip(figure.subplots(2, 3).ravel(), ROBOTS.items(), strict=False):
+        axes.imshow(render(robot))
+        axes.set_axis_off()
+        title(axes, name)
     figure.savefig(path, dpi=68)
+
+
+def render(robot: Robot) -> ByteArray:
+    """Return the picture of a robot that MuJoCo renders, RGB."""
+    spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(5, 5, 1), rgba=(0.75, 0.75, 0.72, 1))
+    spec.worldbody.add_light(pos=(-3, -3, 5), dir=(0.5, 0.5, -0.8))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    view = mujoco.MjvOption()
+    view.geomgroup[:] = (1, 1, 1, 0, 0, 0)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = data.body("base_link").xpos
+    camera.lookat[2] += 0.1
+    camera.distance, camera.azimuth, camera.elevation = 4.0 * robot.radius, 140, -25
+    renderer = mujoco.Renderer(model, 480, 640)
+    try:
+        renderer.update_scene(data, camera=camera, scene_option=view)
+        picture: ByteArray = renderer.render()
+        return picture
+    finally:
+        renderer.close()
 
 
 def draw_run(path: Path) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from lirs_validation.cli.progress import err, manifest_of_command, out, run_sweep
 from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
+from lirs_wct.option import Options, argument, documented, option, read_pairs
 
 if TYPE_CHECKING:
     from lirs_extensions.bench.experiment import PolicyResult
@@ -22,58 +22,43 @@ POLICY_HELP = (
     "module:name of your own: a class or function that makes something with reset(info) and "
     "act(observation) -> action."
 )
-SetName = Annotated[
-    str, typer.Option("--set", metavar="indoor|hills|lirs|generated|FILE.json", help="Set of tasks.")
-]
-TaskName = Annotated[str, typer.Option(metavar="navigation|mapping|traverse", help="Task.")]
-Split = Annotated[str, typer.Option(metavar="train|validation|test|all", help="Which part of the set.")]
-Data = Annotated[
-    Path | None,
-    typer.Option(help="Folder with the maps and pictures that do not ship; found by their content."),
-]
-PolicyArguments = Annotated[
-    list[str] | None,
-    typer.Option("--policy-arg", metavar="NAME=VALUE", help="Keyword for your own policy; repeatable."),
-]
-Pictures = Annotated[bool, typer.Option("--pictures", help="Write a map with the path of each episode.")]
-Against = Annotated[
-    str | None,
-    typer.Option(metavar="POLICY", help="Print paired differences of the scores from those of this policy."),
-]
-Output = Annotated[
-    Path, typer.Option("-o", "--output", help="Folder for the episodes' folders and scores.json.")
-]
 FEW = 3
 """Episodes in which a policy failed that are named one by one."""
 
 
-def bench(
-    policies: Annotated[list[str], typer.Argument(help=POLICY_HELP)],
-    set_name: SetName = "lirs",
-    task: TaskName = "navigation",
-    split: Split = "test",
-    data: Data = None,
-    arguments: PolicyArguments = None,
-    pictures: Pictures = False,
-    against: Against = None,
-    output: Output = Path("out"),
-    *,
-    engine: EngineOptions,
-) -> None:
+@documented
+@dataclass(frozen=True, kw_only=True)
+class BenchCommand(Options):
+    """Policies, tasks and results of `bench`."""
+
+    policies: tuple[str, ...] = argument(POLICY_HELP, "POLICIES...")
+    set: str = option("lirs", "Set of tasks.", metavar="indoor|hills|lirs|generated|FILE.json")
+    task: str = option("navigation", "Task.", metavar="navigation|mapping|traverse")
+    split: str = option("test", "Which part of the set.", metavar="train|validation|test|all")
+    data: Path | None = option(
+        None, "Folder with the maps and pictures that do not ship; found by their content.", metavar="FOLDER"
+    )
+    parameters: str = option("", "Keywords for your own policy.", metavar="NAME=VALUE,...")
+    pictures: bool = option(False, "Write a map with the path of each episode.")
+    output: Path = option(Path("out"), "Folder for the episodes' folders and scores.json.")
+
+
+def bench(options: BenchCommand, engine: EngineOptions) -> None:
     """Score policies on fixed tasks, and compare them with earlier ones in the folder.
 
-    The same command resumes an interrupted run.
+    Differences are paired, from the first policy. The same command resumes an interrupted run.
+
+    Examples:
+    lirs-wct bench straight go_to_goal astar --set lirs --task navigation -o out/
+    lirs-wct bench my_policy:MyPolicy --set hills -o out/
     """
     from lirs_extensions.bench.experiment import BenchExperiment
-    from lirs_extensions.bench.policies import PolicyChoice
     from lirs_extensions.bench.tasks import task_set
     from lirs_validation.sweep.sweep import Sweep
 
-    tasks = task_set(set_name)
-    chosen = _with_sources(tasks.chosen(task, split), data)
-    if against is not None:
-        PolicyChoice(against).check(task)
-    choices = _read_policies(policies, arguments or [], chosen[0], data)
+    tasks, data, output = task_set(options.set), options.data, options.output
+    chosen = _with_sources(tasks.chosen(options.task, options.split), data)
+    choices = _read_policies(options.policies, options.parameters, chosen[0], data)
     experiments = [
         BenchExperiment(
             set_name=tasks.name,
@@ -81,18 +66,18 @@ def bench(
             task=each,
             policy=policy,
             data=data,
-            pictures=pictures,
+            pictures=options.pictures,
         )
         for policy in choices
         for each in chosen
     ]
     sweep = Sweep(experiments, output, manifest=manifest_of_command(), retry_failed=engine.retry_failed)
     try:
-        run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices, against))
+        run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
     except OutputError:
         raise
     except WctError as error:  # a start or a goal of the set
-        raise SourceError(f"{set_name}: {error}") from error
+        raise SourceError(f"{options.set}: {error}") from error
 
 
 def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTask]:
@@ -121,7 +106,7 @@ def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTa
 
 
 def _read_policies(
-    names: Sequence[str], arguments: Sequence[str], task: BenchTask, data: Path | None
+    names: Sequence[str], parameters: str, task: BenchTask, data: Path | None
 ) -> list[PolicyChoice]:
     """Return the policies, each of which was made once for a task.
 
@@ -131,13 +116,10 @@ def _read_policies(
     from lirs_extensions.bench.episode import make_task_env
     from lirs_extensions.bench.policies import BASELINES, PolicyChoice
 
-    pairs = [text.partition("=") for text in arguments]
-    if not all(name and equals for name, equals, _ in pairs):
-        raise ConfigError(f"--policy-arg must be NAME=VALUE, got {' '.join(arguments)!r}")
-    given = tuple(sorted((name, value) for name, _, value in pairs))
+    given = tuple(sorted(read_pairs(parameters, "--parameters").items()))
     choices = [PolicyChoice(name, () if name in BASELINES else given) for name in dict.fromkeys(names)]
     if given and all(choice.name in BASELINES for choice in choices):
-        raise ConfigError("--policy-arg is for policies of your own (module:name)")
+        raise ConfigError("--parameters are for policies of your own (module:name)")
     for choice in choices:
         choice.check(task.task)
         if choice.name not in BASELINES:
@@ -148,11 +130,7 @@ def _read_policies(
 
 
 def _show(
-    output: Path,
-    tasks: TaskSet,
-    chosen: Sequence[BenchTask],
-    policies: Sequence[PolicyChoice],
-    against: str | None,
+    output: Path, tasks: TaskSet, chosen: Sequence[BenchTask], policies: Sequence[PolicyChoice]
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
     from lirs_extensions.bench.bench_table import bench_table, score_line, write_scores
@@ -174,21 +152,16 @@ def _show(
         if result.policy in policies:
             counted = f"{result.score.count} of {len(chosen)} {task} tasks of {tasks.name} ({split})"
             out.print(score_line(result, counted), markup=False, highlight=False, soft_wrap=True)
-    if against is not None:
-        _tell_differences(results, against)
+    _show_differences([result for policy in policies for result in results if result.policy == policy])
     out.print(str(path), markup=False, highlight=False, soft_wrap=True)
 
 
-def _tell_differences(results: Sequence[PolicyResult], against: str) -> None:
+def _show_differences(results: Sequence[PolicyResult]) -> None:
+    """Print paired differences of the scores from those of the first policy."""
     from lirs_extensions.bench.bench_table import difference_line
 
-    others = [result for result in results if result.policy.name == against]
-    if not others:
-        err.print(f"no episodes of {against} in the folder: no differences", markup=False, highlight=False)
-    for result in results:
-        for other in others:
-            if result.policy != other.policy:
-                out.print(difference_line(result, other), markup=False, highlight=False, soft_wrap=True)
+    for other in results[1:]:
+        out.print(difference_line(other, results[0]), markup=False, highlight=False, soft_wrap=True)
 
 
 def _tell_failures(result: PolicyResult) -> None:

@@ -126,7 +126,7 @@ class EvalioPipeline(TimedSystem):
             self._begin(cloud)
         if self._kind.rolling and not cloud.rolling:
             # Pipelines divide by the span of the times; a span of 0 ends the process.
-            raise ConfigError(f"evalio:{self._config.pipeline} needs rolling sweeps: --scan-time rolling")
+            raise ConfigError(f"evalio:{self._config.pipeline} needs rolling sweeps (option scan-time)")
         self._made.add_lidar(self._measurement(cloud))
         self._stamps.append(cloud.stamp)
         saved = self._made.saved_estimates()

@@ -133,7 +133,8 @@ class Bridge:
             left = end - time.perf_counter()
             if left <= 0.0:
                 warnings.warn(
-                    f"no answer within --limit {self._options.limit:g} s: scans are skipped", stacklevel=2
+                    f"no answer within {self._options.limit:g} s (option limit): scans are skipped",
+                    stacklevel=2,
                 )
                 return
             self._receive(min(left, LOOK))

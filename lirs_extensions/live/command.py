@@ -2,46 +2,57 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from lirs_extensions.live.options import LiveOptions
+from lirs_validation.cli.command import common
 from lirs_validation.cli.progress import err, out, progress_bar
-from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source
-from lirs_validation.config import CLIENT, RUN_AXES, RunConfig, SourceOptions
+from lirs_validation.cli.sources import OneSource, World, map_logs
+from lirs_validation.config import CLIENT, RUN_AXES, RunConfig
 from lirs_wct.errors import ConfigError
+from lirs_wct.option import documented, option
 
 if TYPE_CHECKING:
     from lirs_extensions.live.run import LiveRun
 
 SECONDS = 600.0
 """Simulated seconds of a live drive."""
-Source = Annotated[str, typer.Argument(metavar="SOURCE", help=SOURCE_HELP, autocompletion=complete_source)]
-Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the run's folder.")]
 
 
+@documented
+@dataclass(frozen=True, kw_only=True)
+class LiveCommand(OneSource):
+    """Source and results of `live`."""
+
+    output: Path = option(Path("out"), "Folder for the run's folder.")
+
+
+@common(
+    *("robot", "lidar", "seconds", "output", "middleware", "domain", "ros", "lockstep", "rate", "client"),
+    *("host", "mapper", "driver"),
+)
 def live(
-    source: Source,
-    output: Output = Path("out"),
-    *,
-    run: Annotated[dict[str, Any], RunConfig],
-    live: LiveOptions,
-    options: SourceOptions,
+    options: LiveCommand, run: Annotated[dict[str, Any], RunConfig], live: LiveOptions, build: World
 ) -> None:
     """Publish a drive on ROS 2 topics, for a client that maps or drives.
 
     It is evaluated like any mapper. It drives by /cmd_vel unless --driver names one of our drivers, and maps
     unless --mapper does.
+
+    Examples:
+    lirs-wct live simple --robot husky --lockstep --seconds 60 -o out/
+    lirs-wct live medium --driver tour --client slam_toolbox --rate 1 -o out/
     """
     from lirs_extensions.live.run import live as drive_live
 
+    (source,), build = map_logs([options.source], build, options.output)
     given = {name: _single(name, value) for name, value in run.items()}
     given = {"seconds": SECONDS, "driver": CLIENT, "mapper": live.client, **given}
-    config = RunConfig(source=source, build=options, **given)
+    config = RunConfig(source=source, build=build, **given)
     with progress_bar(source, err) as progress:
-        for result in drive_live(config, live, out=output, progress=progress, announce=_tell):
+        for result in drive_live(config, live, out=options.output, progress=progress, announce=_tell):
             _show(result)
 
 

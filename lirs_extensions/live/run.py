@@ -263,7 +263,7 @@ def _await_client(middleware: Middleware, options: LiveOptions, announce: Callab
     needed = (
         "/scan or /points and no publisher of /cmd_vel or /tf" if options.lockstep else "/scan or /points"
     )
-    line = f"{place}: no subscriber of {needed} within {options.wait:g} s (--wait)"
+    line = f"{place}: no subscriber of {needed} within {options.wait:g} s (option wait)"
     if options.middleware == "dds" and options.host is None:
         line += (
             "; Cyclone DDS is not on loopback by default: start its client with "

@@ -343,9 +343,7 @@ def require_cma() -> None:
     try:
         import cma  # noqa: F401
     except ImportError:
-        raise ConfigError(
-            "the search needs the package cma: pip install '.[search]', or take --search random"
-        ) from None
+        raise ConfigError("the search needs the package cma: pip install '.[search]'") from None
 
 
 Score = TypeVar("Score")

@@ -4,42 +4,65 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from lirs_extensions.search.options import FalsifyOptions, TuneOptions
-from lirs_validation.cli.commands.map import Log
+from lirs_validation.cli.command import common
+from lirs_validation.cli.commands.map import LogInOut
 from lirs_validation.cli.progress import err, out, progress_bar
+from lirs_validation.cli.sources import OneSource, World
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
 from lirs_wct import BuildOptions, ConfigError
-
-Failures = Annotated[Path, typer.Option("-o", "--output", help="Folder for cases, page and archive.")]
-Tuned = Annotated[Path, typer.Option("-o", "--output", help="Folder for tuned values, table and archive.")]
-TuneSource = Annotated[str, typer.Argument(metavar="SOURCE", help="World, picture, map or laser log.")]
-Lidar = Annotated[str, typer.Option(help="Preset whose data sheet the log is compared with.")]
-Replayed = Annotated[
-    str, typer.Option("--replay", metavar="NAMES|all|none", help="Mappers of the log and its simulation.")
-]
-Draws = Annotated[
-    int, typer.Option(min=1, help="Simulated logs with different random numbers; errors are their medians.")
-]
-TwinOutput = Annotated[Path, typer.Option("-o", "--output", help="Folder for the result's folder.")]
+from lirs_wct.option import Options, documented, option, within
 
 
-def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> None:
+@documented
+@dataclass(frozen=True, kw_only=True)
+class FalsifyFolder(Options):
+    """Results of `falsify`."""
+
+    output: Path = option(Path("falsify"), "Folder for cases, page and archive.")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class TuneFolder(OneSource):
+    """Source and results of `tune`."""
+
+    output: Path = option(Path("tune"), "Folder for tuned values, table and archive.")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class TwinCommand(LogInOut):
+    """Log, lidar and replayed mappers of `twin`."""
+
+    lidar: str = option("lms200", "Preset whose data sheet the log is compared with.", metavar="NAME")
+    replay: str = option("all", "Mappers of the log and its simulation.", metavar="NAMES|all|none")
+    draws: int = option(
+        1, "Simulated logs with different random numbers; errors are their medians.", check=within("[1, inf)")
+    )
+
+
+def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
     """Search for the easiest terrain, drive and sensor degradation on which a method fails.
 
     Each case fails with at least 4 of 5 new seeds and is reduced to its cause. The same command resumes.
+
+    Examples:
+    lirs-wct falsify --mapper hector --drives 150 --jobs 2 -o failures/
+    lirs-wct falsify --policy go_to_goal --drives 60 -o failures/
+    lirs-wct validate --suite failures/cases.yaml -o out/
     """
     from lirs_extensions.search.case_search import process_pool, require_cma
     from lirs_extensions.search.falsify import search
     from lirs_extensions.search.falsify.drives import CaseDrives, check_methods, search_limits
     from lirs_extensions.search.falsify.results import conclusion, write_results
 
-    limits = search_limits(options)
+    limits, output = search_limits(options), folder.output
     check_methods(options)
     if options.search == "cma":
         require_cma()
@@ -53,22 +76,25 @@ def falsify(output: Failures = Path("falsify"), *, options: FalsifyOptions) -> N
         out.print(sentence, soft_wrap=True, highlight=False, markup=False)
 
 
+@common(
+    *("robot", "mapper", "lidar", "seconds", "drives", "output", "repeats", "unseen", "seed", "limits"),
+    *("parameters", "reference", "relations"),
+)
 def tune(
-    source: TuneSource,
-    output: Tuned = Path("tune"),
-    *,
-    run: Annotated[dict[str, Any], RunConfig],
-    tuning: TuneOptions,
-    build: BuildOptions,
+    where: TuneFolder, run: Annotated[dict[str, Any], RunConfig], tuning: TuneOptions, build: World
 ) -> None:
     """Search for parameters of a mapper that suit a world or log; print them by their ROS names.
 
     The result is compared with the defaults on unseen seeds. The same command resumes.
+
+    Examples:
+    lirs-wct tune medium --robot husky --mapper gmapping_original --seconds 40 -o tune/
+    lirs-wct tune examples/data/office.clf.gz --mapper hector_original --unseen 4 -o tune/
     """
     from lirs_extensions.search.case_search import process_pool, require_cma
     from lirs_extensions.search.tune import search
 
-    target = _tune_target(source, run, tuning, build)
+    output, target = where.output, _tune_target(where.source, run, tuning, build)
     limits = None if tuning.limits is None else Path(tuning.limits)
     space = search.search_space(target.mapper, target.parameters, limits)
     if tuning.search == "cma":
@@ -113,28 +139,29 @@ def _tune_target(
     return config
 
 
-def twin(
-    log: Log,
-    output: TwinOutput = Path("out"),
-    lidar: Lidar = "lms200",
-    replay: Replayed = "all",
-    draws: Draws = 1,
-    *,
-    given: Annotated[dict[str, Any], MapConfig],
-) -> None:
-    """Compare a log with its simulation: twin.html, and fitted noise.yaml for --noise."""
+@common(
+    *("output", "lidar", "mapper", "replay", "draws", "reference", "relations", "fov", "range_max"),
+    *("scan_topic", "odom_topic", "seed"),
+)
+def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> None:
+    """Compare a log with its simulation: twin.html, and fitted noise.yaml for --noise.
+
+    Examples:
+    lirs-wct twin examples/data/office.clf.gz -o out/
+    lirs-wct validate examples/data/office.yaml --noise out/office-TWIN/noise.yaml -o out/
+    """
     from lirs_extensions.search.twin.replay import parse_mappers
     from lirs_extensions.search.twin.twin import run_twin
 
-    config = MapConfig(log=log, **given)
-    with progress_bar(log, err) as progress:
+    config = MapConfig(log=options.log, **given)
+    with progress_bar(options.log, err) as progress:
         result, folder = run_twin(
             config,
-            lidar=lidar,
+            lidar=options.lidar,
             seed=config.seed,
-            out=output,
-            replayed=parse_mappers(replay),
-            draws=draws,
+            out=options.output,
+            replayed=parse_mappers(options.replay),
+            draws=options.draws,
             command=shlex.join(["lirs-wct", *sys.argv[1:]]),
             progress=progress,
         )

@@ -8,10 +8,14 @@ from typing import Any, Literal
 from lirs_extensions.bench import UPPER_BOUND
 from lirs_validation.config import DRIVABLE, RunConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, declared, documented, one_of, option, within
+from lirs_wct.option import Options, declared, documented, option, within
 
 SEARCH = "Search of parameters"
-_RUN = dict(declared(RunConfig))
+FAILURE_FACTOR = 3.0
+"""Factor by which the path error of a mapper that fails exceeds the limit of `loses its way`."""
+POLICY_TASK = "navigation"
+"""Task on which `falsify` drives policies."""
+_RUN = declared(RunConfig)
 
 
 @documented
@@ -19,21 +23,17 @@ _RUN = dict(declared(RunConfig))
 class SearchOptions(Options):
     """Search of a space of parameters.
 
+    Attributes:
+        search: CMA-ES, or random values for comparison.
+
     Raises:
         ConfigError: a value is not legal.
     """
 
-    search: Literal["cma", "random"] = option(
-        "cma",
-        "CMA-ES (extra `search`), or random values for comparison.",
-        metavar="cma|random",
-        panel=SEARCH,
-        check=one_of(("cma", "random")),
-    )
+    search: Literal["cma", "random"] = "cma"
     limits: str | None = option(
         None,
         "YAML file with other limits of the parameters, such as `NAME: [LOW, HIGH]`; a number holds one.",
-        flags=("--within",),
         metavar="FILE.yaml",
         panel=SEARCH,
     )
@@ -60,9 +60,6 @@ class FalsifyOptions(SearchOptions):
     policy: str | None = option(
         None, "Policy under test, in place of a mapper (see `bench`).", metavar="NAME|module:Class"
     )
-    task: Literal["navigation"] = option(
-        "navigation", "Task of the policy.", metavar="navigation", check=one_of(("navigation",))
-    )
     reference: str | None = option(
         None,
         "Mapper with whose path error a failure is compared; for a policy, the policy that must succeed "
@@ -73,11 +70,6 @@ class FalsifyOptions(SearchOptions):
     drives: int = option(150, "Drives of the search, confirmations included.", check=within("[1, 100000]"))
     cases: int = option(3, "Cases after which the search ends.", check=within("[1, 20]"))
     seconds: float = option(60.0, "Simulated seconds of a drive.", check=DRIVABLE)
-    factor: float = option(
-        3.0,
-        "A mapper fails if its path error exceeds the limit of `loses its way` by this factor.",
-        check=within("[1, 100]"),
-    )
     seed: int = option(1, "Seed of the search, the layout and the first drive.", check=within("[0, inf)"))
 
     def __post_init__(self) -> None:
@@ -90,7 +82,8 @@ class FalsifyOptions(SearchOptions):
     @property
     def decisive(self) -> dict[str, Any]:
         """Options that decide the results."""
-        return {n: getattr(self, n) for n, _ in declared(type(self)) if n not in ("limits", "jobs")}
+        names = ("search", *(name for name in declared(type(self)) if name not in ("limits", "jobs")))
+        return {name: getattr(self, name) for name in names}
 
     @property
     def method(self) -> str:

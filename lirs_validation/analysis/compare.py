@@ -200,7 +200,7 @@ def _ambiguous(first: Entry, second: Entry, across: Sequence[str]) -> str:
         return f"{runs}: move one of them to another folder"
     values = ", ".join(f"{f} ({groups[0][f]} and {groups[1][f]})" for f in differing)
     chosen = " ".join(f"{f}={groups[0][f]}" for f in differing)
-    return f"{runs}; they differ in {values}: choose one with --only-a or --only-b, such as {chosen}"
+    return f"{runs}; they differ in {values}: choose one as FOLDER:{chosen}"
 
 
 def only(entries: Sequence[Entry], fields: Mapping[str, str]) -> list[Entry]:

@@ -44,7 +44,7 @@ class RunGroup:
 
     def label(self, fields: Iterable[str] = FIELDS) -> str:
         """Return the group's name: its fields, or some of them, in one line."""
-        forms = {name: option.shown for name, option in declared(RunConfig)}
+        forms = {name: option.shown for name, option in declared(RunConfig).items()}
         wanted = set(fields)
         return ", ".join(forms.get(f, "{}").format(self[f]) for f in FIELDS if f in wanted)
 

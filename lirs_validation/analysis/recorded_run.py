@@ -19,7 +19,7 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.inertial import STANDARD_GRAVITY, InertialNoise
 from lirs_validation.analysis.result_folders import RunFolder
-from lirs_validation.config import RunConfig, SourceOptions
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.record.provenance import with_recorded_source
 from lirs_validation.record.run_record import maps_clouds
@@ -41,6 +41,7 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.suffixes import Storage
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
+from lirs_wct.sources.options import BuildOptions
 from slam_baselines.mapping.map_builder import KnownPoseMapper
 
 if TYPE_CHECKING:
@@ -63,21 +64,28 @@ def recorded_config(entry: Mapping[str, Any]) -> RunConfig:
     given: dict[str, Any] = {
         key: tuple(v) if isinstance(v, list) else v for key, v in dict(held.pop("build")).items()
     }
+    # Of version 1.0.0: options that never changed a run, and one that has another name.
+    for options, name in ((held, "threads"), (given, "log_mapper")):
+        options.pop(name, None)
+    if (pixel := given.pop("pixel_size", None)) is not None:
+        given["resolution"] = pixel
+    if given.get("origin", "") is None:
+        del given["origin"]
     unknown = (set(held) - {f.name for f in fields(RunConfig)}) | (
-        set(given) - {f.name for f in fields(SourceOptions)}
+        set(given) - {f.name for f in fields(BuildOptions)}
     )
     if unknown:
         raise SourceError(f"{entry['name']}: options unknown to this version: {', '.join(sorted(unknown))}")
     try:
-        if given.get("origin") is not None:
-            given["origin"] = Pose2(**{key: float(value) for key, value in given["origin"].items()})
+        if given.get("start") is not None:
+            given["start"] = Pose2(**{key: float(value) for key, value in given["start"].items()})
         for key, value in given.items():
-            if not _fits(value, getattr(SourceOptions(), key)):
+            if not _fits(value, getattr(BuildOptions(), key)):
                 raise TypeError(f"{key} is {value!r}")
         for role in TEXTURE_OPTIONS:
             if given.get(role) is not None:
                 given[role] = Path(given[role])
-        return RunConfig(**held, build=SourceOptions(**given))
+        return RunConfig(**held, build=BuildOptions(**given))
     except (ConfigError, TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
         reason = " ".join(str(error).split())
         raise SourceError(f"{entry['name']}: damaged: an option cannot be used: {reason}") from error
@@ -371,10 +379,10 @@ def _bag_counts(folder: Path) -> tuple[int, float]:
             counts = {connection.topic: connection.msgcount for connection in reader.connections}
             seconds = reader.duration * 1e-9
     except Exception as error:  # the reader's own errors have no common base
-        raise SourceError(f"{folder}: holds no bag that can be read; record one with --bag") from error
+        raise SourceError(f"{folder}: holds no bag that can be read; lirs-wct record makes one") from error
     lacking = [topic for topic in (POINTS, INERTIAL, TRUTH) if not counts.get(topic)]
     if lacking:
         raise SourceError(
-            f"{folder}: its bag has no {' and no '.join(lacking)}: record --bag with a lidar with rings"
+            f"{folder}: its bag has no {' and no '.join(lacking)}: record with a lidar with rings"
         )
     return counts[POINTS], float(math.floor(counts[INERTIAL] / seconds + 0.5))

@@ -101,7 +101,6 @@ def score(
     run: RunFolder,
     *,
     trajectory: Path | None = None,
-    topic: str | None = None,
     map_yaml: Path | None = None,
     frame: Frame = "auto",
     time_offset: float | Literal["auto"] = 0.0,
@@ -110,9 +109,8 @@ def score(
 
     Args:
         run: the run.
-        trajectory: TUM, EuRoC or KITTI file, or ROS bag, poses of base_link. Poses of another rate, and
-            keyframes at most 2 s apart, are interpolated at the scans. Axes of a camera are turned.
-        topic: of a bag: where its poses are; None = transforms from map to base_link, else the only topic.
+        trajectory: TUM, EuRoC or KITTI file, BAG or BAG:/TOPIC: poses of base_link. Those of another rate,
+            and keyframes at most 2 s apart, are interpolated at the scans. Axes of a camera are turned.
         map_yaml: ROS map.
         frame: of both: `map`, whose origin is the first base pose; `world`, as the run's own files; `auto`:
             found by where the trajectory begins; without one, by the true-pose map; `align`: any, moved to
@@ -126,7 +124,7 @@ def score(
     truth = recorded_truth(run.folder)
     estimate, given, offset = None, 0, 0.0
     if trajectory is not None:
-        read = read_trajectory(trajectory, topic, scans=truth.stamps)
+        read = read_trajectory(trajectory, truth.stamps)
         given, offset = len(read), _offset(trajectory, truth, read, time_offset)
         estimate = interpolate_poses(replace(read, stamps=read.stamps + offset), truth.stamps)
         _check_stamps(trajectory, estimate, truth)

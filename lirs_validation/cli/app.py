@@ -4,33 +4,27 @@ from __future__ import annotations
 
 import errno
 import gc
+import inspect
 import os
 import sys
 import warnings
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-from typer.exceptions import TyperException
+import click
 
-from lirs_validation.cli.help import Command, epilog
-from lirs_validation.cli.progress import BAD_INPUT, INTERRUPTED, RUN_FAILED, err, out
-from lirs_validation.cli.typer_options import with_options
+from lirs_validation.cli.command import Command
+from lirs_validation.cli.help import paragraphs, render
+from lirs_validation.cli.progress import BAD_INPUT, INTERRUPTED, RUN_FAILED, err
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.interrupts import is_interrupt, raise_interrupts
-from lirs_wct.errors import ConfigError, MapperError, WctError
+from lirs_wct.errors import ConfigError, MapperError, WctError, did_you_mean
 
-NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Error numbers of a full disk."""
-PHRASES = {
-    "Value error, ": "",
-    "Input should be a valid integer, unable to parse string as an integer": "must be an integer",
-    "Input should be a valid number, unable to parse string as a number": "must be a number",
-}
-"""Phrases of pydantic, and ours."""
 LONGEST = 900
 """Characters of an error message, at most; of longer ones the middle is omitted."""
 COMMANDS: Mapping[str, str] = {
@@ -46,8 +40,7 @@ COMMANDS: Mapping[str, str] = {
     "score": "lirs_validation.cli.commands.reports:score",
     "info": "lirs_validation.cli.commands.worlds:info",
     "gui": "lirs_validation.cli.commands.gui:gui",
-    "mappers": "lirs_validation.cli.commands.mappers:mappers",
-    "robot": "lirs_validation.cli.commands.robot_card:robot",
+    "list": "lirs_validation.cli.commands.catalog:list_names",
     "export": "lirs_validation.cli.commands.reports:export",
     "record": "lirs_validation.cli.commands.validate:record",
     "live": "lirs_extensions.live.command:live",
@@ -57,66 +50,52 @@ COMMANDS: Mapping[str, str] = {
     "doctor": "lirs_validation.cli.commands.doctor:doctor",
 }
 """Module and function of each command, in order of use."""
-MOVED: Mapping[str, str] = {"view": "info SOURCE -o PICTURE.png"}
+MOVED: Mapping[str, str] = {
+    "view": "info SOURCE -o PICTURE.png",
+    "mappers": "list mappers",
+    "robot": "list robots NAME, or lirs-wct export NAME --to urdf",
+}
 """New ways of old commands."""
-COMPLETION = "_LIRS_WCT_COMPLETE"
-"""Environment variable with which a shell asks for completions."""
 
 
-def make_app(names: Collection[str] = tuple(COMMANDS), *, listed_only: bool = False) -> typer.Typer:
-    """Return the program with some of its commands; modules of others are not loaded.
+class Program(click.Group):
+    """The program; the module of a command is loaded when the command is."""
 
-    Args:
-        names: Commands.
-        listed_only: Whether to leave out the commands' options, which the program's help does not show.
-    """
-    app = typer.Typer(
-        name="lirs-wct",
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands, in order of use."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command:
+        """Return a command.
+
+        Raises:
+            ConfigError: there is none of that name.
+        """
+        if name in MOVED:
+            raise ConfigError(f"{name}: is now lirs-wct {MOVED[name]}")
+        if name not in COMMANDS:
+            raise ConfigError(f"no command {name!r}{did_you_mean(name, COMMANDS)}; lirs-wct --help lists all")
+        return Command(name, resolve_name(COMMANDS[name]))
+
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands, each with the first line of its help."""
+        rows = [(name, "", _first_line(function)) for name, function in COMMANDS.items()]
+        usage = f"\n Usage: {ctx.command_path} COMMAND [ARGS]...\n"
+        flags = [(f"--{what}", "", f"Show the {what} and exit.") for what in ("version", "help")]
+        formatter.write(render([usage, *paragraphs(self.help), ("Options", flags), ("Commands", rows)]))
+
+
+def _first_line(function: str) -> str:
+    return (inspect.getdoc(resolve_name(function)) or "").partition("\n")[0]
+
+
+PROGRAM = click.version_option(package_name="lirs-wct", message="lirs-wct %(version)s")(
+    Program(
+        "lirs-wct",
         no_args_is_help=True,
-        pretty_exceptions_enable=False,
         help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
     )
-    for name in names:
-        command = resolve_name(COMMANDS[name])
-        taken = _without_options(command) if listed_only else with_options(command)
-        app.command(name, cls=Command, epilog=epilog(name))(taken)
-    app.callback()(options)
-    return app
-
-
-def _app_for(arguments: list[str]) -> typer.Typer:
-    """Return the program with the command of a command line, or with all of them."""
-    if COMPLETION in os.environ:
-        return make_app()
-    for old in arguments[:1]:
-        if old in MOVED:
-            raise ConfigError(f"{old}: is now lirs-wct {MOVED[old]}")
-    called = [argument for argument in arguments[:1] if argument in COMMANDS]
-    return make_app(called) if called else make_app(listed_only=True)
-
-
-def _without_options(command: Callable[..., Any]) -> Callable[[], None]:
-    def listed() -> None: ...
-
-    listed.__doc__ = command.__doc__
-    return listed
-
-
-def _show_version(asked: bool) -> None:
-    if asked:
-        from importlib.metadata import version
-
-        out.print(f"lirs-wct {version('lirs-wct')}", highlight=False)
-        raise typer.Exit
-
-
-def options(
-    version: Annotated[
-        bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit."),
-    ] = False,
-) -> None:
-    """Take the options of the program itself."""
+)
 
 
 def main() -> None:
@@ -128,22 +107,20 @@ def main() -> None:
     gc.set_threshold(100_000, 50, 50)  # imports and compiler make many objects, and little garbage
     try:
         with importable(Path.cwd()):
-            code = _app_for(sys.argv[1:])(standalone_mode=False)
-        if code == INTERRUPTED:
-            # Typer turns Ctrl-C into its exit code, and says nothing.
-            raise KeyboardInterrupt
+            code = PROGRAM.main(prog_name="lirs-wct", standalone_mode=False)
     except MapperError as error:  # the input was good, its mapping failed
         _fail(str(error), RUN_FAILED)
     except WctError as error:
         _fail(str(error))
-    except TyperException as error:
-        if not error.format_message():  # a bare `lirs-wct`: its help was shown
-            sys.exit(BAD_INPUT)
-        _fail(_plain(error.format_message()))
-    except (typer.Abort, KeyboardInterrupt):
+    except click.exceptions.NoArgsIsHelpError as error:
+        error.show()
+        sys.exit(BAD_INPUT)
+    except click.ClickException as error:
+        _fail(error.format_message())
+    except (click.Abort, KeyboardInterrupt):
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
     except OSError as error:
-        if error.errno not in NO_ROOM:
+        if error.errno not in DISK_FULL:
             raise
         # Output that is still buffered would fail again at exit.
         with suppress(OSError, ValueError):
@@ -155,13 +132,6 @@ def main() -> None:
         _fail("interrupted; nothing half-written was left", INTERRUPTED)
     gc.freeze()  # nothing is left to collect; the end of the interpreter would look through all of it
     sys.exit(code if isinstance(code, int) else 0)
-
-
-def _plain(message: str) -> str:
-    """Return a message of typer without pydantic's phrases."""
-    for theirs, ours in PHRASES.items():
-        message = message.replace(theirs, ours)
-    return message
 
 
 def _fail(message: str, code: int = BAD_INPUT) -> None:

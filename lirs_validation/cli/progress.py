@@ -11,7 +11,7 @@ from contextlib import closing, contextmanager
 from threading import Timer
 from typing import TYPE_CHECKING
 
-import typer
+from click.exceptions import Exit
 from rich.console import Console
 from rich.progress import BarColumn, ProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
@@ -68,7 +68,7 @@ def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> 
 
     Raises:
         OutputError: a result cannot be written.
-        typer.Exit: an experiment failed.
+        Exit: an experiment failed.
     """
     from lirs_validation.sweep.sweep import make_executor
 
@@ -85,7 +85,7 @@ def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> 
         name, reason = next(iter(sweep.unwritten.items()))
         raise OutputError(f"{reason} ({len(sweep.unwritten)} not written, {name} among them; run it again)")
     if sweep.failed:
-        raise typer.Exit(RUN_FAILED)
+        raise Exit(RUN_FAILED)
 
 
 class ProgressLines:

@@ -25,7 +25,7 @@ from lirs_validation.driving.replay import COMMANDS, read_replay, replay
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct import ConfigError, OccupancyGrid, Pose2, World
 from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
-from lirs_wct.option import numbers
+from lirs_wct.sources.options import read_point
 
 MARGIN = 0.15
 """Meters that a plan keeps beyond the robot's radius."""
@@ -190,7 +190,7 @@ def _goal(driver: str) -> RoutePoint:
         ConfigError: the text is no such place.
     """
     kind, text = driver_parts(driver)
-    x, y = numbers(f"{kind}:X,Y in meters", 2)(text, "driver")
+    x, y = read_point(text, f"driver {kind}:X,Y")
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ConfigError(f"driver must be {kind}:X,Y in finite meters, got {text!r}")
     return RoutePoint(x, y)

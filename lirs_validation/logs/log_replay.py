@@ -40,7 +40,6 @@ from slam_baselines.mapper import (
     Mapper,
     make_cloud_mapper,
     make_mapper,
-    parameters,
     read_parameters,
 )
 from slam_baselines.mapping.map_builder import KnownPoseMapper
@@ -79,22 +78,17 @@ def _start(config: MapConfig) -> MapperUnderTest:
 
 
 def _check_parameters(config: MapConfig) -> None:
-    given = [name for name in ("particles", "resolution") if getattr(config, name) is not None]
-    if given and config.mapper not in ALL_CLOUD_MAPPERS:
-        raise ConfigError(f"{', '.join(given)} can be given for {', '.join(MAPPERS)} only")
+    if config.resolution is not None and config.mapper not in ALL_CLOUD_MAPPERS:
+        raise ConfigError(f"resolution can be given for {', '.join(MAPPERS)} only")
 
 
 def _make(config: MapConfig) -> Mapper | CloudMapper:
     if config.mapper in OWN_CLOUD_MAPPERS:
         return make_cloud_mapper(config.mapper, seed=config.seed, **read_parameters(config.parameters))
-    options = {"particles": config.particles, "resolution": config.resolution}
-    given: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
+    given: dict[str, Any] = {} if config.resolution is None else {"resolution": config.resolution}
     given |= read_parameters(config.parameters)
     if config.mapper not in MAPPERS:
         raise unknown_name("mapper", config.mapper, [*MAPPERS, *ALL_CLOUD_MAPPERS, "module:name of your own"])
-    if config.particles is not None and "particles" not in parameters(config.mapper):
-        takers = ", ".join(name for name in MAPPERS if "particles" in parameters(name))
-        raise ConfigError(f"{config.mapper} has no particles: --particles can be given for {takers}")
     return make_mapper(config.mapper, seed=config.seed, **given)
 
 

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lirs_validation.config import SourceOptions
 from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.logs.log_replay import (
@@ -126,8 +125,8 @@ def map_log(
         log: path of a .clf or .log file, gzipped or not, or of a bag.
         out: folder that receives the map's folder; None = nothing is written.
         progress: of the mapping.
-        **map_options: fields of `MapConfig`: mapper, seed, particles, resolution, fov, range_max, relations,
-            reference, imu, attitude, scan_topic, odom_topic, imu_topic, reference_topic, second.
+        **map_options: fields of `MapConfig`: mapper, seed, parameters, resolution, fov, range_max, relations,
+            reference, imu, attitude, scan_topic, odom_topic, imu_topic, second.
 
     Raises:
         WctError: a file, a name or an option cannot be used, or results cannot be written.
@@ -250,7 +249,7 @@ def _compare(
     name = config.second or ("cartographer" if config.mapper == SECOND else SECOND)
     if name == "none":
         return None
-    other = replace(config, mapper=name, particles=None, resolution=None, parameters="")
+    other = replace(config, mapper=name, resolution=None, parameters="")
     with log_mapper(other) as mapper:
         if mapper.requires_odometry and log.odometry[0] is None:
             return None
@@ -341,43 +340,48 @@ def _measure_time(seconds: dict[str, float], name: str) -> Iterator[None]:
     seconds[name] = time.perf_counter() - begun
 
 
-def read_trajectory(
-    path: Path, topic: str | None = None, flag: str = "--topic", scans: FloatArray | None = None
-) -> Trajectory:
+def read_trajectory(path: Path, scans: FloatArray | None = None) -> Trajectory:
     """Read a trajectory from a TUM, EuRoC or KITTI file, or a bag.
 
-    A bag holds transforms from map to base_link, or a topic of poses.
+    A bag holds transforms from map to base_link, or a topic of poses; BAG:/TOPIC names it.
 
     Args:
-        path: of file or bag.
-        topic: of a bag, which holds the poses; None = see `read_poses`.
-        flag: option of the topic, for messages.
+        path: File or bag.
         scans: (n,) Stamps of the scans, seconds, which a KITTI file lacks.
 
     Raises:
         SourceError: it is neither, or has no such topic, or holds no poses.
         ConfigError: a topic is given, and it is no bag.
     """
+    path, topic = _split_topic(path)
     if is_bag(path):
         from lirs_wct.formats.rosbag.poses import read_poses
 
-        return read_poses(path, topic, flag)
+        return read_poses(path, topic)
     if topic is not None:
-        raise ConfigError(f"{path}: {flag} can be given for a ROS bag only, this is none")
+        raise ConfigError(f"{path}: a topic can be given for a ROS bag only, this is none")
     return read_tum(path, scans)
 
 
-def read_reference(path: Path, topic: str | None = None) -> Trajectory:
+def _split_topic(path: Path) -> tuple[Path, str | None]:
+    """Return bag and topic of a text such as `run.mcap:/pose`."""
+    bag, colon, topic = str(path).partition(":/")
+    return (path, None) if not colon or path.exists() else (Path(bag), f"/{topic}")
+
+
+def read_reference(path: Path) -> Trajectory:
     """Read a reference trajectory.
 
-    The file is a TUM or EuRoC file, a bag, or a CARMEN log with corrected poses (as of a pose graph's nodes).
+    The file is a TUM or EuRoC file, a bag or BAG:/TOPIC, or a CARMEN log with corrected poses (as of a pose
+    graph's nodes).
 
     Raises:
         SourceError: it is none of these, or holds no poses.
         ConfigError: a topic is given, and it is no bag.
     """
-    if is_bag(path) or topic is not None:
-        return read_trajectory(path, topic, "--reference-topic")
+    bag, topic = _split_topic(path)
+    if is_bag(bag) or topic is not None:
+        return read_trajectory(path)
     if _begins_with_a_number(path):
         return read_tum(path)
     track = read_carmen(path).track
@@ -408,7 +412,7 @@ def read_truth(config: MapConfig) -> tuple[tuple[RelativePoseConstraint, ...] | 
     c = config
     return (
         None if c.relations is None else read_constraints(Path(c.relations)),
-        None if c.reference is None else read_reference(Path(c.reference), c.reference_topic),
+        None if c.reference is None else read_reference(Path(c.reference)),
     )
 
 
@@ -459,12 +463,7 @@ def resolve_source(
     found = find_source(source, BuildOptions())
     if found.kind is not SourceKind.LOG:
         return source
-    config = MapConfig(
-        log=str(source),
-        mapper=SourceOptions.of(options).log_mapper,
-        resolution=options.resolution,
-        second="none",
-    )
+    config = MapConfig(log=str(source), resolution=options.resolution, second="none")
     out = Path(out)
     folder = out / folder_name(config)
     found_before = _read_ending(folder)
@@ -476,7 +475,7 @@ def resolve_source(
         what = "left out scans of" if status == "incomplete" else "lost its place in"
         raise SourceError(
             f"{source}: {config.mapper} {what} this log ({reason}), its map is no world (see {folder}); "
-            "try another --log-mapper"
+            f"lirs-wct map {source} --mapper NAME maps it with another method"
         )
     named = folder / f"{found.name}.yaml"
     with atomic_write(named) as path:

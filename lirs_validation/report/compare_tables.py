@@ -73,7 +73,7 @@ def reading(comparison: Comparison) -> str:
     tests = sum(d.p is not None for d in comparison.differences)
     lines = []
     if any(d.pairs == 1 and d.metric.tested for d in comparison.differences):
-        lines.append("One common seed: no confidence interval. Run more seeds: --seeds 1-5.")
+        lines.append("One common seed: no confidence interval. Run more seeds: --seed 1-5.")
     if tests:
         significant = sum(d.significant is True for d in comparison.differences)
         lines.append(

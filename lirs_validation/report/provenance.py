@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.analysis.recorded_run import recorded_config
-from lirs_validation.config import RunConfig
+from lirs_validation.config import WORLD_FLAGS, RunConfig
 from lirs_validation.record.formatting import Entry
 from lirs_validation.report.table import ReportTable
 from lirs_wct import Pose2, WctError
@@ -52,20 +52,23 @@ def command_of(config: RunConfig) -> str:
     """Return the command line that repeats a run; defaults are left out."""
     always = ["--robot", config.robot, "--mapper", config.mapper, "--seed", str(config.seed)]
     stated = ("robot", "mapper", "seed")
-    given = [*always, *_arguments(config, stated), *_arguments(config.build)]
+    given = [*always, *_arguments(config, stated), *_arguments(config.build, flags=WORLD_FLAGS)]
     return shlex.join(["lirs-wct", "validate", config.source, *given])
 
 
-def _arguments(options: Options, stated: tuple[str, ...] = ()) -> Iterator[str]:
-    flags = {name: option.flags[0] for name, option in declared(type(options))}
+def _arguments(
+    options: Options, stated: tuple[str, ...] = (), flags: tuple[str, ...] | None = None
+) -> Iterator[str]:
+    """Yield the changed options as a command line takes them, by `--option` those without a flag."""
     for name, value in changed(options).items():
         if name not in stated:
-            yield flags[name]
-            if value is not True:
-                yield _option_text(value)
+            has_flag = None if flags is None else name in flags
+            yield from declared(type(options))[name].arguments(_option_text(value), has_flag)
 
 
 def _option_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
     if isinstance(value, Pose2):
         value = tuple(value.as_array().tolist())
     if isinstance(value, tuple):

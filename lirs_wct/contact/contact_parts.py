@@ -69,7 +69,7 @@ def prisms(world: World) -> Iterator[FloatArray]:
     if len(top) > MAX_PRISMS:
         raise ConfigError(
             f"{world.name}: terrain prisms would need {len(top)}{budget}, at most {MAX_PRISMS} are legal; "
-            "give --max-error or --max-triangles, or take hfield"
+            "give --max-error or --option max-triangles=N, or take hfield"
         )
     corners = mesh.vertices[top]
     base = corners.copy()

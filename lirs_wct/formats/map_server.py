@@ -75,15 +75,13 @@ def read_map(path: Path, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
     return _grid(metadata, max_pixels)
 
 
-def read_map_picture(
-    path: Path, resolution: float, origin: Pose2 | None = None, max_pixels: int = MAX_PIXELS
-) -> OccupancyGrid:
+def read_map_picture(path: Path, resolution: float, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
     """Read a map's picture without YAML, by map_server's default thresholds.
 
     Raises:
         SourceError: the picture cannot be used.
     """
-    return _grid(MapMetadata(image=path, resolution=resolution, origin=origin or Pose2()), max_pixels)
+    return _grid(MapMetadata(image=path, resolution=resolution, origin=Pose2()), max_pixels)
 
 
 def read_metadata(path: Path) -> MapMetadata:

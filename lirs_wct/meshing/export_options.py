@@ -28,9 +28,25 @@ def _finite_turn(value: float, _: str) -> None:
         raise ConfigError(f"x rotation must be finite, got {value} degrees")
 
 
+@dataclass(frozen=True, kw_only=True)
+class RotationOptions(Options):
+    """Rotation of mesh files."""
+
+    rotate_x: float = option(
+        0.0,
+        "Rotate the mesh files about the x axis. 0 is upright in every consumer. The paper's tool writes "
+        "its Z-up STL into a Y-up Collada, which needs its default rotation of -90 to be upright; 0 gives "
+        "the same result here.",
+        title="x axis rotate",
+        metavar="DEG",
+        check=_finite_turn,
+        **_PANEL,
+    )
+
+
 @documented
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions(Options):
+class ExportOptions(RotationOptions):
     """Budget, rotation and texture of a world's mesh files.
 
     Raises:
@@ -49,18 +65,8 @@ class ExportOptions(Options):
     max_triangles: int | None = option(
         None,
         "The best mesh of so many triangles, instead of --max-error.",
-        metavar="N",
         check=positive,
-        **_PANEL,
-    )
-    rotate_x: float = option(
-        0.0,
-        "Rotate the mesh files about the x axis. 0 is upright in every consumer. The paper's tool writes "
-        "its Z-up STL into a Y-up Collada, which needs its default rotation of -90 to be upright; 0 gives "
-        "the same result here.",
-        title="x axis rotate",
-        metavar="DEG",
-        check=_finite_turn,
+        rare=True,
         **_PANEL,
     )
     texture: Path | None = option(
@@ -73,12 +79,14 @@ class ExportOptions(Options):
     drape: bool = option(
         False,
         "Lay --texture over the world from above, once, its top edge in the north: an orthophoto.",
+        rare=True,
         **_PANEL,
     )
     wall_texture: Path | None = option(
         None,
         "PNG or JPEG texture of a laser map's walls, as high as they are. Default: drawn.",
         metavar="FILE",
+        rare=True,
         **_PANEL,
     )
     texture_size: float | None = option(
@@ -86,15 +94,16 @@ class ExportOptions(Options):
         "Side of the texture before it repeats; default: the longest side, once.",
         metavar="METERS",
         check=positive,
+        rare=True,
         **_PANEL,
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.max_error is not None and self.max_triangles is not None:
-            raise ConfigError("both limit the mesh: give one of --max-error, --max-triangles")
+            raise ConfigError("both limit the mesh: give one of the options max-error, max-triangles")
         if self.drape and self.texture_size is not None:
-            raise ConfigError("a draped texture spans the world once: give one of --drape, --texture-size")
+            raise ConfigError("a draped texture spans the world once: leave out the option texture-size")
 
     @property
     def limited(self) -> bool:
@@ -117,7 +126,7 @@ class ExportOptions(Options):
             ConfigError: `drape` is set without a texture.
         """
         if given.drape and not (given.texture or self.texture):
-            raise ConfigError("--drape lays a picture over the world: give --texture FILE")
+            raise ConfigError("--option drape=true lays a picture over the world: give --texture FILE")
         budget = given.max_error, given.max_triangles
         if budget == (None, None):
             budget = self.max_error, self.max_triangles

@@ -102,7 +102,7 @@ def _file_rounding(surface: HeightField) -> float:
 
 def _check(max_error: float | None, max_triangles: int | None) -> None:
     if (max_error is None) == (max_triangles is None):
-        raise ConfigError("give one of --max-error, --max-triangles")
+        raise ConfigError("give one of the options max-error, max-triangles")
     if max_error is not None and not 0 < max_error < float("inf"):
         raise ConfigError(f"max error must be a finite number above 0 m, got {max_error}")
     if max_triangles is not None and max_triangles < LEAST_FACES:

@@ -32,7 +32,7 @@ def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str
     elif options.resolution is None:
         raise ConfigError(f"{source.path}: a map picture without YAML needs --resolution (meters a pixel)")
     else:
-        truth = read_map_picture(source.path, options.resolution, options.origin, options.max_pixels)
+        truth = read_map_picture(source.path, options.resolution, options.max_pixels)
     size = truth.resolution * np.array(truth.shape[::-1])
     corners = truth.origin.apply(size * ((0, 0), (0, 1), (1, 0), (1, 1)))
     x, y = local_origin(corners.min(axis=0), corners.max(axis=0))

@@ -57,7 +57,7 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
         SourceError: the file is unusable, or has no extent in the plane.
         ConfigError: an option does not fit a mesh.
     """
-    mesh, factor = _scale(path, _outward(read_upright(path, options.up)), options)
+    mesh, factor = _scale(_outward(read_upright(path, options.up)), options)
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
         hint = "; is y up? --up y" if options.up is None and high[2] > low[2] else ""
@@ -146,7 +146,7 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
     if rows * cols > options.max_pixels:
         raise ConfigError(
             f"{path}: {cols}x{rows} nodes at {spacing:g} m, at most {options.max_pixels} are legal; "
-            "give a coarser --resolution or a larger --max-pixels"
+            "give a coarser --resolution or a larger --option max-pixels=N"
         )
     grid = (west, south, (east - west) / (cols - 1), (north - south) / (rows - 1))
     top = rasterize_heights(mesh, grid, (rows, cols))
@@ -217,10 +217,8 @@ def _extent(mesh: TriangleMesh, window: Window | None) -> tuple[tuple[float, flo
     return (float(low[0]), float(low[1])), (float(high[0]), float(high[1]))
 
 
-def _scale(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[TriangleMesh, FloatArray]:
+def _scale(mesh: TriangleMesh, options: BuildOptions) -> tuple[TriangleMesh, FloatArray]:
     """Return the mesh scaled to the options' meters, and the three factors."""
-    if options.pixel_size is not None:
-        raise ConfigError(f"{path}: a mesh has no pixels; give --size or --scale instead of --pixel-size")
     extent = np.ptp(mesh.bounds, axis=0)
     factor = np.ones(3)
     if isinstance(options.size, tuple):

@@ -12,23 +12,10 @@ from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.images.picture import MAX_PIXELS
-from lirs_wct.formats.suffixes import ENCODINGS, Encoding
+from lirs_wct.formats.suffixes import Encoding
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.option import (
-    Options,
-    Slider,
-    Switch,
-    choice,
-    declared,
-    documented,
-    name_of,
-    numbers,
-    one_of,
-    option,
-    positive,
-    whole_numbers,
-)
+from lirs_wct.option import Options, Slider, changed, declared, documented, option, positive, within
 
 
 class SourceKind(Enum):
@@ -52,8 +39,6 @@ DEFAULT_HEIGHT = 6.0
 Unknown = Literal["floor", "wall", "hole"]
 UNKNOWN: tuple[Unknown, ...] = ("floor", "wall", "hole")
 CloudSurface = Literal["ground", "top"]
-CLOUD_SURFACES: tuple[CloudSurface, ...] = ("ground", "top")
-DENOISE_METHODS = ("median", "bilateral")
 MAX_SIDE = 32_000
 """Pixels along a side to which a picture may be resized."""
 
@@ -65,25 +50,36 @@ _MAPS = {SourceKind.MAP, SourceKind.MAP_PICTURE}
 _SCALE: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _MESHES}
 _GRAY: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _PICTURES}
 _FILTER: dict[str, Any] = {"panel": FILTER_PANEL, "kinds": _PICTURES}
-_CLOUD: dict[str, Any] = {"panel": "Point clouds", "kinds": {SourceKind.CLOUD}}
+_RARE_FILTER: dict[str, Any] = {**_FILTER, "rare": True}
+_CLOUD: dict[str, Any] = {"panel": "Point clouds", "kinds": {SourceKind.CLOUD}, "rare": True}
 _MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
 
 
-def read_extent(text: str, flag: str) -> float | tuple[float, ...]:
-    """Read the longer side, or width and height."""
-    sides: tuple[float, ...] = numbers("W or W,H in meters", 1, 2)(text, flag)
-    return sides[0] if len(sides) == 1 else sides
-
-
-def read_factors(text: str, flag: str) -> tuple[float, float, float]:
+def read_factors(text: str, label: str) -> tuple[float, float, float]:
     """Read one factor for all axes, or one for each."""
-    factors = numbers("S or SX,SY,SZ", 1, 3)(text, flag)
+    factors = _numbers(text, label, "S or SX,SY,SZ", 1, 3)
     return factors[0], factors[len(factors) // 2], factors[-1]
 
 
-def read_pose(text: str, flag: str) -> Pose2:
+def read_pose(text: str, label: str) -> Pose2:
     """Read x, y and an optional yaw."""
-    return Pose2(*numbers("X,Y or X,Y,YAW in meters and radians", 2, 3)(text, flag))
+    return Pose2(*_numbers(text, label, "X,Y or X,Y,YAW in meters and radians", 2, 3))
+
+
+def read_point(text: str, label: str) -> tuple[float, float]:
+    """Read x and y."""
+    x, y = _numbers(text, label, "X,Y in meters", 2)
+    return x, y
+
+
+def _numbers(text: str, label: str, form: str, *counts: int) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) not in counts:
+        raise ConfigError(f"{label} must be {form}, got {text!r}")
+    return values
 
 
 def _finite(value: float, label: str) -> None:
@@ -110,28 +106,16 @@ def _resize(value: tuple[int, int], _: str) -> None:
         raise ConfigError(f"resize needs 2 to {MAX_SIDE} px a side, got {value}")
 
 
-def _min_cells(value: int, _: str) -> None:
-    if value < 0:
-        raise ConfigError(f"speckle must be 0 or more cells, got {value}")
-
-
 @dataclass(frozen=True, kw_only=True)
 class CommonOptions(Options):
     """Options of any source."""
 
     name: str | None = option(None, "Name of the world; default: the file's.")
-    kind: Literal["picture", "map"] | None = option(
-        None,
-        "Read a picture as terrain or as laser map.",
-        flags=("--as",),
-        metavar="picture|map",
-        read=choice("picture", "map"),
-    )
+    kind: Literal["picture", "map"] | None = option(None, "Read a picture as terrain or as laser map.")
     window: tuple[float, float, float] | None = option(
         None,
         "Keep only this square of the world, meters.",
         metavar="X,Y,SIDE",
-        read=numbers("X,Y,SIDE in meters", 3),
         check=_window,
         kinds={*_MESHES, *_MAPS, SourceKind.CLOUD, SourceKind.FOLDER},
     )
@@ -139,10 +123,12 @@ class CommonOptions(Options):
         None,
         "Where the robot starts, meters and radians; default: where the largest robot that fits can drive.",
         metavar="X,Y[,YAW]",
-        read=read_pose,
+        reader=read_pose,
         check=_start,
     )
-    max_pixels: int = option(MAX_PIXELS, "Refuse larger pictures before decoding them.", check=positive)
+    max_pixels: int = option(
+        MAX_PIXELS, "Refuse larger pictures before decoding them.", check=positive, rare=True
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,11 +140,9 @@ class PictureOptions(Options):
         "Extent in meters: longer side, or width and height. Default 50, or the file's own.",
         title="size [m]",
         metavar="W[,H]",
-        read=read_extent,
         check=positive,
         **_SCALE,
     )
-    pixel_size: float | None = option(None, "Meters a pixel, instead of --size.", check=positive, **_SCALE)
     height: float | None = option(
         None,
         "Meters from the darkest to the brightest pixel. Default 6, or the file's own.",
@@ -178,7 +162,7 @@ class PictureOptions(Options):
         None,
         "Multiply the resulting width, depth and height.",
         metavar="S or SX,SY,SZ",
-        read=read_factors,
+        reader=read_factors,
         check=positive,
         **_SCALE,
     )
@@ -187,20 +171,20 @@ class PictureOptions(Options):
         "Height of the file's own that becomes z = 0, so that neighboring tiles fit; default: the lowest.",
         metavar="HEIGHT",
         check=_finite,
+        rare=True,
         **_SCALE | {"kinds": {SourceKind.PICTURE, SourceKind.CLOUD}},
     )
     nodata: float | None = option(
         None,
         "Value of pixels without a height, where the file does not say it.",
         metavar="VALUE",
+        rare=True,
         **_SCALE | {"kinds": {SourceKind.PICTURE}},
     )
     encoding: Encoding = option(
         "gray",
         "How the pixels are heights: by their gray, or by their color as tiles of Mapbox or Terrarium.",
-        metavar="|".join(ENCODINGS),
-        read=choice(*ENCODINGS),
-        check=one_of(ENCODINGS),
+        rare=True,
         **_SCALE | {"kinds": {SourceKind.PICTURE}},
     )
     grayscale: bool = option(False, "Turn a color picture into gray.", **_GRAY)
@@ -209,33 +193,19 @@ class PictureOptions(Options):
         None,
         "Keep only this rectangle of the picture, pixels.",
         metavar="X,Y,W,H",
-        read=whole_numbers("X,Y,W,H in whole pixels", 4),
         check=_crop,
-        **_FILTER,
+        **_RARE_FILTER,
     )
     resize: tuple[int, int] | None = option(
-        None,
-        "Resample to so many pixels; the meters stay.",
-        metavar="W,H",
-        read=whole_numbers("W,H in whole pixels", 2),
-        check=_resize,
-        **_FILTER,
+        None, "Resample to so many pixels; the meters stay.", metavar="W,H", check=_resize, **_RARE_FILTER
     )
     deterrace: bool = option(
         False,
         "Remove the stairs of 8 bits: the smoothest surface within half a gray level of every pixel.",
-        **_FILTER,
+        **_RARE_FILTER,
     )
     denoise: Literal["median", "bilateral"] | None = option(
-        None,
-        "Against single wrong pixels (the default), or against noise beside edges.",
-        flags=("--denoise-method",),
-        label="denoise method",
-        metavar="median|bilateral",
-        read=name_of(DENOISE_METHODS),
-        check=one_of(DENOISE_METHODS),
-        switch=Switch(flag="--denoise", value="median", help="Filter noise out of the picture."),
-        **_FILTER,
+        None, "Filter noise out of the picture: single wrong pixels, or noise beside edges.", **_RARE_FILTER
     )
     smoothing: float | None = option(
         None,
@@ -254,42 +224,27 @@ class PictureOptions(Options):
         **_FILTER,
     )
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.size is not None and self.pixel_size is not None:
-            raise ConfigError("size and pixel size both set the extent: give one of --size, --pixel-size")
-
 
 @dataclass(frozen=True, kw_only=True)
 class MapOptions(Options):
-    """Options of a laser map; `resolution` also applies to the heights of a mesh or cloud."""
+    """Options of a laser map; `resolution` also applies to pictures, meshes and clouds."""
 
     resolution: float | None = option(
         None,
-        "Meters a cell: of a map picture without YAML, of a log's map, or of the heights of a mesh or cloud.",
+        "Meters a pixel of a picture, a cell of a map picture without YAML or of a log's map, or a cell of "
+        "the heights of a mesh or cloud.",
         check=positive,
-        **_MAP | {"kinds": {SourceKind.MAP_PICTURE, SourceKind.MESH, SourceKind.CLOUD}},
-    )
-    origin: Pose2 | None = option(
-        None,
-        "Pose of such a map's lower-left corner.",
-        metavar="X,Y,YAW",
-        read=read_pose,
-        **_MAP | {"kinds": {SourceKind.MAP_PICTURE}},
+        **_MAP | {"kinds": {*_MESHES, SourceKind.MAP_PICTURE, SourceKind.CLOUD}},
     )
     wall_height: float = option(
         2.5, "Height of walls, meters.", title="wall height [m]", check=positive, **_MAP
     )
     unknown: Unknown = option(
-        "floor",
-        "Kind of unknown cells; a hole goes through the floor.",
-        label="kind of unknown cell",
-        metavar="floor|wall|hole",
-        read=choice(*UNKNOWN),
-        check=one_of(UNKNOWN),
-        **_MAP,
+        "floor", "Kind of unknown cells; a hole goes through the floor.", rare=True, **_MAP
     )
-    speckle: int = option(0, "Drop walls of fewer connected cells.", metavar="N", check=_min_cells, **_MAP)
+    speckle: int = option(
+        0, "Drop walls of fewer connected cells.", check=within("[0, inf)", "cells"), rare=True, **_MAP
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -299,9 +254,6 @@ class CloudOptions(Options):
     cloud_surface: CloudSurface = option(
         "ground",
         "Which surface of a point cloud is the terrain: the bare ground, or the top of all that is on it.",
-        metavar="ground|top",
-        read=choice(*CLOUD_SURFACES),
-        check=one_of(CLOUD_SURFACES),
         **_CLOUD,
     )
     ground_slope: float | None = option(
@@ -321,9 +273,6 @@ class MeshOptions(Options):
     up: Literal["y", "z"] | None = option(
         None,
         "Axis of a mesh file that points up; default: the file's, else z.",
-        metavar="y|z",
-        read=choice("y", "z"),
-        check=one_of(("y", "z")),
         panel="Meshes",
         kinds={SourceKind.MESH},
     )
@@ -343,11 +292,9 @@ class BuildOptions(ExportOptions, MeshOptions, CloudOptions, MapOptions, Picture
 
 def without_effect(options: BuildOptions, kind: SourceKind) -> list[str]:
     """Return the names of given options that have no effect on a kind of source."""
-    default: Any = type(options)()
+    given = changed(options)
     return [
         name
-        for name, found in declared(type(options))
-        if found.kinds is not None
-        and kind not in found.kinds
-        and getattr(options, name) != getattr(default, name)
+        for name, found in declared(type(options)).items()
+        if name in given and found.kinds is not None and kind not in found.kinds
     ]

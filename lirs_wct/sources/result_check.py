@@ -44,14 +44,14 @@ def unusual_figures(world: World, kind: SourceKind) -> Iterator[str]:
         return
     relief = world.surface.relief if world.solid is None else float(np.ptp(world.solid.vertices[:, 2]))
     if relief > STEEPEST * width:
-        codes = ', or do some values mean "no height" (--nodata)' if is_picture else ""
+        codes = ', or do some values mean "no height" (--option nodata=VALUE)' if is_picture else ""
         times = f"{relief / width:.3g} x the width of {width:.4g} m"
         yield f"the relief of {relief:.4g} m is {times}: is a unit wrong{codes}?"
     if relief < FLATTEST * width:
         place = ": are its heights in another band, or in the alpha channel?" if is_picture else ""
         yield f"the ground is flat, {relief:.3g} m of relief on {width:.4g} m{place}"
     if isinstance(world.ground, Terrain) and world.ground.no_ground is None:
-        says = " --nodata VALUE says so" if is_picture else ""
+        says = " --option nodata=VALUE says so" if is_picture else ""
         yield from _isolated_level(world.surface.z, says)
 
 

@@ -55,7 +55,7 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
     if beside is not None and options.kind != "picture" and options.resolution is None:
         warnings.warn(
             f"{path}: read as the laser map that {beside.name} beside it says it is; "
-            "--as picture reads it as a terrain",
+            "--kind picture reads it as a terrain",
             stacklevel=2,
         )
         kind, path = SourceKind.MAP, beside
@@ -90,7 +90,7 @@ def is_bag(path: Path) -> bool:
 
 def warn_of_useless(source: Source, options: BuildOptions) -> None:
     """Warn of given options that have no effect on a source of this kind."""
-    useless = [f"--{name.replace('_', '-')}" for name in without_effect(options, source.kind)]
+    useless = [name.replace("_", "-") for name in without_effect(options, source.kind)]
     if useless:
         verb = "has" if len(useless) == 1 else "have"
         warnings.warn(

@@ -2,23 +2,20 @@
 
 import importlib
 import re
-import shlex
 from collections.abc import Iterator
 from dataclasses import fields
 from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
-import typer
 
 from lirs_envs.episodes.config import RANDOMIZED, EnvConfig
 from lirs_envs.episodes.observations import GROUPS
-from lirs_validation.cli.app import make_app
+from tests.command_line import check_command
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-COMMANDS = typer.main.get_command(make_app()).commands  # type: ignore[attr-defined]
 COMMAND = re.compile(r"^ *(?:\$ )?(lirs-wct [a-z].*)$|`(lirs-wct [a-z][^`]* [^`]*)`", re.MULTILINE)
 ENVIRONMENTS = (DOCS / "reference" / "environments.md").read_text()
 
@@ -66,10 +63,8 @@ def test_the_parser_takes_the_commands() -> None:
     found = list(commands())
     assert len(found) > 50
     for page, line in found:
-        name, *arguments = shlex.split(line.replace("...", "X"), comments=True)[1:]
         try:
-            with COMMANDS[name].make_context(name, arguments) as context:
-                assert not context.args
+            check_command(line.replace("...", "X"))
         except Exception as error:
             raise AssertionError(f"{page}: {line}") from error
 

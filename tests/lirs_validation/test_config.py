@@ -4,15 +4,14 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import pytest
-import typer
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
-from lirs_validation.cli.typer_options import with_options
+from lirs_validation.cli.command import Command
 from lirs_validation.config import RUN_AXES, RunConfig
 from lirs_validation.gui.session.controls import controls
 from lirs_validation.sweep.suites import cross
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import documented, option, read_numbers, within
+from lirs_wct.option import documented, option, within
 from tests.lirs_validation.records import entry
 
 
@@ -21,22 +20,21 @@ from tests.lirs_validation.records import entry
 class Foggy(RunConfig):
     """A run in fog."""
 
-    fog: int = option(0, "Density of the fog.", axis=read_numbers, metavar="N,N", check=within("[0, 9]"))
+    fog: int = option(0, "Density of the fog.", axis=True, metavar="N,N", check=within("[0, 9]"))
 
 
 def test_one_field_is_an_axis_of_the_command_line() -> None:
     heard: dict[str, Any] = {}
-    app = typer.Typer()
 
-    @app.command()
-    @with_options
-    def probe(source: str, *, run: Annotated[dict[str, Any], Foggy]) -> None:
+    def probe(run: Annotated[dict[str, Any], Foggy]) -> None:
+        """Listen."""
         heard.update(run)
 
-    result = CliRunner().invoke(app, ["simple", "--fog", "1-3", "--mapper", "hector"])
+    command = Command("probe", probe)
+    result = CliRunner().invoke(command, ["--fog", "1-3", "--mapper", "hector"], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert heard == {"fog": (1, 2, 3), "mapper": ("hector",)}
-    assert "Density of the fog." in CliRunner().invoke(app, ["--help"]).output
+    assert "Density of the fog." in CliRunner().invoke(command, ["--help"]).output
     configs = cross("simple", kind=Foggy, **heard)
     assert [config.fog for config in configs if isinstance(config, Foggy)] == [1, 2, 3]
     assert len({config.digest for config in configs}) == 3

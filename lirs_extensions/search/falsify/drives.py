@@ -21,7 +21,7 @@ from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.task_worlds import WorldSpec
 from lirs_extensions.bench.tasks import BenchTask, TaskSet, set_entry
 from lirs_extensions.search.case_search import Case, SearchParameter, SearchSpace, TrialArchive, trial_key
-from lirs_extensions.search.options import FalsifyOptions
+from lirs_extensions.search.options import FAILURE_FACTOR, POLICY_TASK, FalsifyOptions
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.metrics.verdict import LIMITS, VerdictFigures, classify
@@ -277,7 +277,7 @@ def check_methods(options: FalsifyOptions) -> None:
         policy_task(options, SearchLimits().easiest, options.seed)  # checks the robot
     for method in filter(None, (options.method, options.compared_with)):
         if options.policy is not None:
-            PolicyChoice(method).check(options.task)
+            PolicyChoice(method).check(POLICY_TASK)
         else:
             SlamExperiment(RunConfig(source="simple", robot=options.robot, mapper=method)).check()
 
@@ -338,7 +338,7 @@ def policy_task(options: FalsifyOptions, case: Case, seed: int, name: str = "cas
     world = WorldSpec(name=name, maker="arena", options=tuple(arena_options(case, options.seed).items()))
     return BenchTask(
         name=f"{name}-s{seed}",
-        task=options.task,
+        task=POLICY_TASK,
         split="test",
         robot=options.robot,
         seed=seed,
@@ -371,7 +371,7 @@ def _measure_policy(options: FalsifyOptions, method: str, case: Case, seed: int)
         return DriveScore(1.0 - metrics["score"], reason=log.reason)
     x, y = log.poses[-1][:2].tolist()
     left = math.hypot(GOAL[0] - x, GOAL[1] - y) / math.hypot(*GOAL)
-    return DriveScore(min(options.factor * (1.0 + left), WORST), reason=log.reason)
+    return DriveScore(min(FAILURE_FACTOR * (1.0 + left), WORST), reason=log.reason)
 
 
 PERFECT = DriveScore(0.0, error=0.0)
@@ -426,7 +426,7 @@ class CaseDrives:
 
     def fails(self, score: DriveScore) -> bool:
         """Return whether a drive is a failure that counts."""
-        return score.counted and score.ratio > self.options.factor
+        return score.counted and score.ratio > FAILURE_FACTOR
 
     def run(self, trials: Sequence[Trial]) -> list[DriveScore]:
         """Return the scores of trials, in their order; with a reference, as `against` compares them.
@@ -452,6 +452,6 @@ class CaseDrives:
     def _key(self, method: str, case: Case, seed: int) -> str:
         """Return the digest of everything that decides a drive."""
         options = asdict(self.options)
-        decisive = {name: options[name] for name in ("policy", "task", "robot", "seconds", "seed", "factor")}
+        decisive = {name: options[name] for name in ("policy", "robot", "seconds", "seed")}
         entry = decisive | {"method": method, "drive": seed, "returns": self.limits.returns}
         return trial_key(entry | {"values": dict(case.values)})

@@ -27,6 +27,7 @@ from lirs_extensions.search.falsify.drives import (
     write_case,
 )
 from lirs_extensions.search.falsify.search import LEAST, NEW_SEEDS, FoundCase
+from lirs_extensions.search.options import FAILURE_FACTOR
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.run import write_results as write_run
 from lirs_validation.record.run_record import RunRecord
@@ -162,7 +163,7 @@ def search_figure(drives: CaseDrives, found: Sequence[int]) -> Drawing:
         handles.append(Line2D([], [], color=color, marker="o", linestyle="", label=stage))
     for number in found:
         axes.axvline(number, color=BLACK, linewidth=0.8)
-    axes.axhline(drives.options.factor, color=GRAY, linestyle="--", linewidth=1.0)
+    axes.axhline(FAILURE_FACTOR, color=GRAY, linestyle="--", linewidth=1.0)
     axes.set_yscale("log")
     plain_axes(axes, "drive", "error / limit of `loses its way`")
     handles.append(Line2D([], [], color=GRAY, linestyle="--", label="failure"))
@@ -295,7 +296,7 @@ def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found:
             write_run(folder / RUN, record, driven.log, driven.maps, driven.world)
             truth, estimate, _ = driven.log.trajectories()
             limit = next((s.limit for s in found.scores if s.limit), 0.0)
-            paths = CasePaths(truth, estimate, options.factor * limit)
+            paths = CasePaths(truth, estimate, FAILURE_FACTOR * limit)
         except MapperError as error:  # the failure itself: there is no run to draw
             text = f"{text.removesuffix('.')}: {error}".replace(str(staged), str(out))
     else:

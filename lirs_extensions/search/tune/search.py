@@ -303,9 +303,9 @@ def again(drives: TuneDrives, tuned: Case) -> str:
         command, source = "validate", target.source
         options["parameters"] = f"{target.parameters or 'none'};{values}"
         options["seed"] = f"{drives.seeds[1][0]}-{drives.seeds[1][-1]}"
-    flags = {name: found.flags[0] for name, found in declared(type(target))}
-    pairs = [(flags[name], str(value)) for name, value in options.items() if name in flags]
-    return shlex.join(["lirs-wct", command, source, *(word for pair in pairs for word in pair)])
+    known = declared(type(target))
+    words = [word for name, value in options.items() for word in known[name].arguments(str(value))]
+    return shlex.join(["lirs-wct", command, source, *words])
 
 
 def write_results(out: Path, drives: TuneDrives, tuned: Case, found: UnseenComparison) -> tuple[Path, ...]:

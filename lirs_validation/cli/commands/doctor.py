@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import typer
+from click.exceptions import Exit
 from rich.markup import escape
 from rich.table import Table
 
@@ -73,7 +73,11 @@ class InstallationCheck:
 
 
 def doctor() -> None:
-    """Check the installation (versions, OpenGL, caches, extras) and print repair commands."""
+    """Check the installation (versions, OpenGL, caches, extras) and print repair commands.
+
+    Examples:
+    lirs-wct doctor
+    """
     checks = list(_checks())
     table = Table(show_header=True, title="lirs-wct doctor", title_justify="left")
     for heading in ("", "what", "found", "how to mend it"):
@@ -83,7 +87,7 @@ def doctor() -> None:
         table.add_row(mark, escape(check.name), escape(check.found), escape(check.mend))
     out.print(table)
     if any(check.mend and check.needed for check in checks):
-        raise typer.Exit(RUN_FAILED)
+        raise Exit(RUN_FAILED)
 
 
 def _checks() -> Iterator[InstallationCheck]:

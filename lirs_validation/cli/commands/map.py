@@ -2,36 +2,51 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from click.exceptions import Exit
 from rich.table import Table
 
+from lirs_validation.cli.command import common
 from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
 from lirs_validation.map_config import MapConfig
+from lirs_wct.option import Options, argument, documented, option
 
 if TYPE_CHECKING:
     from lirs_validation.record.map_record import MapRecord
 
-Log = Annotated[
-    str, typer.Argument(metavar="LOG", help="CARMEN log (.clf, .log, gzipped or not) or ROS bag.")
-]
-Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for the map's folder.")]
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class LogInOut(Options):
+    """Log and results of a command."""
+
+    log: str = argument("CARMEN log (.clf, .log, gzipped or not) or ROS bag.", "LOG")
+    output: Path = option(Path("out"), "Folder for the result's folder.")
 
 
-def map_log(log: Log, output: Output = Path("out"), *, given: Annotated[dict[str, Any], MapConfig]) -> None:
-    """Map a laser log: map.pgm and map.yaml for ROS, path, picture and accuracy."""
+@common(
+    *("mapper", "output", "relations", "reference", "second", "resolution", "range_max", "fov"),
+    *("seed", "imu", "scan_topic", "odom_topic", "time"),
+)
+def map_log(options: LogInOut, given: Annotated[dict[str, Any], MapConfig]) -> None:
+    """Map a laser log: map.pgm and map.yaml for ROS, path, picture and accuracy.
+
+    Examples:
+    lirs-wct map examples/data/office.clf.gz --mapper gmapping -o out/
+    """
     from lirs_validation.logs.map_log import run_mapping
 
-    config = MapConfig(log=log, **given)
-    with progress_bar(log, err) as progress:
-        mapped = run_mapping(config, out=output, progress=progress)
+    config = MapConfig(log=options.log, **given)
+    with progress_bar(options.log, err) as progress:
+        mapped = run_mapping(config, out=options.output, progress=progress)
     out.print(figures_table(mapped.record))
     out.print(f"{mapped.folder}", soft_wrap=True, highlight=False)
     out.print(f"verdict: {mapped.record.verdict}", soft_wrap=True, highlight=False, markup=False)
     if mapped.record.status != "ok":
-        raise typer.Exit(RUN_FAILED)
+        raise Exit(RUN_FAILED)
 
 
 def figures_table(record: MapRecord) -> Table:

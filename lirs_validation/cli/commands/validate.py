@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from click.exceptions import Exit
 
+from lirs_validation.cli.command import common
 from lirs_validation.cli.progress import GATE_FAILED, manifest_of_command, out, run_sweep
-from lirs_validation.cli.typer_options import SOURCE_HELP, complete_source
-from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, SourceOptions, run_name
+from lirs_validation.cli.sources import World, map_logs, sources_argument
+from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, run_name
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError, OutputError, SourceError
+from lirs_wct.formats.suffixes import Storage
+from lirs_wct.option import Options, documented, option
+from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_validation.record.verdict import Verdict
@@ -25,88 +29,110 @@ FEW = 10
 OF_A_SUITE = ("seed",)
 """Axes that a suite leaves open."""
 
-Sources = Annotated[list[str] | None, typer.Argument(help=SOURCE_HELP, autocompletion=complete_source)]
-SuiteName = Annotated[
-    str | None,
-    typer.Option(
-        "--suite",
+
+@dataclass(frozen=True, kw_only=True)
+class SweepOptions(Options):
+    """Sources and suite of a sweep."""
+
+    sources: tuple[str, ...] = sources_argument(default=())
+    suite: str | None = option(
+        None,
+        "A published experiment, or a file with cases, instead of sources and axes.",
         metavar="paper|FILE.yaml",
-        help="A published experiment, or a file with cases, instead of sources and axes.",
-    ),
-]
+    )
 
 
-Gate = Annotated[bool, typer.Option("--gate", help="Exit with code 4 unless every verdict is `works`.")]
-LimitsFile = Annotated[
-    Path | None,
-    typer.Option("--limits", metavar="FILE", help="YAML file with limits of the verdicts for --gate."),
-]
+@documented
+@dataclass(frozen=True, kw_only=True)
+class ValidateOptions(SweepOptions):
+    """Sources, results and gate of `validate`.
+
+    Raises:
+        ConfigError: limits are given without a gate.
+    """
+
+    output: Path = option(Path("out"), "Folder for the runs' folders.")
+    gate: bool = option(False, "Exit with code 4 unless every verdict is `works`.")
+    limits: Path | None = option(
+        None, "YAML file with limits of the verdicts for --gate.", metavar="FILE.yaml"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.limits is not None and not self.gate:
+            raise ConfigError("--limits is for --gate, which is not given")
 
 
+@documented
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions(SweepOptions):
+    """Sources and bag of `record`."""
+
+    output: Path = option(Path("run"), "Folder of the bag; of several runs, for theirs.")
+    storage: Storage = option("mcap", "Storage of the bag's messages.")
+    sensors_only: bool = option(
+        False, "A bag without map -> odom and /map, for a SLAM system that publishes these."
+    )
+
+
+_DRIVE = ("robot", "mapper", "lidar", "seconds", "seed", "output", "driver", "attitude")
+
+
+@common(*_DRIVE, "size", "height", "jobs", "gate", "suite")
 def validate(
-    sources: Sources = None,
-    suite: SuiteName = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the runs' folders.")] = Path(
-        "out"
-    ),
-    gate: Gate = False,
-    limits: LimitsFile = None,
-    *,
-    run: Annotated[dict[str, Any], RunConfig],
-    engine: EngineOptions,
-    options: SourceOptions,
+    options: ValidateOptions, run: Annotated[dict[str, Any], RunConfig], engine: EngineOptions, build: World
 ) -> None:
     """Drive robots through worlds with SLAM running, and evaluate map, trajectory and speed.
 
     The same command resumes an interrupted sweep. The last line is the verdict.
+
+    Examples:
+    lirs-wct validate examples/data/dunes.png --mapper hector --seconds 60 --seed 1 -o out/
+    lirs-wct validate simple medium --robot husky,jackal --mapper hector,gmapping --seed 1-5 -o out/
+    lirs-wct validate medium --lidar vlp16 --mapper kiss-icp,genz-icp,hector --seed 1-3 -o out/
     """
     from lirs_validation.record.verdict import read_limits
 
-    if limits is not None and not gate:
-        raise ConfigError("--limits is for --gate, which is not given")
-    accepted = read_limits(limits) if limits is not None else (LIMITS, frozenset[str]())
-    found = _run(read_experiments(sources, suite, run, options), engine, output, suite, limits=accepted[0])
-    if gate and not all(verdict.kind in {"works", *accepted[1]} for verdict in found):
-        raise typer.Exit(GATE_FAILED)
+    accepted = read_limits(options.limits) if options.limits is not None else (LIMITS, frozenset[str]())
+    experiments = read_experiments(options, run, build)
+    found = _run(experiments, engine, options.output, options.suite, limits=accepted[0])
+    if options.gate and not all(verdict.kind in {"works", *accepted[1]} for verdict in found):
+        raise Exit(GATE_FAILED)
 
 
+@common(*_DRIVE, "actors", "size", "height", "storage", "sensors_only")
 def record(
-    sources: Sources = None,
-    suite: SuiteName = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder of the bag; of several runs, for theirs.")
-    ] = Path("run"),
-    *,
-    run: Annotated[dict[str, Any], RunConfig],
-    engine: EngineOptions,
-    options: SourceOptions,
+    options: RecordOptions, run: Annotated[dict[str, Any], RunConfig], engine: EngineOptions, build: World
 ) -> None:
-    """Record a drive as a ROS 2 bag: validate with --bag, into the named folder.
+    """Record a drive as a ROS 2 bag, in the folder of its run.
 
-    The folder is also that of the run: score, export and report take it. Several runs get folders in it.
+    Score, export and report take the folder. Several runs get folders in it.
+
+    Examples:
+    lirs-wct record simple --seconds 60 -o run
     """
     from lirs_validation.sweep.experiment import SlamExperiment
 
-    experiments = read_experiments(sources, suite, {"bag": "mcap", "stand": STAND, **run}, options)
+    bag = {"bag": options.storage, "sensors_only": options.sensors_only, "stand": STAND}
+    experiments, output = read_experiments(options, bag | run, build), options.output
     if len(experiments) > 1 or not isinstance(experiments[0], SlamExperiment):
-        _run(experiments, engine, output, suite)
+        _run(experiments, engine, output, options.suite)
         return
     folder = output if output.name else output.resolve()
     experiment = replace(experiments[0], folder=folder.name)
     _check_free(folder, experiment)
-    _run((experiment,), engine, folder.parent, suite, listed=False)
+    _run((experiment,), engine, folder.parent, options.suite, listed=False)
 
 
 def read_experiments(
-    sources: list[str] | None, suite: str | None, run: dict[str, Any], build: SourceOptions
+    options: ValidateOptions | RecordOptions, run: dict[str, Any], build: BuildOptions
 ) -> tuple[Experiment, ...]:
     """Return the experiments of a suite, or of every combination of the given options.
 
     Args:
-        sources: worlds; none with a suite.
-        suite: its name; None = sources and axes are given.
-        run: options of `RunConfig` that were given, a tuple of values for each axis.
-        build: how sources become worlds.
+        options: Sources, or the name of a suite, and the folder for maps of logs.
+        run: Given options of `RunConfig`, a tuple of values for each axis.
+        build: Construction of the worlds.
 
     Raises:
         ConfigError: neither or both of sources and suite are given, or an option is not legal.
@@ -114,15 +140,17 @@ def read_experiments(
     from lirs_validation.sweep.experiment import SlamExperiment
     from lirs_validation.sweep.suites import SUITE_FILES, case_options, cross, make_suite, suite_folders
 
+    sources, suite = options.sources, options.suite
     if suite is not None and suite.endswith(SUITE_FILES) and not sources:
-        sources, suite = list(suite_folders(Path(suite))), None
+        sources, suite = suite_folders(Path(suite)), None
     if suite is None:
         if not sources:
             raise ConfigError("nothing to validate: name a source (simple, an image, ...) or a --suite")
+        sources, build = map_logs(sources, build, options.output)
         crossed = [cross(source, build=build, **(case_options(source) | run)) for source in sources]
         return tuple(SlamExperiment(config) for configs in crossed for config in configs)
     clash = [f"--{name}" for name in RUN_AXES if name in run and name not in OF_A_SUITE]
-    clash += ["sources"] * bool(sources) + ["options of build"] * (build != SourceOptions())
+    clash += ["sources"] * bool(sources) + ["options of build"] * (build != BuildOptions())
     if clash:
         raise ConfigError(f"--suite {suite} has its own worlds and axes: leave out {', '.join(clash)}")
     return make_suite(suite, **run)

@@ -6,30 +6,24 @@ import re
 import shlex
 import sys
 from collections.abc import Generator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from click.exceptions import Exit
 
+from lirs_validation.cli.command import common
 from lirs_validation.cli.progress import GATE_FAILED, err, out
-from lirs_validation.cli.typer_options import Sources
-from lirs_validation.config import EngineOptions, RunConfig, SourceOptions
+from lirs_validation.cli.sources import World, map_logs, sources_argument
+from lirs_validation.config import EngineOptions, RunConfig
 from lirs_wct import ConfigError
+from lirs_wct.option import Options, documented, option
 
 if TYPE_CHECKING:
     from lirs_validation.decision.trials import Perform, Trial
     from lirs_validation.sweep.experiment import Outcome
     from lirs_validation.sweep.sweep import Sweep
 
-Budget = Annotated[
-    str,
-    typer.Option(
-        "--budget",
-        metavar="TIME",
-        help="Wall time after which no drive begins: 90s, 10min, 2h; 0s = forecast alone.",
-    ),
-]
-Output = Annotated[Path, typer.Option("-o", "--output", help="Folder for page and drives.")]
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
@@ -45,45 +39,61 @@ def read_duration(text: str, flag: str) -> float:
     return float(match[1]) * UNITS[match[2]]
 
 
+@documented
+@dataclass(frozen=True, kw_only=True)
+class VerdictOptions(Options):
+    """Sources, budget and results of `verdict`."""
+
+    sources: tuple[str, ...] = sources_argument()
+    budget: float = option(
+        UNITS["min"] * 10,
+        "Wall time after which no drive begins: 90s, 10min, 2h; 0s = forecast alone.",
+        metavar="TIME",
+        reader=read_duration,
+    )
+    output: Path = option(Path("verdict"), "Folder for page and drives.")
+    gate: bool = option(False, "Exit with code 4 unless every method works.")
+
+
+@common(
+    *("robot", "mapper", "lidar", "budget", "seconds", "output", "jobs", "gate", "attitude", "driver"),
+    *("actors", "size", "height"),
+)
 def verdict(
-    sources: Sources,
-    budget: Budget = "10min",
-    output: Output = Path("verdict"),
-    gate: Annotated[bool, typer.Option("--gate", help="Exit with code 4 unless every method works.")] = False,
-    *,
-    run: Annotated[dict[str, Any], RunConfig],
-    engine: EngineOptions,
-    options: SourceOptions,
+    options: VerdictOptions, run: Annotated[dict[str, Any], RunConfig], engine: EngineOptions, build: World
 ) -> None:
     """Decide whether SLAM methods work on a terrain: drive until a sequential test decides.
 
     Seeds count up from --seed; each has another start, tour and sensor noise. The same command continues.
+
+    Examples:
+    lirs-wct verdict medium --robot jackal --mapper hector,gmapping --budget 10min -o verdict/
     """
     from lirs_validation.decision.decide import decide
     from lirs_validation.decision.page import changes_table, methods_table, write_decision
     from lirs_validation.sweep.suites import cross
 
-    seconds = read_duration(budget, "--budget")
     if len(run.get("seed", ())) > 1:
         raise ConfigError(f"--seed is the first seed of the drives: one number, got {len(run['seed'])}")
-    configs = cross(tuple(sources), build=options, **run)
+    sources, build = map_logs(options.sources, build, options.output)
+    configs = cross(sources, build=build, **run)
     answers = decide(
         configs,
-        output,
+        options.output,
         _performer(engine),
-        budget=seconds,
+        budget=options.budget,
         report=_print_state,
         retry_failed=engine.retry_failed,
     )
-    page = write_decision(output, answers, shlex.join(["lirs-wct", *sys.argv[1:]]))
+    page = write_decision(options.output, answers, shlex.join(["lirs-wct", *sys.argv[1:]]))
     out.print(methods_table(answers))
     if any(answer.changed for answer in answers):
         out.print(changes_table(answers))
     out.print(f"{page}", soft_wrap=True, highlight=False)
     for answer in answers:
         out.print(f"verdict: {answer.sentence}", soft_wrap=True, highlight=False, markup=False)
-    if gate and any(answer.trial.decision != "works" for answer in answers):
-        raise typer.Exit(GATE_FAILED)
+    if options.gate and any(answer.trial.decision != "works" for answer in answers):
+        raise Exit(GATE_FAILED)
 
 
 def _performer(engine: EngineOptions) -> Perform:

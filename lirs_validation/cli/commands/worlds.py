@@ -2,87 +2,98 @@
 
 from __future__ import annotations
 
-import warnings
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
-
+from lirs_validation.cli.command import Few, common
 from lirs_validation.cli.progress import err, out, progress_bar
-from lirs_validation.cli.typer_options import Source, gazebo_terrain, typer_option
-from lirs_validation.config import SourceOptions
+from lirs_validation.cli.sources import OneSource, map_logs
 from lirs_validation.map_config import LogOptions
-from lirs_wct.meshing.export_options import DEFAULT_SHARE, ExportOptions
-from lirs_wct.option import read_names
+from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
+from lirs_wct.option import Options, argument, documented, option
+from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_wct.world import World
 
 MESHES = {"dae", "stl", "obj", "glb", "usd"}
 """Mesh formats of `--to`."""
+_SCALE = ("size", "height", "resolution", "window", "invert", "wall_height", "kind")
 
 
-Formats = Annotated[
-    str,
-    typer.Option(metavar="F,F,...", help="Files to write: dae, stl, sdf, mjcf, obj, hfield, glb, usd, map."),
-]
-GazeboModel = Annotated[
-    str,
-    typer.Option(
-        metavar="solid|heightmap",
-        help="Gazebo's model: the solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit).",
-    ),
-]
-MapHeight = Annotated[
-    float | None, typer.Option(metavar="METERS", show_default="0.3", help="Height of the lidar for --to map.")
-]
+@documented
+@dataclass(frozen=True, kw_only=True)
+class BuildCommand(OneSource):
+    """Source and files of `build`."""
+
+    output: Path = option(Path("worlds"), "Folder for the world's folder.")
+    to: tuple[str, ...] = option(
+        ("dae", "stl", "sdf", "mjcf"),
+        "Files to write: dae, stl, sdf, mjcf, obj, hfield, glb, usd, map.",
+        metavar="F,F,...",
+    )
+    terrain: Literal["solid", "heightmap"] = option(
+        "solid", "Gazebo's model: the solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit)."
+    )
 
 
-def build(
-    source: Source,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the world's folder.")] = Path(
-        "worlds"
-    ),
-    to: Formats = "dae,stl,sdf,mjcf",
-    terrain: GazeboModel = "solid",
-    map_height: MapHeight = None,
-    *,
-    options: SourceOptions,
-) -> None:
-    """Build a world: Gazebo model and world, MuJoCo MJCF, meshes, texture, world.json."""
-    from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT
+@documented
+@dataclass(frozen=True, kw_only=True)
+class InfoCommand(OneSource):
+    """Source and picture of `info`."""
+
+    output: Path | None = option(None, "PNG to draw; default: no picture.", metavar="PICTURE.png")
+    robot: str = option("husky", "Robot whose lidar the forecast uses.", metavar="R")
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class ConvertCommand(Options):
+    """Meshes of `convert`."""
+
+    source: Path = argument("Mesh: stl, dae, obj, ply, glb.", "IN")
+    target: Path = argument("Mesh in another of these formats.", "OUT")
+
+
+@common(*_SCALE, "output", "to", "name", "max_error", "texture")
+def build(options: BuildCommand, world_options: BuildOptions) -> None:
+    """Build a world: Gazebo model and world, MuJoCo MJCF, meshes, texture, world.json.
+
+    Examples:
+    lirs-wct build examples/data/dunes.png --size 30 --height 2.5 -o worlds/
+    lirs-wct build examples/data/office.yaml --wall-height 2 --to mjcf -o worlds/
+    """
     from lirs_wct.export.package import write_package
     from lirs_wct.sources.build import build_world
 
-    if map_height is not None and "map" not in read_names(to, "--to"):
-        warnings.warn("--map-height has no effect without --to map", stacklevel=1)
-
+    (source,), world_options = map_logs([options.source], world_options, options.output)
     with progress_bar(source, err) as progress:
         progress("build", 0.0)
-        world = build_world(source, options)
+        world = build_world(source, world_options)
         folder = write_package(
             world,
-            output,
-            formats=read_names(to, "--to"),
-            terrain=gazebo_terrain(terrain),
-            overwrite=options.name is not None,
-            map_height=ROBOT_HEIGHT if map_height is None else map_height,
+            options.output,
+            formats=options.to,
+            terrain=options.terrain,
+            overwrite=world_options.name is not None,
             progress=progress,
         )
-    _say_what_was_built(world, folder, to)
+    _say_what_was_built(world, folder, options.to)
 
 
+@common("robot", *_SCALE, "output", "scan_topic", "odom_topic", "range_max", "time")
 def info(
-    source: Source,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="PNG to draw; default: no picture.")
-    ] = None,
-    robot: Annotated[str, typer.Option(metavar="R", help="Robot whose lidar the forecast uses.")] = "husky",
-    *,
+    options: InfoCommand,
     given: Annotated[dict[str, Any], LogOptions],
-    world_options: SourceOptions,
+    build: Annotated[BuildOptions, Few((*_SCALE, "start", "scale", "z_scale", "up"))],
 ) -> None:
-    """Print facts of a world (size, slopes, walls) or of a log (rates, frames, faults)."""
+    """Print facts of a world (size, slopes, walls) or of a log (rates, frames, faults).
+
+    Examples:
+    lirs-wct info examples/data/office.yaml --robot turtlebot2 -o office.png
+    lirs-wct info examples/data/office.clf.gz
+    """
     from lirs_envs.robots.robot import make_robot
     from lirs_validation.cli.commands.info import facts_table, preflight_table, world_facts
     from lirs_wct.drawing.world_view import view_figure
@@ -90,6 +101,7 @@ def info(
     from lirs_wct.sources.build import build_world
     from lirs_wct.sources.source import is_log
 
+    source, robot, output = options.source, options.robot, options.output
     if is_log(Path(source)):
         from lirs_validation.logs.map_log import check_log_file
 
@@ -100,7 +112,7 @@ def info(
         return
     make_robot(robot)
     with err.status(f"measuring {source}"):
-        world = build_world(source, world_options)
+        world = build_world(source, build)
         facts = world_facts(world, robot)
     out.print(facts_table(world, facts))
     if output is not None:
@@ -109,32 +121,28 @@ def info(
         out.print(f"{output}", soft_wrap=True, highlight=False)
 
 
-def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="Mesh: stl, dae, obj, ply, glb.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="Mesh in another of these formats.")],
-    rotate_x: Annotated[float, typer_option(ExportOptions, "rotate_x")] = 0.0,
-) -> None:
+def convert(options: ConvertCommand, rotation: RotationOptions) -> None:
     """Convert a mesh between stl, dae, obj, ply and glb.
 
     The up direction stays; dae, obj and glb keep the texture.
+
+    Examples:
+    lirs-wct convert terrain.stl terrain.dae
     """
     from lirs_wct.export.mesh_writer import convert_mesh
 
+    source, target = options.source, options.target
     with err.status(f"converting {source}"):
-        mesh = convert_mesh(source, target, rotate_x)
+        mesh = convert_mesh(source, target, rotation.rotate_x)
     closed = "watertight" if mesh.is_watertight else "not watertight"
     out.print(f"{target}: {len(mesh.faces)} triangles, {closed}", soft_wrap=True, highlight=False)
 
 
-def _say_what_was_built(world: World, folder: Path, to: str) -> None:
+def _say_what_was_built(world: World, folder: Path, to: tuple[str, ...]) -> None:
     width, depth = world.surface.size
     out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
     budget = world.file_options.max_error
-    if (
-        budget is not None
-        and world.file_options != world.export_options
-        and MESHES & {*read_names(to, "--to")}
-    ):
+    if budget is not None and world.file_options != world.export_options and MESHES & {*to}:
         relief = world.surface.relief
         share = (
             f"{DEFAULT_SHARE:.1%} of the relief" if budget <= DEFAULT_SHARE * relief else "1e-6 of the side"

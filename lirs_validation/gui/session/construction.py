@@ -8,7 +8,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
-from lirs_validation.config import SourceOptions
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.map_log import resolve_source
 from lirs_validation.metrics.mesh import mesh_error
@@ -20,7 +19,7 @@ from lirs_wct.sources.build import build_world
 from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
-from lirs_wct.sources.options import SourceKind
+from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.pictures.picture import TerrainPicture, decimate, height_field, open_picture
 from lirs_wct.sources.result_check import warn_of_result
 from lirs_wct.sources.source import Source, find_source
@@ -82,7 +81,7 @@ class Shown:
     world: World
     facts: Facts
     source: str
-    options: SourceOptions
+    options: BuildOptions
     package: Path | None = None
 
 
@@ -102,7 +101,7 @@ class Construction:
         self._scenarios = scenarios or ScenarioCache()
         self._opened: tuple[Source, TerrainPicture] | None = None
 
-    def kind(self, source: str, options: SourceOptions) -> SourceKind:
+    def kind(self, source: str, options: BuildOptions) -> SourceKind:
         """Return the kind of a source.
 
         Raises:
@@ -110,7 +109,7 @@ class Construction:
         """
         return find_source(source, options).kind
 
-    def preview(self, source: str, options: SourceOptions, progress: Progress = no_progress) -> Shown:
+    def preview(self, source: str, options: BuildOptions, progress: Progress = no_progress) -> Shown:
         """Return a coarse world of a source; a log is mapped the first time.
 
         Raises:
@@ -128,7 +127,7 @@ class Construction:
     def build(
         self,
         source: str,
-        options: SourceOptions,
+        options: BuildOptions,
         formats: Collection[str] = DEFAULT_FORMATS,
         terrain: GazeboTerrain = "solid",
         progress: Progress = no_progress,
@@ -151,7 +150,7 @@ class Construction:
         )
         return Shown(world, built_facts(world), source, options, package)
 
-    def _coarse(self, found: Source, options: SourceOptions) -> tuple[Ground, str]:
+    def _coarse(self, found: Source, options: BuildOptions) -> tuple[Ground, str]:
         if found.kind is SourceKind.FOLDER:
             world = World.load(found.path)
             return world.ground, world.scale
@@ -163,14 +162,14 @@ class Construction:
             return read_mesh_source(found.path, options)[:2]
         return self._coarse_terrain(found, options), "preview"
 
-    def _coarse_terrain(self, found: Source, options: SourceOptions) -> Terrain:
+    def _coarse_terrain(self, found: Source, options: BuildOptions) -> Terrain:
         picture = self._picture(found, options)
         own = picture.with_own_meters(options)
         small, fitting = decimate(found.path, picture.raster, own, self._nodes)
         surface = height_field(found.path, small, fitting)
         return Terrain(surface if options.window is None else cut_surface(surface, options.window))
 
-    def _picture(self, found: Source, options: SourceOptions) -> TerrainPicture:
+    def _picture(self, found: Source, options: BuildOptions) -> TerrainPicture:
         """Return the source's picture, decoded once."""
         if self._opened is None or self._opened[0].path != found.path:
             self._opened = found, open_picture(found, options)

@@ -7,14 +7,13 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import NoneType, UnionType
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal
 
-from lirs_validation.config import PRETRAINED, RunConfig, SourceOptions
+from lirs_validation.config import PRETRAINED, RunConfig
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.option import Option, Options, Slider, declared, defaults
-from lirs_wct.sources.options import SourceKind
+from lirs_wct.option import Option, Options, Slider, declared
+from lirs_wct.sources.options import BuildOptions, SourceKind
 
 FIRST_PANEL = "Source"
 """Heading of the options that the command line has without one."""
@@ -49,7 +48,6 @@ class Control:
     choices: tuple[str, ...] = ()
     slider: Slider | None = None
     option: Option
-    type: Any
 
     @property
     def name_in_errors(self) -> str:
@@ -71,64 +69,42 @@ class Control:
         if value == self.initial and not isinstance(value, bool):
             return self.default
         if not isinstance(value, str) or self.kind == "choice":
-            return int(value) if self.type is int else value
-        if self.kind == "file":
-            return Path(value)
-        if self.option.read is not None:
-            return self.option.read(value, self.name_in_errors)
-        return self._number(value)
-
-    def _number(self, text: str) -> Any:
-        kind = next((t for t in (int, float) if t in self._types), str)
-        try:
-            return kind(text)
-        except ValueError:
-            legal = "a whole number" if kind is int else "a number"
-            raise ConfigError(f"{self.name_in_errors} must be {legal}, got {text!r}") from None
-
-    @property
-    def _types(self) -> tuple[Any, ...]:
-        return get_args(self.type) if get_origin(self.type) is UnionType else (self.type,)
+            return int(value) if self.option.types[0] is int else value
+        return self.option.read(value, self.name_in_errors)
 
 
 def controls(options: type[Options]) -> Iterator[Control]:
     """Yield a control for every option of a class that the page offers."""
-    types, usual = get_type_hints(options), defaults(options)
-    for name, option in declared(options):
+    for name, option in declared(options).items():
         if not option.on_page:
             continue
-        kind, choices, initial = _kind(types[name], option, usual[name])
+        kind, choices, initial = _kind(option)
         form = f" Form: {option.metavar}." if kind == "text" and option.metavar else ""
         yield Control(
             name=name,
             kind=kind,
-            title=option.title or option.label or name.replace("_", " "),
+            title=option.title or option.label,
             panel=option.panel or FIRST_PANEL,
             hint=without_flags(f"{option.help}{form}"),
             initial=initial,
-            default=usual[name],
+            default=option.default,
             choices=choices,
             slider=option.slider,
             option=option,
-            type=types[name],
         )
 
 
-def _kind(written: Any, option: Option, default: Any) -> tuple[Kind, tuple[str, ...], Any]:
+def _kind(option: Option) -> tuple[Kind, tuple[str, ...], Any]:
     """Return kind of control, its choices and its first value."""
-    parts = get_args(written) if get_origin(written) is not Literal else (written,)
-    if written is bool:
+    default = option.default
+    if option.type is bool:
         return "switch", (), default
     if option.slider is not None:
         return "slider", (), option.slider.neutral
-    if Path in parts:
+    if Path in option.types:
         return "file", (), ""
-    names = next((get_args(p) for p in (written, *parts) if get_origin(p) is Literal), ())
-    if option.names:
-        names = tuple(option.names() if callable(option.names) else option.names)
-    if names:
-        optional = NoneType in parts
-        return "choice", (DEFAULT, *names) if optional else names, DEFAULT if optional else default
+    if option.choices:
+        return "choice", (DEFAULT, *option.choices) if default is None else option.choices, default or DEFAULT
     return (
         "text",
         (),
@@ -136,15 +112,15 @@ def _kind(written: Any, option: Option, default: Any) -> tuple[Kind, tuple[str, 
     )
 
 
-def read_controls(values: Mapping[str, bool | float | str], pixels: int) -> SourceOptions:
+def read_controls(values: Mapping[str, bool | float | str], pixels: int) -> BuildOptions:
     """Return the options of a page's controls.
 
     Raises:
         ConfigError: a value is not legal, or two options contradict.
         SourceError: more pixels are asked for than the server allows.
     """
-    found = SourceOptions(
-        **{c.name: c.read(values[c.name]) for c in controls(SourceOptions) if c.name in values}
+    found = BuildOptions(
+        **{c.name: c.read(values[c.name]) for c in controls(BuildOptions) if c.name in values}
     )
     if found.max_pixels > pixels:
         raise SourceError(f"max pixels: this server reads pictures of up to {pixels} pixels")
@@ -152,7 +128,7 @@ def read_controls(values: Mapping[str, bool | float | str], pixels: int) -> Sour
 
 
 def read_run_controls(
-    values: Mapping[str, bool | float | str], source: str, build: SourceOptions
+    values: Mapping[str, bool | float | str], source: str, build: BuildOptions
 ) -> RunConfig:
     """Return the run of a page's controls.
 
@@ -185,7 +161,8 @@ def to_goal(config: RunConfig, start: tuple[float, float], goal: tuple[float, fl
 def without_flags(text: str) -> str:
     """Return a message in which options have names instead of command-line flags.
 
-    >>> without_flags("give one of --size, --pixel-size")
+    >>> without_flags("give one of --size, --resolution")
     'give one of size, pixel size'
     """
-    return re.sub(r"--([a-z][a-z-]*)", lambda flag: flag[1].replace("-", " "), text)
+    named = re.sub(r"--option ([a-z-]+)(=[A-Z/]+\b)?", r"--\1", text)
+    return re.sub(r"--([a-z][a-z-]*)", lambda flag: flag[1].replace("-", " "), named)

@@ -8,7 +8,6 @@ from typing import Any
 
 import viser
 
-from lirs_validation.config import SourceOptions
 from lirs_validation.gui.session.construction import Construction, Facts, Shown, zip_folder
 from lirs_validation.gui.session.controls import read_controls
 from lirs_validation.gui.view.page_context import PageContext
@@ -16,10 +15,11 @@ from lirs_validation.gui.view.widgets import OptionControls, ProgressLine, add_d
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
 from lirs_wct.sources.bundled import RECIPES
+from lirs_wct.sources.options import BuildOptions
 
 FIRST = (
     *("size", "height", "invert", "smoothing", "z_scale", "wall_height", "unknown", "speckle"),
-    *("resolution", "cloud_surface", "log_mapper"),
+    *("resolution", "cloud_surface"),
 )
 """Options above the folded ones; at most five of them have an effect on a kind of source."""
 TERRAINS: tuple[GazeboTerrain, ...] = ("solid", "heightmap")
@@ -45,7 +45,7 @@ class WorldTab:
         self._add_source(gui)
         self._add_results(gui)
         self._options = OptionControls(
-            gui, page.guard, SourceOptions, changed=self.preview, keep_file=self._keep, first=FIRST
+            gui, page.guard, BuildOptions, changed=self.preview, keep_file=self._keep, first=FIRST
         )
         self._add_files(gui)
 

@@ -209,7 +209,7 @@ def _georeference(
             return None
         raise SourceError(
             f"{path}: names no coordinate system; its pixels of {sizes[0]:.6g} may be degrees or meters: "
-            "give --pixel-size METERS, or the system (gdal_edit -a_srs EPSG:4326)"
+            "give --resolution METERS, or the system (gdal_edit -a_srs EPSG:4326)"
         )
     if not degrees:
         return Georeference.on_grid(CoordinateSystem(), affine)

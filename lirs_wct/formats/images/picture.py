@@ -184,7 +184,7 @@ def check_size(path: Path, w: int, h: int, max_pixels: int) -> None:
     if w * h > max_pixels:
         raise SourceError(
             f"{path}: image is {w}x{h} px = {w * h} pixels, at most {max_pixels} are allowed; "
-            f"--max-pixels {w * h} allows it and takes up to {BYTES * w * h / 1e9:.2g} GB of memory"
+            f"--option max-pixels={w * h} allows it and takes up to {BYTES * w * h / 1e9:.2g} GB of memory"
         )
 
 

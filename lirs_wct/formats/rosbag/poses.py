@@ -14,20 +14,19 @@ from lirs_wct.formats.rosbag.topics import PATH, POSES, TRANSFORMS, list_topics,
 from lirs_wct.geometry.pose import Pose3, Trajectory
 
 
-def read_poses(path: Path, topic: str | None = None, flag: str = "--topic") -> Trajectory:
+def read_poses(path: Path, topic: str | None = None) -> Trajectory:
     """Read the trajectory that a bag holds.
 
     Args:
         path: of the bag.
         topic: of odometry, stamped poses or paths, of which the last counts, or of transforms, whose map ->
             base_link is taken; None = transforms if they lead to a frame `map`, else the only topic of poses.
-        flag: command-line option of the topic, for messages.
 
     Raises:
         SourceError: the bag cannot be read, or has no such topic, or several could be meant.
     """
     with open_bag(path) as bag:
-        trajectory = _poses(bag, topic, flag)
+        trajectory = _poses(bag, topic)
     if bag.faults:
         said = f"{len(trajectory)} poses could be read"
         warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
@@ -36,9 +35,9 @@ def read_poses(path: Path, topic: str | None = None, flag: str = "--topic") -> T
     return trajectory
 
 
-def _poses(bag: Bag, topic: str | None, flag: str) -> Trajectory:
+def _poses(bag: Bag, topic: str | None) -> Trajectory:
     if topic is not None:
-        require_topic(bag.path, flag, topic, (*POSES, *TRANSFORMS), bag.kinds)
+        require_topic(bag.path, "BAG:/TOPIC", topic, (*POSES, *TRANSFORMS), bag.kinds)
         if bag.kinds[topic] in TRANSFORMS:
             return _follow_transforms(bag, required=True) or _nothing()
         return _read_topic(bag, topic)
@@ -47,7 +46,7 @@ def _poses(bag: Bag, topic: str | None, flag: str) -> Trajectory:
     if in_map is not None:
         return in_map
     if len(found) != 1:
-        raise SourceError(f"{bag.path}: {flag} must say where its poses are; {list_topics(bag.kinds)}")
+        raise SourceError(f"{bag.path}: BAG:/TOPIC must say where its poses are; {list_topics(bag.kinds)}")
     return _read_topic(bag, found[0])
 
 

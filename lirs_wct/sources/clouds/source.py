@@ -138,7 +138,7 @@ def _chosen(
     if mountains > WARNED_SHARE:
         warnings.warn(
             f"{path}: {mountains:.0%} of the area is steeper than {filtering.mountain:g}; its own slope "
-            "tells ground from objects there; --ground-slope sets one for all, --cloud-surface top takes all",
+            "tells ground from objects there; the option ground-slope sets one for all",
             stacklevel=4,
         )
     return found, "the ground by SMRF (Pingel 2013)"
@@ -155,7 +155,7 @@ def _grid(path: Path, xyz: FloatArray, options: BuildOptions) -> NodeGrid:
     if rows * cols > options.max_pixels:
         raise ConfigError(
             f"{path}: {cols}x{rows} nodes at {spacing:g} m, at most {options.max_pixels} are legal; "
-            "give a coarser --resolution or a larger --max-pixels"
+            "give a coarser --resolution or a larger --option max-pixels=N"
         )
     return grid
 

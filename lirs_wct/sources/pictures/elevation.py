@@ -39,9 +39,9 @@ def decode_heights(path: Path, raster: Raster, options: BuildOptions) -> Raster:
         raise SourceError(f"{path}: {options.encoding} is 8-bit color, this is {raster.pixels.dtype} gray")
     shape = raster.pixels.shape[:2]
     georeference = raster.info.georeference or tile_georeference(path, (shape[0], shape[1]))
-    if georeference is None and options.size is None and options.pixel_size is None:
+    if georeference is None and options.size is None and options.resolution is None:
         raise ConfigError(
-            f"{path}: its heights are in meters, its extent is not known: give --pixel-size or --size"
+            f"{path}: its heights are in meters, its extent is not known: give --resolution or --size"
         )
     return Raster(decode(raster.pixels, options.encoding), RasterInfo(georeference, unit=1.0))
 
@@ -54,7 +54,7 @@ def suggest_encoding(pixels: NDArray[Any]) -> str:
     meters = decode(pixels, encoding)
     return (
         f"its colors look like heights of {meters.min():.0f} to {meters.max():.0f} m: give "
-        f"--encoding {encoding} (--grayscale would make it gray)"
+        f"--option encoding={encoding} (--grayscale would make it gray)"
     )
 
 
@@ -157,6 +157,6 @@ def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: floa
     if cliff > max(CLIFF, STEPS * usual):
         warnings.warn(
             f"{path}: {int(low.sum())} pixels of {lowest:g} along the border stand beside heights "
-            f"{cliff:.0f} m above them; where {lowest:g} means no height, say --nodata {lowest:g}",
+            f"{cliff:.0f} m above them; where {lowest:g} means no height, say --option nodata={lowest:g}",
             stacklevel=4,
         )

@@ -171,7 +171,7 @@ class TerrainPicture:
 
     def with_own_meters(self, options: BuildOptions) -> BuildOptions:
         """Return the options with the picture's own meters where the options have none."""
-        size = options.size if options.size or options.pixel_size else self.size
+        size = options.size if options.size or options.resolution else self.size
         return replace(options, size=size, height=options.height or self.height)
 
 
@@ -210,7 +210,7 @@ def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
 
 
 def _read(path: Path, options: BuildOptions) -> Raster:
-    return read_raster(path, options.max_pixels, sized=bool(options.size or options.pixel_size))
+    return read_raster(path, options.max_pixels, sized=bool(options.size or options.resolution))
 
 
 def _to_terrain(
@@ -219,12 +219,13 @@ def _to_terrain(
     raster = decode_heights(path, found.raster, options)
     surface, height = _heights(path, raster, found.with_own_meters(options))
     if found.size is not None:
-        resized = options.size or options.pixel_size or options.height
+        resized = options.size or options.resolution or options.height
         return surface, "as given" if resized else "as bundled", None
     warn_slope_change(path, raster, surface, options)
     if options.kind is None and looks_like_map(raster.pixels):
         warnings.warn(
-            f"{path}: looks like a laser map: give its YAML file, or --as map with --resolution", stacklevel=4
+            f"{path}: looks like a laser map: give its YAML file, or --kind map with --resolution",
+            stacklevel=4,
         )
     return surface, _scale_text(raster.info, options), place_of(raster, surface, height, options)
 
@@ -269,7 +270,7 @@ def decimate(path: Path, raster: Raster, options: BuildOptions, nodes: int) -> t
     small = Raster(np.ascontiguousarray(pixels[np.ix_(*at)]), raster.info)
     resize = options.resize and (min(options.resize[0], nodes), min(options.resize[1], nodes))
     smoothing = options.smoothing and options.smoothing * share
-    whole = replace(options, crop=None, size=size, pixel_size=None, encoding="gray")
+    whole = replace(options, crop=None, size=size, resolution=None, encoding="gray")
     return small, replace(whole, smoothing=smoothing, resize=resize)
 
 
@@ -291,7 +292,7 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
     info, factor = raster.info, (options.scale or (1.0, 1.0, 1.0))[2] * (options.z_scale or 1.0)
     own = info.unit is not None and options.height is None and factor == 1.0 and not options.invert
     if options.zero is not None and not own:
-        raise ConfigError(f"{path}: --zero is a height of the file's own, which these heights are not")
+        raise ConfigError(f"{path}: the option zero needs the file's own heights, which these are not")
     pixels = _crop(path, raster.pixels, options.crop)
     unit = info.unit or 1.0
     width, depth = _extent(pixels.shape, pixel_of(info), options)
@@ -325,7 +326,7 @@ def _scale_text(info: RasterInfo, options: BuildOptions) -> str:
         size = f"{DEFAULT_SIZE:g} m on the longer side by default"
     if info.unit is None:
         height = f"{DEFAULT_HEIGHT:g} m by default"
-    if options.size is not None or options.pixel_size is not None:
+    if options.size is not None or options.resolution is not None:
         size = "as given"
     if options.height is not None:
         height = "as given"
@@ -346,7 +347,7 @@ def _crop(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | No
 def _level_step(path: Path, pixels: NDArray[Any]) -> float:
     """Return the distance of neighboring gray levels; 257 for 8 bits stored as 16."""
     if pixels.dtype.kind not in "iu":
-        raise SourceError(f"{path}: holds floating-point heights, --deterrace needs gray levels")
+        raise SourceError(f"{path}: holds floating-point heights, --option deterrace=true needs gray levels")
     steps = np.diff(np.unique(pixels))
     return float(np.gcd.reduce(steps)) if len(steps) else 1.0
 
@@ -435,13 +436,19 @@ def _meters(above: Float32Array, unit: float | None, height: float | None, facto
 def _extent(
     shape: tuple[int, ...], pixel: tuple[float, float] | None, options: BuildOptions
 ) -> tuple[float, float]:
-    """Return width and depth of the ground, meters; n pixels are nodes of n - 1 cells."""
+    """Return width and depth of the ground, meters; n pixels are nodes of n - 1 cells.
+
+    Raises:
+        ConfigError: size and resolution are both given.
+    """
+    if options.size is not None and options.resolution is not None:
+        raise ConfigError("both set the extent of a picture: give one of --size, --resolution")
     rows, cols = shape[:2]
     sx, sy = pixel or (1.0, 1.0)
     if isinstance(options.size, tuple):
         return options.size
-    if options.pixel_size is not None:
-        sx = sy = options.pixel_size
+    if options.resolution is not None:
+        sx = sy = options.resolution
     elif options.size is not None or pixel is None:
         factor = (options.size or DEFAULT_SIZE) / max((cols - 1) * sx, (rows - 1) * sy)
         sx, sy = sx * factor, sy * factor

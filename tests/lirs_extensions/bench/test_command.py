@@ -69,7 +69,7 @@ def test_a_policy_has_one_score_beside_what_ran_before(bench: Any, tmp_path: Pat
     pictures = sorted((tmp_path / "out").glob("*/episode.png"))
     assert len(pictures) == 2
 
-    code, said, told = bench("my_policies:Ahead", "astar", "--against", "straight")
+    code, said, told = bench("straight", "my_policies:Ahead", "astar")
     assert code == 0
     assert "my_policies:Ahead - straight: +0.000 [0.000, 0.000], paired over 2 tasks" in said
     assert "astar - straight: +0.5" in said
@@ -126,7 +126,6 @@ def test_a_policy_that_fails_costs_its_own_episode(bench: Any, tmp_path: Path) -
     [
         (("nowhere:Policy",), "policy 'nowhere:Policy': no module 'nowhere' is installed or in "),
         (("my_policies:Behind",), "my_policies has no class 'Behind'; classes with act: Ahead, NotBehind"),
-        (("straight", "--against", "fastest"), "unknown policy 'fastest'; legal: astar, frontier"),
         (
             ("fastest",),
             "unknown policy 'fastest'; legal: astar, frontier, go_to_goal, module:name of your own",
@@ -137,9 +136,9 @@ def test_a_policy_that_fails_costs_its_own_episode(bench: Any, tmp_path: Path) -
         ),
         (("straight", "--split", "exam"), "unknown split 'exam'"),
         (("straight", "--data", "nowhere"), "nowhere: no such folder"),
-        (("straight", "--policy-arg", "a=1"), "--policy-arg is for policies of your own"),
-        (("my_policies:Ahead", "--policy-arg", "a"), "--policy-arg must be NAME=VALUE, got 'a'"),
-        (("my_policies:Ahead", "--policy-arg", "a=1"), "takes no argument 'a'; it takes none"),
+        (("straight", "--parameters", "a=1"), "--parameters are for policies of your own"),
+        (("my_policies:Ahead", "--parameters", "a"), "--parameters must be NAME=VALUE,NAME=VALUE,..."),
+        (("my_policies:Ahead", "--parameters", "a=1"), "takes no argument 'a'; it takes none"),
         (("straight", "--jobs", "0"), "--jobs must be 1 or more"),
     ],
 )

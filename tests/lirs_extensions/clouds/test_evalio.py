@@ -178,7 +178,7 @@ def test_parameters_are_evalios_with_one_thread(evalio: Any) -> None:
 @pytest.mark.parametrize("name", ["ct", "kiss"])
 def test_a_sweep_at_one_instant_is_refused_where_it_would_end_the_process(name: str, evalio: Any) -> None:
     mapper = make_cloud_mapper(f"evalio:{name}")
-    with pytest.raises(ConfigError, match=f"^evalio:{name} needs rolling sweeps: --scan-time rolling$"):
+    with pytest.raises(ConfigError, match=rf"^evalio:{name} needs rolling sweeps \(option scan-time\)$"):
         mapper.update(sweep(0.0, rolling=False), None)
 
 

@@ -76,7 +76,7 @@ def test_the_client_drives_and_the_record_counts_its_answers(monkeypatch, tmp_pa
 
 def test_a_client_that_never_answers_is_skipped_and_counted(monkeypatch):
     options = LiveOptions(lockstep=True, limit=0.01)
-    with pytest.warns(UserWarning, match="no answer within --limit 0.01 s: scans are skipped"):
+    with pytest.warns(UserWarning, match=r"no answer within 0.01 s \(option limit\): scans are skipped"):
         (result,) = drive(net.FakeNetwork(), monkeypatch, options)
     assert result.run.record.mapper["skipped"] == {"no answer within the limit": 11}
     assert result.run.record.trajectory["length"] < 0.01
@@ -230,8 +230,8 @@ def test_drives_that_cannot_be_are_refused(monkeypatch, run, options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"every": 0, "lockstep": True}, "--every must be 1 or more"),
-        ({"every": 2}, "--every is an option of --lockstep"),
+        ({"every": 0, "lockstep": True}, "every must be 1 or more"),
+        ({"every": 2}, "the option every is for --lockstep"),
         ({"lockstep": True, "rate": 2.0}, "--rate is for drives without --lockstep"),
         ({"rate": 0.0}, "rate"),
         ({"domain": 233}, "domain"),
@@ -259,7 +259,7 @@ def test_no_client_is_one_line(monkeypatch):
         drive(network, monkeypatch, LiveOptions(wait=0.1))
     assert f"export CYCLONEDDS_URI='{CYCLONE_LOOPBACK}'" in str(error.value)
     assert CYCLONE_LOOPBACK in (Path(__file__).parents[3] / "docs" / "howto" / "live.md").read_text()
-    with pytest.raises(ConfigError, match=r"within 0\.1 s \(--wait\)$"):
+    with pytest.raises(ConfigError, match=r"within 0\.1 s \(option wait\)$"):
         drive(network, monkeypatch, LiveOptions(wait=0.1, middleware="zenoh"))
 
 

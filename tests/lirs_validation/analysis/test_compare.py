@@ -114,7 +114,7 @@ def test_another_mapper_is_paired_when_asked() -> None:
     with pytest.raises(
         ConfigError,
         match=r"two runs of one group and seed, .*; they differ in mapper \(hector and gmapping\): "
-        r"choose one with --only-a or --only-b, such as mapper=hector",
+        r"choose one as FOLDER:mapper=hector",
     ):
         compare(a + b, a, ATE, ("mapper",))
     chosen = compare(only(a + b, {"mapper": "gmapping"}), only(a + b, {"mapper": "hector"}), ATE, ("mapper",))

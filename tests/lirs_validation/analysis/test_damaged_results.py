@@ -14,13 +14,13 @@ from lirs_validation import resolve_source
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.cli import app as cli
-from lirs_validation.config import SourceOptions
 from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.page import report_of
 from lirs_validation.report.run_tables import results_table
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats.map_server import read_map
+from lirs_wct.sources.options import BuildOptions
 from tests.lirs_validation.records import record, saved, saved_whole
 
 pytestmark = pytest.mark.usefixtures("empty_charts")
@@ -165,15 +165,15 @@ def test_a_mapped_log_that_is_cut_off_is_mapped_again(
         with pytest.raises(
             OutputError, match=rf"^{damaged}: was not written by this program, or was changed"
         ):
-            resolve_source(log, SourceOptions(log_mapper="hector"), out)
+            resolve_source(log, BuildOptions(), out)
         damaged.unlink()
-    found = resolve_source(log, SourceOptions(log_mapper="hector"), out)
+    found = resolve_source(log, BuildOptions(), out)
     assert read_map(Path(found)).known.any()
 
 
 @pytest.fixture(scope="module")
 def mapped(finished_run: Path, plain_pictures: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    options = SourceOptions(log_mapper="hector")
+    options = BuildOptions()
     return Path(
         resolve_source(finished_run / "scans.clf.gz", options, tmp_path_factory.mktemp("mapped"))
     ).parent

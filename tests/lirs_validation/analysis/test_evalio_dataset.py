@@ -132,11 +132,8 @@ def test_a_run_without_clouds_is_refused_in_a_line(
     for file in bag.iterdir():
         file.rename(finished_run_copy / file.name)
     for folder, message in (
-        (finished_run, "holds no bag that can be read; record one with --bag"),
-        (
-            finished_run_copy,
-            "its bag has no /points and no /imu/data_raw: record --bag with a lidar with rings",
-        ),
+        (finished_run, "holds no bag that can be read; lirs-wct record makes one"),
+        (finished_run_copy, "its bag has no /points and no /imu/data_raw: record with a lidar with rings"),
     ):
         assert run_command("export", str(folder), "--to", "evalio") == 2
         assert capfd.readouterr().err.split("lirs-wct: ")[-1] == f"{folder}: {message}\n"

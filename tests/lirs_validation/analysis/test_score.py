@@ -14,13 +14,13 @@ from lirs_validation.analysis.recorded_run import export_run, recorded_config, t
 from lirs_validation.analysis.result_folders import RunFolder, read_run
 from lirs_validation.analysis.score import find_time_offset, score
 from lirs_validation.cli import app as cli
-from lirs_validation.config import SourceOptions
 from lirs_validation.metrics.agreement import agreement
 from lirs_validation.metrics.map import iou
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry.pose import Pose2, Trajectory
+from lirs_wct.sources.options import BuildOptions
 
 
 @pytest.fixture
@@ -49,13 +49,13 @@ def test_a_bag_scores_as_the_poses_in_it(run: RunFolder, tmp_path: Path) -> None
     assert found.frame == "map"
     for name in ("ate_rmse", "yaw_rmse", "final_drift", "scan_coverage", "poses"):
         assert found.trajectory[name] == pytest.approx(recorded[name], abs=1e-6), name
-    assert score(run, trajectory=tmp_path / "bag", topic="/ground_truth").trajectory["ate_rmse"] < 1e-6
-    odometry = score(run, trajectory=tmp_path / "bag", topic="/odom").trajectory
+    assert score(run, trajectory=Path(f"{tmp_path}/bag:/ground_truth")).trajectory["ate_rmse"] < 1e-6
+    odometry = score(run, trajectory=Path(f"{tmp_path}/bag:/odom")).trajectory
     assert odometry["ate_rmse"] == pytest.approx(recorded["odometry_ate_rmse"], abs=1e-6)
-    with pytest.raises(SourceError, match="--topic /pose: no topic of"):
-        score(run, trajectory=tmp_path / "bag", topic="/pose")
-    with pytest.raises(ConfigError, match=r"estimate\.tum: --topic can be given for a ROS bag only"):
-        score(run, trajectory=run.folder / "estimate.tum", topic="/pose")
+    with pytest.raises(SourceError, match="BAG:/TOPIC /pose: no topic of"):
+        score(run, trajectory=Path(f"{tmp_path}/bag:/pose"))
+    with pytest.raises(ConfigError, match=r"estimate\.tum: a topic can be given for a ROS bag only"):
+        score(run, trajectory=Path(f"{run.folder}/estimate.tum:/pose"))
 
 
 def test_its_own_files_score_its_own_figures(run: RunFolder) -> None:
@@ -129,7 +129,7 @@ def test_a_map_of_other_cells_meets_a_true_pose_map_of_its_own(run: RunFolder, t
 
 def test_the_config_reads_back(run: RunFolder) -> None:
     config = recorded_config(run.entry)
-    assert config.build == SourceOptions(size=20.0, height=2.0, resize=(129, 129))
+    assert config.build == BuildOptions(size=20.0, height=2.0, resize=(129, 129))
     assert config.digest == run.folder.name[-8:]
     with_more = json.loads(json.dumps(run.entry)) | {"config": dict(run.entry["config"]) | {"wind": 3}}
     with pytest.raises(SourceError, match="unknown to this version: wind"):

@@ -146,13 +146,13 @@ def test_what_is_no_driver_is_told_with_the_legal_ones(text: str) -> None:
 def test_seeds_are_read_as_written(ranges: list[tuple[int, int]]) -> None:
     text = ",".join(f"{a}-{a + n}" if n else f"{a}" for a, n in ranges)
     expected = [seed for a, n in ranges for seed in range(a, a + n + 1)]
-    assert read_numbers(text, "--seeds") == tuple(dict.fromkeys(expected))
+    assert read_numbers(text, "--seed") == tuple(dict.fromkeys(expected))
 
 
 @pytest.mark.parametrize("text", ["", "a", "1-", "-3", "5-1", "1,,2", "1.5", "0-99999999999", "1-999999999"])
 def test_what_is_no_list_of_seeds_is_told(text: str) -> None:
-    with pytest.raises(ConfigError, match="--seeds must be a list such as"):
-        read_numbers(text, "--seeds")
+    with pytest.raises(ConfigError, match="--seed must be a list such as"):
+        read_numbers(text, "--seed")
 
 
 def test_what_is_no_source_is_no_page(wct: Any) -> None:

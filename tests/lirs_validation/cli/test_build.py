@@ -73,8 +73,8 @@ def test_meters_multiply_whatever_the_size_gave(folder: Path) -> None:
 
 def test_filters_reach_the_picture(folder: Path) -> None:
     plain = built("hill.png").surface
-    assert built("hill.png", "--crop", "8,4,32,16").surface.shape == (16, 32)
-    resized = built("hill.png", "--resize", "96,80").surface
+    assert built("hill.png", "--option", "crop=8,4,32,16").surface.shape == (16, 32)
+    resized = built("hill.png", "--option", "resize=96,80").surface
     assert (resized.shape, resized.size) == ((80, 96), pytest.approx(plain.size))
     smooth = built("hill.png", "--smoothing", "2").surface
     assert roughness(smooth) < roughness(plain)
@@ -84,11 +84,10 @@ def test_filters_reach_the_picture(folder: Path) -> None:
 
 def test_stairs_of_a_picture_are_smoothed(folder: Path) -> None:
     stairs = built("stairs.png").surface
-    assert roughness(built("stairs.png", "--deterrace").surface) < 0.5 * roughness(stairs)
-    median = built("stairs.png", "--denoise").surface
+    assert roughness(built("stairs.png", "--option", "deterrace=true").surface) < 0.5 * roughness(stairs)
+    median = built("stairs.png", "--option", "denoise=median").surface
     assert not np.array_equal(median.z, stairs.z)
-    assert np.array_equal(built("stairs.png", "--denoise-method", "median").surface.z, median.z)
-    bilateral = built("stairs.png", "--denoise", "--denoise-method", "bilateral").surface
+    bilateral = built("stairs.png", "--option", "denoise=bilateral").surface
     assert not np.array_equal(bilateral.z, median.z)
 
 
@@ -118,7 +117,7 @@ def test_a_budget_limits_every_mesh_file(folder: Path) -> None:
     counts = {len(read_upright(Path(f"out/w/meshes/w.{kind}")).faces) for kind in ("stl", "dae", "obj")}
     assert counts == {len(world.mesh.faces)}
     assert len(world.mesh.faces) < 0.4 * len(full.mesh.faces)
-    assert len(built("hill.png", "--max-triangles", "500").mesh.faces) <= 500
+    assert len(built("hill.png", "--option", "max-triangles=500").mesh.faces) <= 500
 
 
 def test_rotate_x_turns_the_files_and_nothing_else(folder: Path) -> None:
@@ -132,7 +131,7 @@ def test_rotate_x_turns_the_files_and_nothing_else(folder: Path) -> None:
 
 
 def test_a_texture_is_copied_named_and_tiled(folder: Path) -> None:
-    built("hill.png", "--texture", "my grass.JPG", "--texture-size", "5", to="dae,sdf")
+    built("hill.png", "--texture", "my grass.JPG", "--option", "texture-size=5", to="dae,sdf")
     kept = Path("out/w/materials/textures/w.jpg")
     assert kept.read_bytes() == Path("my grass.JPG").read_bytes()
     assert "../materials/textures/w.jpg" in Path("out/w/meshes/w.dae").read_text()
@@ -154,13 +153,13 @@ def test_a_heightmap_for_gazebo(folder: Path) -> None:
 
 
 def test_unknown_cells_and_speckles_of_a_map(folder: Path) -> None:
-    walls = {u: built("room.yaml", "--unknown", u).walls for u in ("floor", "wall", "hole")}
+    walls = {u: built("room.yaml", "--option", f"unknown={u}").walls for u in ("floor", "wall", "hole")}
     counts = {u: int(w.solid.sum()) for u, w in walls.items() if w is not None}
     assert counts == {"floor": 11, "wall": 11 + 20 * 40, "hole": 11}
     assert walls["hole"] is not None
     assert walls["hole"].hole is not None
     assert walls["hole"].hole.sum() == 20 * 40
-    speckless = built("room.yaml", "--speckle", "2")
+    speckless = built("room.yaml", "--option", "speckle=2")
     assert speckless.walls is not None
     assert speckless.walls.solid.sum() == 10
     assert speckless.truth is not None
@@ -170,13 +169,11 @@ def test_unknown_cells_and_speckles_of_a_map(folder: Path) -> None:
 def test_options_without_effect_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     built("room.yaml", "--invert", "--size", "3")
     told = capsys.readouterr().err
-    assert "room.yaml: --size, --invert have no effect on a laser map" in told
-    built("hill.png", "--speckle", "3")
-    assert "--speckle has no effect on a picture of a terrain" in capsys.readouterr().err
+    assert "room.yaml: size, invert have no effect on a laser map" in told
+    built("hill.png", "--option", "speckle=3")
+    assert "speckle has no effect on a picture of a terrain" in capsys.readouterr().err
     built("room.yaml", "--max-error", "0.1")
     assert "room.yaml: --max-error has no effect" in capsys.readouterr().err
-    built("hill.png", "--size", "20", "--map-height", "1")
-    assert "--map-height has no effect without --to map" in capsys.readouterr().err
     built("hill.png", "--size", "20", "--window", "0,0,10", "--max-error", "0.1")
     assert capsys.readouterr().err == ""
 
@@ -199,9 +196,9 @@ def test_a_picture_beside_its_yaml_is_that_laser_map(
     assert world.kind == "map"
     assert world.truth is not None
     assert (world.truth.resolution, world.truth.origin) == (0.1, Pose2(-1, -2))
-    assert built("room.pgm", "--as", "map").truth.resolution == 0.1
-    assert built("room.pgm", "--as", "map", "--resolution", "0.2").truth.resolution == 0.2
-    assert built("room.pgm", "--as", "picture").kind == "terrain"
+    assert built("room.pgm", "--kind", "map").truth.resolution == 0.1
+    assert built("room.pgm", "--kind", "map", "--resolution", "0.2").truth.resolution == 0.2
+    assert built("room.pgm", "--kind", "picture").kind == "terrain"
     Path("hill.yaml").write_text("image: other.png\nresolution: 1\norigin: [0, 0, 0]\n")
     assert built("hill.png").kind == "terrain"
     Path("hill.yaml").write_text("these: are notes\n")
@@ -215,20 +212,23 @@ BAD = {
     "1x1": (("build", "dot.png"), "1x1"),
     "all NaN": (("build", "nan.tif"), "nan.tif: "),
     "no image": (("build", "lost.yaml"), "lost.yaml: "),
-    "both sizes": (("build", "hill.png", "--size", "3", "--pixel-size", "1"), "--size, --pixel-size"),
-    "size": (("build", "hill.png", "--size", "3,4,5"), "--size must be W or W,H"),
-    "as": (("build", "hill.png", "--as", "mesh"), "--as must be picture or map"),
+    "both sizes": (("build", "hill.png", "--size", "3", "--resolution", "1"), "--size, --resolution"),
+    "size": (("build", "hill.png", "--size", "3,4,5"), "--size must be W[,H]"),
+    "as": (("build", "hill.png", "--kind", "mesh"), "--kind must be picture or map"),
     "both budgets": (
-        ("build", "hill.png", "--max-error", "1", "--max-triangles", "99"),
-        "--max-error, --max-triangles",
+        ("build", "hill.png", "--max-error", "1", "--option", "max-triangles=99"),
+        "max-error, max-triangles",
     ),
-    "crop": (("build", "hill.png", "--crop", "0,0,2.5,3"), "--crop must be X,Y,W,H in whole pixels"),
-    "crop outside": (("build", "hill.png", "--crop", "60,0,9,9"), "hill.png: image is 64x48 px, a crop of"),
-    "resize": (("build", "hill.png", "--resize", "9"), "--resize must be W,H in whole pixels"),
+    "crop": (("build", "hill.png", "--option", "crop=0,0,2.5,3"), "--option crop must be X,Y,W,H, got"),
+    "crop outside": (
+        ("build", "hill.png", "--option", "crop=60,0,9,9"),
+        "hill.png: image is 64x48 px, a crop",
+    ),
+    "resize": (("build", "hill.png", "--option", "resize=9"), "--option resize must be W,H, got"),
     "scale": (("build", "hill.png", "--scale", "1,2"), "--scale must be S or SX,SY,SZ"),
-    "denoise": (("build", "hill.png", "--denoise-method", "magic"), "bilateral, median"),
-    "unknown": (("build", "hill.png", "--unknown", "sea"), "--unknown must be floor, wall or hole"),
-    "speckle": (("build", "hill.png", "--speckle", "-1"), "speckle must be 0 or more"),
+    "denoise": (("build", "hill.png", "--option", "denoise=magic"), "median or bilateral"),
+    "unknown": (("build", "hill.png", "--option", "unknown=sea"), "unknown must be floor, wall or hole"),
+    "speckle": (("build", "hill.png", "--option", "speckle=-1"), "speckle must be at least 0 cells"),
     "smoothing": (("build", "hill.png", "--smoothing", "0"), "smoothing must be a finite number above 0"),
     "format": (
         ("build", "hill.png", "--to", "dae,fbx"),

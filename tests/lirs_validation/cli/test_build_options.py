@@ -2,75 +2,95 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import click
 import pytest
-import typer
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
-from lirs_validation.cli.typer_options import with_options
-from lirs_validation.config import RunConfig, SourceOptions
+from lirs_validation.cli.command import Command, Few
+from lirs_validation.cli.sources import OneSource
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
-from lirs_wct.option import Switch, numbers, option, positive
+from lirs_wct.option import option, positive
 from lirs_wct.sources.options import BuildOptions, SourceKind, without_effect
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flooded(SourceOptions):
-    """The options with two more."""
+class Flooded(BuildOptions):
+    """The options with some more."""
 
     water_level: float | None = option(
         None, "Meters of water.", panel="Water", check=positive, kinds={SourceKind.PICTURE}
     )
-    current: tuple[float, float] | None = option(
-        None,
-        "Flow of the water.",
-        metavar="U,V",
-        read=numbers("U,V in meters a second", 2),
-        switch=Switch(flag="--flowing", value=(1.0, 0.0), help="Eastward."),
-    )
+    current: tuple[float, float] | None = option(None, "Flow of the water.", metavar="U,V")
+    salt: Literal["none", "some"] = option("none", "Salt in the water.", rare=True)
+    waves: bool = option(False, "Whether there are waves.", rare=True)
 
 
-def said(*words: str) -> SourceOptions:
-    heard: list[SourceOptions] = []
-    app = typer.Typer()
+def said(*words: str) -> Flooded:
+    heard: list[Flooded] = []
 
-    @app.command()
-    @with_options
-    def probe(source: str, mapper: str = "", *, options: Flooded) -> None:
+    def probe(where: OneSource, options: Flooded) -> None:
+        """Listen."""
         heard.append(options)
 
-    CliRunner().invoke(app, ["simple", *words], catch_exceptions=False, standalone_mode=False)
+    CliRunner().invoke(
+        Command("probe", probe), ["simple", *words], catch_exceptions=False, standalone_mode=False
+    )
     return heard[0]
 
 
 def test_a_new_field_is_an_option_of_the_command_line() -> None:
     assert said("--water-level", "1.5") == Flooded(water_level=1.5)
     assert said("--current", "0.5,-1", "--size", "20") == Flooded(current=(0.5, -1.0), size=20.0)
-    assert said("--flowing") == Flooded(current=(1.0, 0.0))
-    assert said("--flowing", "--current", "2,3") == Flooded(current=(2.0, 3.0))
+    assert said("--option", "salt=some", "--option", "waves=yes") == Flooded(salt="some", waves=True)
+    assert said("--option", "water-level=2", "--option", "waves=false") == Flooded(water_level=2.0)
 
 
-def test_a_new_field_is_in_the_help(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "120")
-    app = typer.Typer()
+def test_a_command_may_have_few_flags_of_a_class() -> None:
+    heard: list[Flooded] = []
 
-    @app.command()
-    @with_options
-    def probe(source: str, *, options: Flooded) -> None: ...
+    def probe(options: Annotated[Flooded, Few(("size", "salt"))]) -> None:
+        """Listen."""
+        heard.append(options)
 
-    shown = CliRunner().invoke(app, ["--help"]).output
-    for part in ("Water", "--water-level", "Meters of water.", "U,V", "--flowing", "--mapper"):
-        assert part in shown
+    command = Command("probe", probe)
+    flags = {flag for p in command.params if isinstance(p, click.Option) for flag in p.opts}
+    assert flags == {"--size", "--salt", "--option"}
+    words = ["--salt", "some", "--option", "current=1,2"]
+    CliRunner().invoke(command, words, catch_exceptions=False, standalone_mode=False)
+    assert heard == [Flooded(salt="some", current=(1.0, 2.0))]
 
 
-def test_a_new_field_is_checked_and_knows_its_sources() -> None:
-    with pytest.raises(ConfigError, match=r"^water level must be a finite number above 0, got -1.0$"):
-        said("--water-level", "-1")
-    with pytest.raises(ConfigError, match=r"^--current must be U,V in meters a second, got '1'$"):
-        said("--current", "1")
+def test_a_new_field_is_in_the_help() -> None:
+    def probe(options: Flooded) -> None:
+        """Listen."""
+
+    text = CliRunner().invoke(Command("probe", probe), ["--help"]).output
+    for part in ("Water", "--water-level", "Meters of water.", "U,V", "salt", "none|some", "true|false"):
+        assert part in text
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--water-level -1", "water level must be a finite number above 0, got -1.0"),
+        ("--water-level deep", "--water-level must be a number, got 'deep'"),
+        ("--current 1", "--current must be U,V, got '1'"),
+        ("--current 1,2,3", "--current must be U,V, got '1,2,3'"),
+        ("--option salt=much", "--option salt must be none or some, got 'much'"),
+    ],
+)
+def test_a_new_field_is_checked(words: str, message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        said(*words.split())
+    assert str(error.value) == message
+
+
+def test_a_new_field_knows_its_sources() -> None:
     deep = Flooded(water_level=2.0)
     assert without_effect(deep, SourceKind.PICTURE) == []
     assert without_effect(deep, SourceKind.MAP) == ["water_level"]
@@ -78,19 +98,7 @@ def test_a_new_field_is_checked_and_knows_its_sources() -> None:
 
 def test_a_new_field_is_in_the_command_of_a_run() -> None:
     command = command_of(RunConfig(source="a.png", build=Flooded(water_level=2.0, current=(1.0, 2.0))))
-    assert command.endswith("--water-level 2 --current 1,2")
-
-
-def test_a_command_with_a_mapper_of_its_own_keeps_the_flag() -> None:
-    assert said("--mapper", "hector", "--log-mapper", "gmapping").log_mapper == "gmapping"
-    assert said("--mapper", "hector") == Flooded()
-
-
-def test_options_without_a_word_of_logs_make_the_same_run() -> None:
-    plain: dict[str, Any] = {"size": 20.0, "invert": True}
-    a = RunConfig(source="a.png", build=BuildOptions(**plain))
-    b = RunConfig(source="a.png", build=SourceOptions(**plain))
-    assert (a, a.digest) == (b, b.digest)
+    assert command.endswith("--option water_level=2 --option current=1,2")
 
 
 def test_a_run_in_a_log_says_who_maps_it(tmp_path: Path) -> None:
@@ -98,3 +106,26 @@ def test_a_run_in_a_log_says_who_maps_it(tmp_path: Path) -> None:
     log.write_text("")
     with pytest.raises(LogSourceError, match=r"room.clf: a log is mapped .*lirs_validation.resolve_source$"):
         build_scenario(RunConfig(source=str(log)))
+
+
+def test_a_list_takes_the_type_of_its_elements() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Lists(BuildOptions):
+        """Options that are lists."""
+
+        names: tuple[str, ...] = option((), "Names.")
+        numbers: tuple[int, ...] = option((), "Numbers.")
+        words: tuple[Literal["a", "b"], ...] = option((), "Words.")
+
+    heard: list[Any] = []
+
+    def probe(options: Lists) -> None:
+        """Listen."""
+        heard.append((options.names, options.numbers, options.words))
+
+    probe.__annotations__["options"] = Lists
+    words = ["--names", "x,y", "--numbers", "1-3,7", "--words", "b,a"]
+    CliRunner().invoke(Command("probe", probe), words, catch_exceptions=False, standalone_mode=False)
+    assert heard == [(("x", "y"), (1, 2, 3, 7), ("b", "a"))]
+    with pytest.raises(ConfigError, match=r"^words must be a or b, got 'c'"):
+        Lists(words=("a", "c"))  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
 DATA = ROOT / "examples" / "data"
-SMALL = ("--size", "20", "--height", "2", "--resize", "129,129")
+SMALL = ("--size", "20", "--height", "2", "--option", "resize=129,129")
 
 
 @contextmanager
@@ -61,7 +61,7 @@ def test_a_picture_that_cannot_be_written_is_said(tmp_path: Path) -> None:
         (("build", str(DATA / "dunes.png"), "--to", "dae,sdf"), 15_000),
         (("map", "scans.clf.gz", "--mapper", "hector", "--second", "none"), 15_000),
         (("validate", "simple", *SMALL, "--seconds", "0.4"), 15_000),
-        (("validate", "simple", *SMALL, "--seconds", "0.4", "--seeds", "1,2"), 15_000),
+        (("validate", "simple", *SMALL, "--seconds", "0.4", "--seed", "1,2"), 15_000),
     ],
 )
 def test_a_command_on_a_full_disk_says_so_in_one_line(
@@ -106,7 +106,7 @@ def test_a_full_disk_leaves_the_former_report(
 def test_a_terminal_without_room_is_said() -> None:
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
-            [sys.executable, "-c", "from lirs_validation.cli.app import main; main()", "mappers"],
+            [sys.executable, "-c", "from lirs_validation.cli.app import main; main()", "list", "mappers"],
             env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'envs'}"},
             stdout=full,
             stderr=subprocess.PIPE,

@@ -1,63 +1,82 @@
-"""Help: few options in order of use, all with `--help-all`; the shell completes names."""
+"""Help: few options in order of use, all with `--help-all`, examples that run; the shell completes names."""
 
 import re
+import shlex
 from pathlib import Path
 
+import click
 import pytest
-import typer
-from typer.exceptions import TyperException
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
-from lirs_validation.cli.app import COMMANDS, make_app
-from lirs_validation.cli.help import COMMON, MOST
+from lirs_validation.cli.app import COMMANDS, MOVED, PROGRAM
+from lirs_validation.cli.command import OLD, Command
+from lirs_validation.cli.help import RARE
+from tests.command_line import run_command
 
-PROGRAM = typer.main.get_command(make_app()).commands  # type: ignore[attr-defined]
-WIDE = {"COLUMNS": "300", "TERM": "dumb"}
-
-
-def flags(name: str, flag: str = "--help") -> list[str]:
-    """First flag of each option that the help of a command lists."""
-    shown = CliRunner().invoke(make_app(), [name, flag], env=WIDE)
-    assert shown.exit_code == 0
-    return re.findall(r"^│ (?:\*|) *(-[\w-]+)", shown.output, re.MULTILINE)
+ROOT = Path(__file__).resolve().parents[3]
+MAX_OPTIONS = 15
+"""Options that a help shows, besides those that show more help."""
 
 
-def listed(name: str) -> dict[str, str]:
-    """First long flag of each option that is not hidden, by each flag."""
-    found = [p.opts for p in PROGRAM[name].params if p.param_type_name == "option" and not p.hidden]
-    return {flag: next(long for long in opts if long.startswith("--")) for opts in found for flag in opts}
+def command(name: str) -> Command:
+    found = PROGRAM.get_command(click.Context(PROGRAM), name)
+    assert isinstance(found, Command)
+    return found
+
+
+def shown(*words: str) -> str:
+    result = CliRunner().invoke(PROGRAM, words)
+    assert result.exit_code == 0
+    return result.output
+
+
+def flags(text: str) -> list[str]:
+    """Return the first flag of each option that a help lists."""
+    return re.findall(r"^│ (--[\w-]+)", text, re.MULTILINE)
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_the_help_lists_at_most_fifteen_options(name: str) -> None:
-    assert len(flags(name)) <= MOST
-
-
-@pytest.mark.parametrize("name", sorted(COMMON))
-def test_the_common_options_come_in_order_of_use_and_all_with_help_all(name: str) -> None:
-    long = listed(name)
-    assert flags(name) == [*(long[flag] for flag in COMMON[name]), "--help-all", "--help"]
-    assert set(flags(name, "--help-all")) == {*long.values(), "--help"}
-    assert len(set(long.values())) > MOST
-    told = re.search(
-        r"Show all (\d+) options", CliRunner().invoke(make_app(), [name, "--help"], env=WIDE).output
-    )
-    assert told is not None
-    assert int(told[1]) == len(set(long.values())) - 1
+def test_the_help_shows_at_most_fifteen_options_and_help_all_shows_every_one(name: str) -> None:
+    found, short = command(name), flags(shown(name, "--help"))
+    more = {"--help", "--help-all", "--option"}
+    assert len(set(short) - more) <= MAX_OPTIONS
+    own = [option.flag for option in found.own.values() if not option.positional]
+    if not found.common:
+        assert set(short) - more == set(own)
+        return
+    assert short[:-3] == [found.own[option].flag for option in found.common]
+    assert len(own) > MAX_OPTIONS
+    everything, _, rare = shown(name, "--help-all").partition(RARE)
+    assert set(flags(everything)) == {*own, *more}
+    listed = re.findall(r"^│ ([a-z][a-z-]*) ", rare, re.MULTILINE)
+    assert listed == [option.replace("_", "-") for option in found.rare]
 
 
 def test_a_help_changes_no_later_one() -> None:
-    assert flags("build") == flags("build")
-    flags("build", "--help-all")
-    assert len(flags("build")) <= MOST
-    assert "--drape" in flags("build", "--help-all")
+    before = shown("build", "--help")
+    assert "crop " in shown("build", "--help-all")
+    assert shown("build", "--help") == before
 
 
 def test_commands_are_listed_in_order_of_use() -> None:
-    shown = CliRunner().invoke(make_app(), ["--help"], env=WIDE).output
-    listed = re.findall(r"^│ ([a-z]+)  ", shown, re.MULTILINE)
+    listed = re.findall(r"^│ ([a-z]+)  ", shown("--help"), re.MULTILINE)
     assert listed == list(COMMANDS)
     assert listed[:3] == ["verdict", "validate", "map"]
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_each_example_stands_on_a_line_of_the_help_and_its_parser_takes_it(name: str) -> None:
+    lines = shown(name, "--help").splitlines()
+    examples = (command(name).epilog or "").splitlines()
+    assert examples
+    for example in examples:
+        assert example in lines
+        program, called, *arguments = shlex.split(example)
+        assert program == "lirs-wct"
+        with command(called).make_context(called, arguments) as context:
+            assert not context.args
+        inputs = [word for word in arguments if word.startswith("examples/")]
+        assert [word for word in inputs if not (ROOT / word).is_file()] == []
 
 
 @pytest.mark.parametrize(
@@ -66,10 +85,12 @@ def test_commands_are_listed_in_order_of_use() -> None:
         ("validate medium --robot hus", ["husky"]),
         ("validate medium --mapper hector,gm", ["hector,gmapping", "hector,gmapping_original"]),
         ("validate medium --attitude n", ["none"]),
+        ("validate medium --option sca", ["scan_time=", "scale="]),
         ("validate me", ["medium"]),
         ("build adv", ["advanced"]),
         ("info worlds/ha", ["worlds/hall"]),
         ("map log.clf --second no", ["none"]),
+        ("list ro", ["robots"]),
         ("val", ["validate"]),
     ],
 )
@@ -79,22 +100,39 @@ def test_the_shell_completes(
     (tmp_path / "worlds" / "hall").mkdir(parents=True)
     monkeypatch.chdir(tmp_path)
     line = f"lirs-wct {words}"
-    env = {"_LIRS_WCT_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(len(words.split()))}
-    shown = CliRunner().invoke(make_app(), [], env=env, prog_name="lirs-wct")
-    assert shown.output.split() == found
+    env = {"_LIRS_WCT_COMPLETE": "bash_complete", "COMP_WORDS": line, "COMP_CWORD": str(len(words.split()))}
+    result = CliRunner().invoke(PROGRAM, [], env=env, prog_name="lirs-wct")
+    assert [entry.partition(",")[2] for entry in result.output.split()] == found
 
 
 @pytest.mark.parametrize(
-    ("words", "similar"),
+    ("words", "message"),
     [
-        ("validat medium", "validate"),
-        ("validate medum", "medium"),
-        ("validate medium --robot huskie", "husky"),
-        ("validate medium --mapper hectro", "hector"),
-        ("validate medium --mapperr hector", "--mapper"),
+        ("validat medium", "no command 'validat'; did you mean validate?; lirs-wct --help lists all"),
+        ("validate medum", "did you mean medium?"),
+        ("validate medium --robot huskie", "did you mean husky?"),
+        ("validate medium --mapper hectro", "did you mean hector?"),
+        ("validate medium --mapperr hector", "validate has no option --mapperr; did you mean --mapper?"),
+        ("build simple --croop 1", "build has no option --croop; did you mean --crop?"),
+        ("build simple --option croop=1", "unknown --option 'croop'; legal: "),
+        ("build simple --option crop", "--option must be NAME=VALUE, got 'crop'"),
+        ("build simple --option deterrace=perhaps", "--option deterrace must be true or false"),
+        ("build simple --crop 1,2,3,4", "--crop: is now --option crop=X,Y,W,H"),
+        ("verdict simple --seeds 1-5", "--seeds: is now --seed N-M"),
+        ("view simple", "view: is now lirs-wct info SOURCE -o PICTURE.png"),
     ],
 )
-def test_a_misspelled_name_suggests_the_right_one(words: str, similar: str) -> None:
-    error = CliRunner().invoke(make_app(), words.split(), standalone_mode=False).exception
-    told = error.format_message() if isinstance(error, TyperException) else str(error)
-    assert re.search(rf"[Dd]id you mean '?{similar}'?\?|Possible options: .*{similar}\b", told)
+def test_a_wrong_or_old_word_gets_the_right_one_in_one_line(
+    words: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(*words.split()) == 2
+    told = capsys.readouterr().err
+    assert message in told.replace("\n", " ")
+    assert told.count("lirs-wct: ") == 1
+
+
+def test_no_option_or_command_is_old_and_new() -> None:
+    found = [command(name) for name in COMMANDS]
+    known = {option.flag for one in found for option in (*one.own.values(), *one.rare.values())}
+    assert set(OLD) & known == set()
+    assert set(MOVED) & set(COMMANDS) == set()

@@ -34,7 +34,7 @@ COMMANDS = {
         "random",
     ),
     "twin": ("twin", "short.clf", "--mapper", "hector", "--replay", "none", "--draws", "1"),
-    "live": ("live", "simple", "--lockstep", "--limit", "0.001", "--seconds", "0.4"),
+    "live": ("live", "simple", "--lockstep", "--option", "limit=0.001", "--seconds", "0.4"),
 }
 
 

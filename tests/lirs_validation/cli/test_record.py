@@ -1,4 +1,4 @@
-"""`record` and `--bag`: a run's folder that is a bag, where it is put, and what is refused."""
+"""`record`: a run's folder that is a bag, where it is put, and what is refused."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 from lirs_validation.record.run_record import read_record
 
 pytestmark = pytest.mark.usefixtures("plain_pictures")
-SMALL = ("--size", "20", "--height", "2", "--resize", "129,129", "--seconds", "0.4")
+SMALL = ("--size", "20", "--height", "2", "--option", "resize=129,129", "--seconds", "0.4")
 
 
 def test_a_drive_is_recorded_into_the_folder_that_is_named(wct: Any, tmp_path: Path) -> None:
@@ -36,7 +36,7 @@ def test_what_was_recorded_is_mapped(wct: Any) -> None:
 
 
 def test_several_drives_are_recorded_beside_each_other(wct: Any, tmp_path: Path) -> None:
-    code, _, _ = wct("record", "simple", *SMALL, "--seeds", "1-2", "-o", "bags")
+    code, _, _ = wct("record", "simple", *SMALL, "--seed", "1-2", "-o", "bags")
     assert code == 0
     folders = [p for p in (tmp_path / "bags").iterdir() if p.is_dir()]
     assert len(folders) == 2
@@ -55,7 +55,7 @@ def test_a_folder_of_something_else_is_not_replaced(wct: Any, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        (("validate", "simple", "--sensors-only"), "--sensors-only is an option of bags: give --bag"),
+        (("validate", "simple", "--bag"), "--bag: is now lirs-wct record"),
         (("record", "simple", "--storage", "zip"), "--storage must be mcap or sqlite3, got 'zip'"),
         (("record",), "nothing to validate"),
     ],

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import ROBOTS, make_robot
-from lirs_validation.cli.app import make_app
+from lirs_validation.cli.app import PROGRAM
 from lirs_validation.collision.contact_log import ContactRecorder
 from lirs_validation.collision.contact_metrics import energy_gain, penetrations, stuck_seconds
 from lirs_validation.collision.contact_solid import ContactSolid
@@ -304,12 +304,12 @@ def test_files_and_table(blocks: World, tmp_path: Path) -> None:
     assert "seed 2: penetration, 99.9 % 20 mm, legal: at most 10 mm" in caption
 
 
-QUICK = ("simple", "--robot", "turtlebot2", "--seconds", "0.5", "--size", "20", "--resize", "129,129")
+QUICK = ("simple", "--robot", "turtlebot2", "--seconds", "0.5", "--size", "20", "--option", "resize=129,129")
 
 
 def collide(folder: Path, *words: str) -> tuple[int, str, list[dict[str, Any]]]:
     """Run `lirs-wct collide`; return its exit code, what went wrong and the written entries."""
-    result = CliRunner().invoke(make_app(), ["collide", *words, "-o", str(folder)], standalone_mode=False)
+    result = CliRunner().invoke(PROGRAM, ["collide", *words, "-o", str(folder)], standalone_mode=False)
     code = getattr(result.exception, "exit_code", None)
     written = folder / "collisions.json"
     entries = json.loads(written.read_text())["collisions"] if written.exists() else []
@@ -323,7 +323,7 @@ def test_a_terrain_that_does_not_fit_is_left_out(tmp_path: Path) -> None:
 
 
 def test_the_command(tmp_path: Path) -> None:
-    code, _, entries = collide(tmp_path, *QUICK, "--seeds", "1,3")
+    code, _, entries = collide(tmp_path, *QUICK, "--seed", "1,3")
     assert code == 0
     assert [entry["seed"] for entry in entries] == [1, 3]
     code, _, entries = collide(tmp_path, "nope.png", *QUICK)
@@ -334,8 +334,8 @@ def test_a_wrong_option_is_named(tmp_path: Path) -> None:
     for words, says in (
         (("simple", "--robot", "huksy"), "unknown robot 'huksy'"),
         (("simple", "--robot", ","), "--robot must be a list such as a,b,c"),
-        (("simple", "--seeds", "5-1"), "--seeds must be a list such as 1-5"),
-        (("simple", "--terrain", "mud"), "--terrain must be hfield, mesh, prisms or convex"),
+        (("simple", "--seed", "5-1"), "--seed must be a list such as 1-5"),
+        (("simple", "--terrain", "mud"), "terrain must be hfield, mesh, prisms or convex"),
         (("simple", "--seconds", "0"), "seconds must be within (0, 1e6] simulated seconds, got 0.0"),
         (("nope.png",), "no such file"),
     ):

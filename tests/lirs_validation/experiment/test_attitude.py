@@ -34,5 +34,5 @@ def test_only_the_mapper_loses_the_attitude(hills: dict[str, Any]) -> None:
 
 
 def test_an_attitude_that_is_none_is_refused() -> None:
-    with pytest.raises(ConfigError, match="unknown attitude 'true'; legal: imu, none"):
+    with pytest.raises(ConfigError, match="attitude must be imu or none, got 'true'"):
         RunConfig(source="simple", attitude="true")  # type: ignore[arg-type]

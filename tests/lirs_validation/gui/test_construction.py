@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_validation.config import RunConfig, SourceOptions
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Construction, zip_folder
 from lirs_validation.gui.session.glb import world_glb
 from lirs_validation.gui.session.uploads import PageLimits, Uploads
 from lirs_wct import build_world, write_package
 from lirs_wct.errors import ConfigError, WctError
+from lirs_wct.sources.options import BuildOptions
 
 NODES = 65
 
@@ -36,14 +37,14 @@ def dunes(tmp_path_factory: pytest.TempPathFactory) -> str:
     [
         {},
         {"size": 30.0, "height": 4.0, "scale": (1.0, 2.0, 3.0)},
-        {"invert": True, "z_scale": 2.0, "pixel_size": 0.1, "crop": (50, 20, 200, 250)},
+        {"invert": True, "z_scale": 2.0, "resolution": 0.1, "crop": (50, 20, 200, 250)},
         {"smoothing": 6.0},
         {"window": (5.0, -5.0, 20.0)},
         {"resize": (200, 300)},
     ],
 )
 def test_a_preview_is_the_world_on_fewer_nodes(tmp_path: Path, dunes: str, options: dict[str, Any]) -> None:
-    chosen = SourceOptions(**options)
+    chosen = BuildOptions(**options)
     coarse = Construction(tmp_path, NODES).preview(dunes, chosen).world.surface
     fine = build_world(dunes, chosen).surface
     assert max(coarse.shape) <= NODES
@@ -58,7 +59,7 @@ def test_a_preview_is_the_world_on_fewer_nodes(tmp_path: Path, dunes: str, optio
 
 
 def test_the_package_is_that_of_the_command_line(tmp_path: Path, picture: Path) -> None:
-    options = SourceOptions(height=3.0, max_error=0.05, name="hill")
+    options = BuildOptions(height=3.0, max_error=0.05, name="hill")
     shown = Construction(tmp_path / "page").build(str(picture), options)
     assert shown.package is not None
     folder = write_package(build_world(picture, options), tmp_path / "worlds")
@@ -74,25 +75,25 @@ def test_the_package_is_that_of_the_command_line(tmp_path: Path, picture: Path) 
 def test_another_file_of_the_same_name_is_read_anew(tmp_path: Path, picture: Path) -> None:
     scenarios, config = ScenarioCache(), RunConfig(source=str(picture))
     construction = Construction(tmp_path, NODES, scenarios)
-    before = construction.preview(str(picture), SourceOptions()).world.surface.z
+    before = construction.preview(str(picture), BuildOptions()).world.surface.z
     driven = scenarios.scenario(config).world.surface.z
     pixels = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
     assert pixels is not None
     cv2.imwrite(str(picture), 255 - pixels)
     construction.forget()
-    after = construction.preview(str(picture), SourceOptions()).world.surface.z
+    after = construction.preview(str(picture), BuildOptions()).world.surface.z
     np.testing.assert_allclose(after, 6.0 - before, atol=0.05)
     np.testing.assert_allclose(scenarios.scenario(config).world.surface.z, 6.0 - driven, atol=0.05)
 
 
 def test_an_impossible_crop_is_refused_by_a_preview_too(tmp_path: Path, picture: Path) -> None:
     with pytest.raises(WctError, match="crop"):
-        Construction(tmp_path).preview(str(picture), SourceOptions(crop=(60, 0, 10, 10)))
+        Construction(tmp_path).preview(str(picture), BuildOptions(crop=(60, 0, 10, 10)))
 
 
 @pytest.mark.parametrize("most", [2_000, 50_000])
 def test_the_browser_is_given_no_more_than_it_can_show(dunes: str, most: int) -> None:
-    world = build_world(dunes, SourceOptions(size=(50.0, 50.0)))
+    world = build_world(dunes, BuildOptions(size=(50.0, 50.0)))
     content, triangles = world_glb(world, most)
     # Skirt and base come on top of the surface.
     assert triangles <= most + 12 * most**0.5
@@ -102,11 +103,11 @@ def test_the_browser_is_given_no_more_than_it_can_show(dunes: str, most: int) ->
 
 
 def test_a_budget_of_triangles_is_shown_as_it_is(tmp_path: Path, dunes: str) -> None:
-    world = build_world(dunes, SourceOptions(max_triangles=900))
+    world = build_world(dunes, BuildOptions(max_triangles=900))
     _, triangles = world_glb(world, 5_000)
     assert triangles == len(world.mesh.faces) <= 900
     with pytest.raises(ConfigError):
-        Construction(tmp_path).build(dunes, SourceOptions(), formats=())
+        Construction(tmp_path).build(dunes, BuildOptions(), formats=())
 
 
 def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
@@ -118,9 +119,9 @@ def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
         path = uploads.add("room.yaml", yaml)
         construction = Construction(uploads.folder, NODES)
         with pytest.raises(WctError, match=r"my_room\.pgm is not there"):
-            construction.preview(str(path), SourceOptions())
+            construction.preview(str(path), BuildOptions())
         uploads.add("my room.pgm", cv2.imencode(".pgm", pixels)[1].tobytes())
-        shown = construction.preview(str(path), SourceOptions(wall_height=1.5))
+        shown = construction.preview(str(path), BuildOptions(wall_height=1.5))
         assert shown.world.walls is not None
         assert shown.world.walls.height == 1.5
         assert shown.world.surface.bounds == pytest.approx((1.0, 2.0, 9.0, 8.0))
@@ -134,4 +135,4 @@ def test_a_preview_names_unusual_figures_as_a_build_does(tmp_path: Path) -> None
     construction = Construction(tmp_path / "page")
     for make in (construction.preview, construction.build):
         with pytest.warns(UserWarning, match=r"flat\.png: the ground is flat, 0 m of relief on 50 m"):
-            make(str(tmp_path / "flat.png"), SourceOptions())
+            make(str(tmp_path / "flat.png"), BuildOptions())

@@ -105,5 +105,5 @@ def test_readings_that_do_not_fit_are_refused(recorded: Path) -> None:
         map_log(log, mapper="hector", imu=recorded / "late.csv.gz")
     with pytest.raises(SourceError, match=r"^nothing.csv.gz: cannot be read: No such file"):
         map_log(log, mapper="hector", imu="nothing.csv.gz")
-    with pytest.raises(ConfigError, match="unknown attitude 'some'; legal: imu, none"):
+    with pytest.raises(ConfigError, match="attitude must be imu or none, got 'some'"):
         map_log(log, attitude="some")

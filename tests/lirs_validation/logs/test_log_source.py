@@ -11,7 +11,6 @@ import pytest
 
 from lirs_validation import resolve_source
 from lirs_validation.analysis.result_folders import read_results
-from lirs_validation.config import SourceOptions
 from lirs_validation.experiment.run import validate
 from lirs_validation.record.provenance import is_stale
 from lirs_wct import BuildOptions, World, build_world
@@ -47,7 +46,7 @@ def test_build_makes_the_map_and_the_world_of_it(folder: Path) -> None:
 
 
 def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
-    options = SourceOptions(log_mapper="hector")
+    options = BuildOptions()
     first = resolve_source("my room.clf", options, folder)
     assert Path(first).name == "my_room.yaml"
     record = Path(first).with_name("record.json")
@@ -55,7 +54,7 @@ def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
     assert resolve_source("my room.clf", options, str(folder)) == first
     assert record.stat().st_mtime_ns == before
     # Other cells, another log, other code: another map.
-    assert resolve_source("my room.clf", SourceOptions(log_mapper="hector", resolution=0.1), folder) != first
+    assert resolve_source("my room.clf", BuildOptions(resolution=0.1), folder) != first
     write_log(folder / "my room.clf", room_lines(25)[0])
     assert resolve_source("my room.clf", options, folder) != first
     assert len(maps(folder)) == 3
@@ -68,7 +67,7 @@ def test_a_map_that_is_there_is_used_again(folder: Path) -> None:
 
 @pytest.mark.parametrize(("changed", "again"), [({"numpy": "0.0"}, False), ({"code": "0"}, True)])
 def test_a_map_is_stale_where_a_run_would_be(changed: dict[str, str], again: bool, folder: Path) -> None:
-    options = SourceOptions(log_mapper="hector")
+    options = BuildOptions()
     record = Path(resolve_source("my room.clf", options, folder)).with_name("record.json")
     entry = json.loads(record.read_text())
     versions = entry["versions"] | changed
@@ -89,8 +88,8 @@ def test_a_map_of_a_lost_mapper_is_no_world(folder: Path) -> None:
     for k in range(60, 120):
         lines.append(flaser(rng.uniform(0.5, 7.0, 181), resting(lines), START + 0.2 * k))
     write_log(folder / "lost.log", lines)
-    with pytest.raises(SourceError, match=r"lost\.log: hector lost its place in this log"):
-        resolve_source("lost.log", SourceOptions(log_mapper="hector"), folder)
+    with pytest.raises(SourceError, match=r"lost\.log: cartographer lost its place in this log"):
+        resolve_source("lost.log", BuildOptions(), folder)
     assert run_command("map", "lost.log", "--mapper", "hector") == 3
 
 
@@ -111,7 +110,7 @@ def test_info_of_a_log_maps_nothing(folder: Path, capsys: pytest.CaptureFixture[
 
 
 def test_a_robot_drives_in_the_map_of_a_log(folder: Path) -> None:
-    source = resolve_source("my room.clf", SourceOptions(log_mapper="hector"), folder)
+    source = resolve_source("my room.clf", BuildOptions(), folder)
     run = validate(source, robot="turtlebot3_burger", seconds=1.0, out=folder)
     assert run.record.world["name"] == "my_room"
     assert run.record.status == "ok"
@@ -147,14 +146,12 @@ BAD = {
     "a picture": (("map", "picture.png"), "picture.png: not a text file, a CARMEN log is one"),
     "a bundled world": (("map", "simple"), "simple: is a bundled world, map takes a CARMEN log or a ROS bag"),
     "no mapper": (("map", "my room.clf", "--mapper", "slam"), "unknown mapper 'slam'; legal: cartographer,"),
-    "particles": (("map", "my room.clf", "--mapper", "hector", "--particles", "3"), "has no particles"),
     "relations": (("map", "my room.clf", "--relations", "empty.clf"), "empty.clf: holds no relation"),
     "reference": (("map", "my room.clf", "--reference", "empty.clf"), "empty.clf: no usable laser scan"),
     "cells": (("map", "my room.clf", "--resolution", "0"), "resolution must be within [0.01, 1] m, got 0"),
     "in the way": (("map", "my room.clf", "--mapper", "hector", "-o", "empty.clf"), "empty.clf"),
     "build": (("build", "empty.clf"), "empty.clf: no usable laser scan"),
     "build without": (("build", "nothing.clf"), "nothing.clf: no such file or folder"),
-    "build by": (("build", "my room.clf", "--mapper", "slam"), "unknown mapper 'slam'"),
     "validate": (("validate", "binary.clf"), "binary.clf: not a text file"),
     "info": (("info", "cut.clf.gz"), "cut.clf.gz: the gzip stream is damaged"),
 }

@@ -66,16 +66,13 @@ def test_the_reference_may_be_a_bag_and_topics_are_arguments(run: Path) -> None:
         second="none",
         scan_topic="/scan",
         imu_topic="/imu",
-        reference=bag,
-        reference_topic="/ground_truth",
+        reference=f"{bag}:/ground_truth",
     )
     log = {"imu": run / "imu.csv.gz", "reference": run / "truth.tum"}
     own = map_log(run / "scans.clf.gz", mapper="hector", second="none", **log).record.accuracy["reference"]
     assert mapped.record.accuracy["reference"]["ate_rmse"] == pytest.approx(own["ate_rmse"], abs=1e-5)
-    with pytest.raises(ConfigError, match="--reference-topic is of a --reference, which is not given"):
-        map_log(bag, reference_topic="/ground_truth")
-    with pytest.raises(ConfigError, match=r"truth\.tum: --reference-topic can be given for a ROS bag only"):
-        map_log(bag, reference=run / "truth.tum", reference_topic="/ground_truth")
+    with pytest.raises(ConfigError, match=r"truth\.tum: a topic can be given for a ROS bag only"):
+        map_log(bag, reference=f"{run}/truth.tum:/ground_truth")
 
 
 def test_the_name_of_a_map_depends_on_the_bag_alone(run: Path, tmp_path: Path) -> None:

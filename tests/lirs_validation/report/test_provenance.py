@@ -1,13 +1,14 @@
 """The command that repeats a run."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
 import pytest
-import typer
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
-from lirs_validation.cli.typer_options import with_options
+from lirs_validation.cli.command import Command
+from lirs_validation.cli.sources import OneSource, World
 from lirs_validation.config import RunConfig
 from lirs_validation.report.provenance import command_of
 from lirs_validation.sweep.suites import cross
@@ -24,24 +25,19 @@ from lirs_wct.sources.options import BuildOptions
         RunConfig(source="x.png", build=BuildOptions(
             name="n", kind="map", size=(30.0, 20.5), window=(1.0, -2.0, 10.0), crop=(1, 2, 30, 40),
             resize=(100, 90), deterrace=True, denoise="bilateral", invert=True, grayscale=True,
-            origin=Pose2(1.0, -2.0, 0.1), scale=(1.0, 2.0, 3.0), texture=Path("t x.png"), max_error=0.02,
+            start=Pose2(1.0, -2.0, 0.1), scale=(1.0, 2.0, 3.0), texture=Path("t x.png"), max_error=0.02,
             unknown="hole", wall_height=1.25, speckle=4, rotate_x=-90.0, max_pixels=1000)),
     ],
 )  # fmt: skip
 def test_the_command_of_a_run_is_that_run(config: RunConfig) -> None:
     """The words go through the command line's own reading of options, and give the config back."""
-    import shlex
-
     heard: dict[str, Any] = {}
-    app = typer.Typer()
 
-    @app.command()
-    @with_options
-    def probe(source: str, *, run: Annotated[dict[str, Any], RunConfig], options: BuildOptions) -> None:
-        heard.update(source=source, build=options, **run)
+    def probe(where: OneSource, run: Annotated[dict[str, Any], RunConfig], build: World) -> None:
+        """Listen."""
+        heard.update(source=where.source, build=build, **run)
 
     words = shlex.split(command_of(config))
     assert words[:2] == ["lirs-wct", "validate"]
-    result = CliRunner().invoke(app, words[2:], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
+    CliRunner().invoke(Command("validate", probe), words[2:], catch_exceptions=False, standalone_mode=False)
     assert cross(heard.pop("source"), **heard) == (config,)

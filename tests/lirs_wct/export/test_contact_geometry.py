@@ -218,7 +218,7 @@ def test_a_prism_for_each_triangle_and_no_more_than_are_legal(hills: World) -> N
     area = 0.5 * np.abs(np.cross(edges[:, 0], edges[:, 1])[:, 2]).sum()
     assert area == pytest.approx(16.0**2, rel=1e-9)
     full = World("full", Terrain(hills.surface), export_options=ExportOptions(max_error=1e-5))
-    with pytest.raises(ConfigError, match=r"at most 20000 are legal; give --max-error or --max-triangles"):
+    with pytest.raises(ConfigError, match=r"at most 20000 are legal; give --max-error or --option"):
         list(prisms(full))
 
 

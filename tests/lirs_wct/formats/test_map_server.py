@@ -429,7 +429,6 @@ def test_a_picture_alone_is_read_by_the_defaults(tmp_path: Path) -> None:
     grid = read_map_picture(tmp_path / "m.pgm", 0.25)
     assert (grid.resolution, grid.origin) == (0.25, Pose2())
     assert states(grid) == [["#", "#", "?"], ["?", ".", "."]]
-    assert read_map_picture(tmp_path / "m.pgm", 0.25, Pose2(1, 2, 3)).origin == Pose2(1, 2, 3)
     with pytest.raises(SourceError, match="at most 5 are allowed"):
         read_map_picture(tmp_path / "m.pgm", 0.25, max_pixels=5)
 

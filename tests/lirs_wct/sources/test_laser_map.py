@@ -88,27 +88,30 @@ def test_a_cleaned_map_lies_where_it_was() -> None:
     np.testing.assert_allclose(cleaned.probability[p < 0.5], grid.probability[p < 0.5], atol=1e-6)
 
 
-@pytest.mark.parametrize("as_picture", [False, True])
-def test_a_map_becomes_ground(tmp_path: Path, as_picture: bool) -> None:
+@pytest.mark.parametrize("origin", [None, Pose2(-4, 3)])
+def test_a_map_becomes_ground(tmp_path: Path, origin: Pose2 | None) -> None:
     pixels = np.full((40, 60), 254, np.uint8)
     pixels[0], pixels[30, 5:9], pixels[20, 20], pixels[35:, 50:] = 0, 0, 0, 205
     cv2.imwrite(str(tmp_path / "m.pgm"), pixels)
-    (tmp_path / "m.yaml").write_text("image: m.pgm\nresolution: 0.5\norigin: [-4, 3, 0]\n")
-    placed = {"kind": "map", "resolution": 0.5, "origin": Pose2(-4, 3)} if as_picture else {}
-    path = tmp_path / ("m.pgm" if as_picture else "m.yaml")
-    options = BuildOptions(wall_height=1.5, unknown="wall", speckle=2, **placed)  # type: ignore[arg-type]
+    path, given = tmp_path / "m.pgm", BuildOptions(kind="map", resolution=0.5)
+    if origin is not None:
+        path, given = tmp_path / "m.yaml", BuildOptions()
+        path.write_text("image: m.pgm\nresolution: 0.5\norigin: [-4, 3, 0]\n")
+    options = replace(given, wall_height=1.5, unknown="wall", speckle=2)
     ground, scale, place = read_laser_map(find_source(path, options), options)
     assert place is None
     assert scale == "0.5 m a cell"
-    assert (ground.walls.height, ground.walls.origin, ground.walls.resolution) == (1.5, Pose2(-4, 3), 0.5)
+    origin = origin or Pose2()
+    assert (ground.walls.height, ground.walls.origin, ground.walls.resolution) == (1.5, origin, 0.5)
     expected = (pixels == 0) | (pixels == 205)
     expected[20, 20] = False  # a speckle
     np.testing.assert_array_equal(ground.walls.solid, expected[::-1])
-    assert ground.surface.bounds == (-4, 3, 26, 23)
-    window = replace(options, window=(6.0, 8.0, 3.9))
+    x, y = origin.x, origin.y
+    assert ground.surface.bounds == (x, y, x + 30, y + 20)
+    window = replace(options, window=(x + 10.0, y + 5.0, 3.9))
     cut, *_ = read_laser_map(find_source(path, options), window)
     assert cut.walls.shape == (8, 8)
-    assert cut.walls.origin == Pose2(4.0, 6.0)
+    assert cut.walls.origin == Pose2(x + 8.0, y + 3.0)
     with pytest.raises(SourceError, match="at most 2399 are allowed"):
         read_laser_map(find_source(path, options), replace(options, max_pixels=2399))
 

@@ -69,8 +69,6 @@ def test_meters_and_windows(hill: TriangleMesh, tmp_path: Path) -> None:
     assert part.surface.z.min() == 0
     with pytest.raises(ConfigError, match="outside the mesh"):
         build_world(path, BuildOptions(window=(150, -1, 4)))
-    with pytest.raises(ConfigError, match="--pixel-size"):
-        build_world(path, BuildOptions(pixel_size=1))
     with pytest.raises(ConfigError, match="--resolution"):
         build_world(path, BuildOptions(resolution=1e-4))
 

@@ -63,7 +63,7 @@ def test_an_isolated_level(value: float, side: str, place: tuple[slice, ...]) ->
     (found,) = [line for line in lines(terrain(z)) if "all others" in line]
     assert found.startswith(f"{int((z == value).sum())} of 2400 heights lie ")
     assert f"m {side} all others, which span " in found
-    assert "--nodata" in found
+    assert "--option nodata" in found
 
 
 def test_steps_and_cliffs_are_no_isolated_level() -> None:
@@ -91,8 +91,14 @@ def test_only_options_of_the_kind_are_named(kind: SourceKind) -> None:
     isolated = WAVES.copy()
     isolated[5, 5] = -70.0
     grounds = [laser_map(np.tile([0.0, 1.0], (4, 2))), *(terrain(z, 0.01) for z in (WAVES * 0, isolated))]
-    told = set(re.findall(r"--(\w+)", " ".join(line for ground in grounds for line in lines(ground, kind))))
-    legal = {name for name, option in declared(BuildOptions) if not option.kinds or kind in option.kinds}
+    told = set(
+        re.findall(
+            r"--(?:option )?(\w+)", " ".join(line for ground in grounds for line in lines(ground, kind))
+        )
+    )
+    legal = {
+        name for name, option in declared(BuildOptions).items() if not option.kinds or kind in option.kinds
+    }
     assert told <= legal
     assert ("nodata" in told) == (kind is SourceKind.PICTURE)
 

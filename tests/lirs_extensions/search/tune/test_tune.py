@@ -125,7 +125,7 @@ def test_values_that_the_user_sets_are_held() -> None:
     [
         (("simple", "--mapper", "wheel_lio", "--lidar", "vlp16"), "mapper with parameters to tune"),
         (("simple", "--mapper", "hector,gmapping"), "tune takes one robot, mapper, seed, ..., got 2"),
-        (("simple", "--within", "w.yaml"), "w.yaml: unknown parameter 'slope'"),
+        (("simple", "--limits", "w.yaml"), "w.yaml: unknown parameter 'slope'"),
         (("simple", "--reference", "a.tum"), "simple: --relations and --reference are for logs"),
         (("simple", "--robot", "huskie"), "did you mean husky"),
         (("nowhere.png",), "nowhere.png"),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from lirs_envs.lidar.presets import LidarNoise, draw_noise, measure
 from lirs_envs.lidar.ray_casting import RayCaster
@@ -20,7 +20,7 @@ from lirs_extensions.search.twin.result import _beam_shares
 from lirs_extensions.search.twin.surface import LogScans, fit_surfaces
 from lirs_extensions.search.twin.twin import standstill
 from lirs_validation.cli import app as cli
-from lirs_validation.cli.app import make_app
+from lirs_validation.cli.app import PROGRAM
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import LaserScan, Pose2
 from lirs_wct.geometry.walls import WallGrid
@@ -230,7 +230,7 @@ def test_the_command_writes_page_figures_and_preset(tmp_path: Path, monkeypatch:
         monkeypatch.setattr(f"lirs_extensions.search.twin.fit.{name}", value)
     log = str(ROOT / "examples" / "data" / "office.clf.gz")
     result = CliRunner().invoke(
-        make_app(), ["twin", log, "-o", str(tmp_path), "--replay", "hector,cartographer", "--draws", "2"]
+        PROGRAM, ["twin", log, "-o", str(tmp_path), "--replay", "hector,cartographer", "--draws", "2"]
     )
     assert result.exit_code == 0, result.output
     (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())

@@ -163,7 +163,7 @@ def test_tiles_are_decoded(encoding: Any, step: float, tmp_path: Path) -> None:
     tile = tmp_path / "14" / "4824" / "6158.png"
     tile.parent.mkdir(parents=True)
     cv2.imwrite(str(tile), pixels)
-    with pytest.raises(SourceError, match=rf"look like heights of .* m: give --encoding {encoding} "):
+    with pytest.raises(SourceError, match=rf"look like heights of .* m: give --option encoding={encoding} "):
         build_world(tile)
     world = build_world(tile, BuildOptions(encoding=encoding))
     np.testing.assert_allclose(world.surface.z, METERS - METERS.min(), atol=step)
@@ -182,14 +182,14 @@ def test_tiles_are_decoded(encoding: Any, step: float, tmp_path: Path) -> None:
 
 def test_a_tile_of_another_name_needs_an_extent(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), encoded(METERS, "terrarium"))
-    with pytest.raises(ConfigError, match=r"a\.png: its heights are in meters.*--pixel-size or --size"):
+    with pytest.raises(ConfigError, match=r"a\.png: its heights are in meters.*--resolution or --size"):
         build_world(tmp_path / "a.png", BuildOptions(encoding="terrarium"))
-    world = build_world(tmp_path / "a.png", BuildOptions(encoding="terrarium", pixel_size=3.0))
+    world = build_world(tmp_path / "a.png", BuildOptions(encoding="terrarium", resolution=3.0))
     assert world.surface.cell == (3, 3)
     assert world.place is None
     cv2.imwrite(str(tmp_path / "gray.png"), np.zeros((4, 4), np.uint8))
     with pytest.raises(SourceError, match=r"gray\.png: terrarium is 8-bit color, this is uint8 gray"):
-        build_world(tmp_path / "gray.png", BuildOptions(encoding="terrarium", pixel_size=3.0))
+        build_world(tmp_path / "gray.png", BuildOptions(encoding="terrarium", resolution=3.0))
 
 
 @pytest.mark.parametrize("encoding", ["terrain-rgb", "terrarium"])

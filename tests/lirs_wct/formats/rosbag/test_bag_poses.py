@@ -103,7 +103,7 @@ def test_poses_with_covariance_and_paths(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.stamps, [t for t, _ in steps])
         for k, T in enumerate(path):
             np.testing.assert_allclose(found.pose2(k).as_array(), T.as_array(), atol=1e-12)
-    with pytest.raises(SourceError, match=r"--topic must say where its poses are; .*/path .*, /pose "):
+    with pytest.raises(SourceError, match=r"BAG:/TOPIC must say where its poses are; .*/path .*, /pose "):
         read_poses(folder)
 
 
@@ -125,13 +125,13 @@ def test_corrections_at_other_times_are_interpolated(tmp_path: Path) -> None:
 def test_missing_topics_and_frames_list_those_that_are_there(
     given: BagDrive, bag: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(SourceError, match=r"--topic /pose: no topic of .*; there are: /clock .*, /tf "):
+    with pytest.raises(SourceError, match=r"BAG:/TOPIC /pose: no topic of .*; there are: /clock .*, /tf "):
         read_poses(bag, "/pose")
-    with pytest.raises(SourceError, match=r"--topic /scan: no topic of nav_msgs/msg/Odometry or "):
+    with pytest.raises(SourceError, match=r"BAG:/TOPIC /scan: no topic of nav_msgs/msg/Odometry or "):
         read_poses(bag, "/scan")
     ticks = [BagTick(scan=t.scan, odometry=t.odometry, imu=t.imu, truth=t.truth) for t in given.ticks]
     write_bag(tmp_path / "sensors", BagDrive(ticks=ticks))
-    with pytest.raises(SourceError, match=r"--topic must say where its poses are; there are: .*/odom"):
+    with pytest.raises(SourceError, match=r"BAG:/TOPIC must say where its poses are; there are: .*/odom"):
         read_poses(tmp_path / "sensors")
     with pytest.raises(
         SourceError, match=r"do not lead from map to base_link or .*: its frames are base_link, "

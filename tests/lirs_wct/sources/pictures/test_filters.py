@@ -72,7 +72,7 @@ def test_shrunk_folds_nothing_fine_into_the_coarse() -> None:
 
 
 def test_resize_keeps_the_meters(tmp_path: Path) -> None:
-    surface = read(png(tmp_path, noise()), pixel_size=0.5, resize=(20, 30))
+    surface = read(png(tmp_path, noise()), resolution=0.5, resize=(20, 30))
     assert surface.shape == (30, 20)
     assert surface.size == pytest.approx((79 * 0.5, 59 * 0.5))
     assert surface.relief == pytest.approx(6)
@@ -114,8 +114,8 @@ def test_rotate_x_lays_the_upright_mesh_down() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"max_error": 0.1, "max_triangles": 100}, "--max-error, --max-triangles"),
-        ({"denoise": "magic"}, "unknown denoise method 'magic'; legal: bilateral, median"),
+        ({"max_error": 0.1, "max_triangles": 100}, "max-error, max-triangles"),
+        ({"denoise": "magic"}, "denoise must be median or bilateral, got 'magic'"),
         ({"crop": (-1, 0, 5, 5)}, "crop needs"),
         ({"resize": (1, 5)}, "resize needs"),
         ({"smoothing": 0.0}, "smoothing must be"),

@@ -85,7 +85,7 @@ def test_a_border_of_zeros_beside_mountains_is_told_in_one_line(tmp_path: Path) 
         surface = read_height_field(path, BuildOptions())
     (line,) = (str(each.message) for each in told)
     assert line.startswith(f"{path}: 261 pixels of 0 along the border stand beside heights 30")
-    assert line.endswith("say --nodata 0")
+    assert line.endswith("say --option nodata=0")
     assert surface.relief > 2900
     with pytest.warns(UserWarning, match=r"a\.asc: 261 of 2000 pixels have no height"):
         assert read_height_field(path, BuildOptions(nodata=0.0)).relief < 150
@@ -180,7 +180,7 @@ ROOM[5, 5:35] = 0
 
 def test_a_map_without_its_yaml_is_suggested(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "room.png"), ROOM)
-    with pytest.warns(UserWarning, match="give its YAML file, or --as map with --resolution"):
+    with pytest.warns(UserWarning, match="give its YAML file, or --kind map with --resolution"):
         build_world(tmp_path / "room.png")
 
 

@@ -138,9 +138,9 @@ def test_missing_empty_and_folder(tmp_path: Path) -> None:
             read(tmp_path / name)
 
 
-def test_contradicting_options_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"--size, --pixel-size"):
-        BuildOptions(size=3.0, pixel_size=1.0)
+def test_contradicting_options_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--size, --resolution"):
+        read(png(tmp_path / "a.png", RAMP), size=3.0, resolution=1.0)
 
 
 def test_nothing_but_our_warnings_reaches_stderr(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -159,7 +159,7 @@ def test_nothing_but_our_warnings_reaches_stderr(tmp_path: Path, capfd: pytest.C
     [
         ({}, {}, "size 50 m on the longer side by default, height 6 m by default"),
         ({}, {"size": 20}, "size as given, height 6 m by default"),
-        ({}, {"pixel_size": 0.5, "height": 2}, "as given"),
+        ({}, {"resolution": 0.5, "height": 2}, "as given"),
         ({"scale": (2.0, 2.0, 0.0)}, {}, "the file's own"),
         ({"scale": (2.0, 2.0, 0.0)}, {"size": 20}, "size as given, height the file's own"),
         ({"scale": (2.0, 2.0, 0.0)}, {"height": 2}, "size the file's own, height as given"),
@@ -181,7 +181,7 @@ def test_a_crop_up_to_the_border_is_legal(tmp_path: Path) -> None:
     for crop in ((0, 0, 9, 7), (2, 3, 7, 4), (1, 0, 2, 2), (7, 5, 2, 2)):
         col, row, width, height = crop
         kept = pixels[row : row + height, col : col + width].astype(float)
-        surface = read(path, crop=crop, height=float(np.ptp(kept)), pixel_size=0.5)
+        surface = read(path, crop=crop, height=float(np.ptp(kept)), resolution=0.5)
         assert surface.size == (0.5 * (width - 1), 0.5 * (height - 1))
         np.testing.assert_allclose(surface.z, kept - kept.min(), rtol=1e-6)
     for crop in ((1, 0, 9, 7), (0, 1, 9, 7), (8, 5, 2, 2), (7, 6, 2, 2)):
@@ -224,7 +224,7 @@ FOOT, SURVEY = 0.3048, 1200 / 3937
         pytest.param(
             {"scale": (2.0, 3.0, 5.0)}, (4 * FOOT, 12 * FOOT), 27.5 * SURVEY, marks=pytest.mark.slow
         ),
-        pytest.param({"pixel_size": 0.25}, (0.25, 0.25), 5.5 * SURVEY, marks=pytest.mark.slow),
+        pytest.param({"resolution": 0.25}, (0.25, 0.25), 5.5 * SURVEY, marks=pytest.mark.slow),
         pytest.param({"size": (9.0, 8.0)}, (3.0, 4.0), 5.5 * SURVEY, marks=pytest.mark.slow),
     ],
 )
@@ -305,7 +305,7 @@ def test_heights_just_above_nodata_are_heights(tmp_path: Path) -> None:
         ({}, (50.0, 25.0), 1.25, "as bundled"),
         ({"size": 20.0}, (20.0, 10.0), 1.25, "as given"),
         ({"height": 2.5}, (50.0, 25.0), 2.5, "as given"),
-        ({"pixel_size": 0.25}, (1.0, 0.5), 1.25, "as given"),
+        ({"resolution": 0.25}, (1.0, 0.5), 1.25, "as given"),
     ],
 )
 def test_a_bundled_world_has_meters_of_its_own(
@@ -334,11 +334,11 @@ def test_a_bundled_world_has_meters_of_its_own(
 
 def test_a_window_keeps_the_meters_of_the_whole(tmp_path: Path) -> None:
     path = png(tmp_path / "a.png", np.random.default_rng(0).integers(0, 99, (41, 81), np.uint8))
-    given = BuildOptions(pixel_size=0.5, height=4.0, window=(3.0, -1.0, 10.0))
+    given = BuildOptions(resolution=0.5, height=4.0, window=(3.0, -1.0, 10.0))
     ground, _, place = read_terrain(find_source(path, given), given)
     assert place is None
     assert ground.surface.bounds == (-2.0, -6.0, 8.0, 4.0)
-    whole = read(path, pixel_size=0.5, height=4.0)
+    whole = read(path, resolution=0.5, height=4.0)
     assert whole.bounds == (-20.0, -10.0, 20.0, 10.0)
     kept = whole.z[12:33, 36:57]
     np.testing.assert_array_equal(ground.surface.z, kept - kept.min())
@@ -351,7 +351,7 @@ def test_deterrace_needs_levels_and_takes_their_own_step(tmp_path: Path) -> None
     )
     np.testing.assert_allclose(wide, narrow, atol=1e-4)
     assert len(np.unique(wide.round(3))) > 21
-    with pytest.raises(SourceError, match="floating-point heights, --deterrace needs gray levels"):
+    with pytest.raises(SourceError, match="floating-point heights, --option deterrace=true needs"):
         read(tiff(tmp_path / "c.tif", RAMP.astype(np.float32)), deterrace=True)
 
 

@@ -78,7 +78,7 @@ def test_absolute_heights_and_what_undoes_them(folder: Path) -> None:
         place = built(folder / "a.asc", **options).place
         assert place is not None
         assert place.height is None
-        with pytest.raises(ConfigError, match=r"a\.asc: --zero is a height of the file's own"):
+        with pytest.raises(ConfigError, match=r"a\.asc: the option zero needs the file's own heights"):
             built(folder / "a.asc", zero=700.0, **options)
 
 
@@ -166,7 +166,7 @@ def test_a_picture_lies_nowhere(tmp_path: Path) -> None:
     ("options", "steeper"),
     [
         ({"size": 3.0}, r"slopes become 8\d\.\d+ times as steep: .* \(5\d\.\d+ m\); --height or --scale"),
-        ({"pixel_size": 75.91}, r"slopes become 0\.1 times as steep"),
+        ({"resolution": 75.91}, r"slopes become 0\.1 times as steep"),
         ({"size": 3.0, "height": 1.0}, None),
         ({"scale": (0.01, 0.01, 0.01)}, None),
     ],

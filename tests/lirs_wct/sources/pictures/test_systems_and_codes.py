@@ -202,9 +202,9 @@ def test_degrees_or_meters_without_a_system(
 
 def test_where_both_are_likely_the_pixel_is_asked_for(tmp_path: Path) -> None:
     path = raster(tmp_path / "a.tif", HILLS / 10, transform=from_origin(7.0, 47.0, 0.01, 0.01))
-    with pytest.raises(SourceError, match=r"may be degrees or meters: give --pixel-size METERS"):
+    with pytest.raises(SourceError, match=r"may be degrees or meters: give --resolution METERS"):
         build(path)
-    world, _ = build(path, pixel_size=0.01)
+    world, _ = build(path, resolution=0.01)
     assert world.surface.size == pytest.approx((0.99, 0.79))
     assert world.surface.relief == pytest.approx(2.0, rel=1e-3)
 

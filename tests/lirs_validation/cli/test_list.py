@@ -1,17 +1,51 @@
-"""`lirs-wct robot`: data, picture, URDF."""
+"""`lirs-wct list` and `export ROBOT`: names, data, URDF."""
 
 from pathlib import Path
 from xml.etree import ElementTree
 
-import cv2
 import mujoco
 import pytest
-from rich.console import Console
 
+from lirs_envs.lidar.presets import LIDARS
 from lirs_envs.robots.robot import ROBOTS
 from lirs_envs.robots.urdf import robot_urdf
-from lirs_validation.cli.commands import robot_card
+from lirs_wct.sources.bundled import RECIPES
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 from tests.command_line import run_command
+
+NAMES = {"mappers": {*MAPPERS, *ALL_CLOUD_MAPPERS}, "robots": ROBOTS, "lidars": LIDARS, "worlds": RECIPES}
+
+
+@pytest.mark.parametrize("kind", sorted(NAMES))
+def test_every_name_is_listed_and_has_data(
+    kind: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("lirs_validation.cli.commands.catalog.out._width", 200)
+    assert run_command("list", kind) == 0
+    words = {line.split()[0] for line in capsys.readouterr().out.splitlines() if line.strip()}
+    assert set(NAMES[kind]) <= words
+    for name in NAMES[kind]:
+        assert run_command("list", kind, name) == 0
+        assert name in capsys.readouterr().out
+    assert run_command("list", kind, "nothing") == 2
+    assert f"unknown {kind[:-1]} 'nothing'; legal: " in capsys.readouterr().err
+
+
+def test_the_data_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command("list", "robots", "husky") == 0
+    shown = capsys.readouterr().out
+    assert "56.58 kg" in shown
+    assert "lms111" in shown
+
+
+def test_a_robot_is_exported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run_command("export", "husky", "--to", "urdf", "-o", "robots") == 0
+    assert (tmp_path / "robots" / "husky.urdf").read_text() == robot_urdf(ROBOTS["husky"])
+    assert run_command("export", "husky") == 2
+    assert "husky: a robot is exported --to urdf, got bag" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", list(ROBOTS))
@@ -40,46 +74,3 @@ def test_frames_are_those_of_ros() -> None:
     root = ElementTree.fromstring(robot_urdf(ROBOTS["husky"]))
     links = {link.get("name") for link in root.iter("link")}
     assert {"base_footprint", "base_link", "laser", "front_left_wheel"} <= links
-
-
-def test_the_card_and_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    target = tmp_path / "husky.png"
-    assert run_command("robot", "husky", "-o", str(target)) == 0
-    shown = capsys.readouterr().out
-    assert "56.58 kg" in shown
-    assert "lms111" in shown
-    picture = cv2.imread(str(target))
-    assert picture.shape[0] >= 400
-    assert picture.std() > 10, "there is something on it"
-
-
-def test_without_opengl_there_is_an_outline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def none(*_: object) -> None:
-        raise RuntimeError("no OpenGL")
-
-    monkeypatch.setattr(robot_card, "_render", none)
-    for name in ("husky", "quadrotor"):
-        target = tmp_path / f"{name}.png"
-        robot_card.draw(ROBOTS[name], target)
-        assert cv2.imread(str(target)).std() > 10
-
-
-def test_every_card_can_be_drawn() -> None:
-    for robot in ROBOTS.values():
-        console = Console(record=True, width=100, file=open("/dev/null", "w"))  # noqa: PTH123, SIM115
-        console.print(robot_card.card(robot))
-        assert robot.name in console.export_text()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("huksy",), "unknown robot 'huksy'; legal: husky, jackal, quadrotor"),
-        (("husky", "--to", "sdf"), "unknown format for a robot 'sdf'; legal: urdf"),
-    ],
-)
-def test_names_that_are_none(
-    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run_command("robot", *arguments) == 2
-    assert words in capsys.readouterr().err.replace("\n", " ")

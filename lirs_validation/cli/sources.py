@@ -1,0 +1,69 @@
+"""Sources of commands: worlds, files, and logs, which are mapped first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from lirs_validation.cli.command import Few, complete_source
+from lirs_validation.cli.progress import err, progress_bar
+from lirs_validation.config import WORLD_FLAGS
+from lirs_wct.option import Options, argument, documented
+from lirs_wct.sources.options import BuildOptions
+
+SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
+World = Annotated[BuildOptions, Few(WORLD_FLAGS)]
+"""Options of a world for commands that drive through it; `build` has a flag for each."""
+
+
+def source_argument(**given: Any) -> Any:
+    """Return a field of one source."""
+    return argument(SOURCE_HELP, "SOURCE", complete=complete_source, **given)
+
+
+def sources_argument(**given: Any) -> Any:
+    """Return a field of several sources."""
+    return argument(SOURCE_HELP, "SOURCES...", complete=complete_source, **given)
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class OneSource(Options):
+    """Source of a command."""
+
+    source: str = source_argument()
+
+
+def map_logs(
+    sources: Sequence[str], options: BuildOptions, output: Path | None
+) -> tuple[tuple[str, ...], BuildOptions]:
+    """Replace the logs among sources by their maps; return the options that are left.
+
+    Args:
+        sources: Sources of a command.
+        options: Construction of the world; the resolution of logs is that of their maps.
+        output: Output folder or file of the command, where the maps are written; None = here.
+
+    Raises:
+        WctError: a log cannot be mapped, or its map cannot be written.
+    """
+    # The import loads much of SciPy, which would delay `--help`.
+    from lirs_wct.sources.source import is_log
+
+    logs = [source for source in sources if is_log(Path(source))]
+    folder = Path() if output is None else output.parent if output.suffix else output
+    maps = {log: _map_log(log, options, folder) for log in logs}
+    if logs and len(logs) == len(sources):
+        options = replace(options, resolution=None)
+    return tuple(maps.get(source, source) for source in sources), options
+
+
+def _map_log(log: str, options: BuildOptions, out: Path) -> str:
+    from lirs_validation.logs.map_log import resolve_source
+
+    with progress_bar(log, err) as progress:
+        path = resolve_source(log, options, out, progress)
+    err.print(f"{log}: its map is {path}", soft_wrap=True, highlight=False)
+    return str(path)
