@@ -34,7 +34,7 @@ def command_line_reference() -> str:
 
 
 def _command(command: Any) -> Iterator[str]:
-    from lirs_validation.cli.help import panels
+    from lirs_validation.cli.command import panels
 
     usage = " ".join(command.collect_usage_pieces(click.Context(command)))
     examples = "\n".join(f"$ {line}" for line in command.epilog.splitlines())

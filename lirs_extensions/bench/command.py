@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from lirs_validation.cli.progress import err, manifest_of_command, out, run_sweep
 from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
-from lirs_wct.option import Options, argument, documented, option, read_pairs
+from lirs_wct.option import Options, argument, option, read_pairs
 
 if TYPE_CHECKING:
     from lirs_extensions.bench.experiment import PolicyResult
@@ -26,7 +26,6 @@ FEW = 3
 """Episodes in which a policy failed that are named one by one."""
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class BenchCommand(Options):
     """Policies, tasks and results of `bench`."""

@@ -12,7 +12,7 @@ from lirs_validation.cli.progress import err, out, progress_bar
 from lirs_validation.cli.sources import OneSource, World, map_logs
 from lirs_validation.config import CLIENT, RUN_AXES, RunConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import documented, option
+from lirs_wct.option import option
 
 if TYPE_CHECKING:
     from lirs_extensions.live.run import LiveRun
@@ -21,7 +21,6 @@ SECONDS = 600.0
 """Simulated seconds of a live drive."""
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class LiveCommand(OneSource):
     """Source and results of `live`."""

@@ -16,10 +16,9 @@ from lirs_validation.cli.sources import OneSource, World
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
 from lirs_wct import BuildOptions, ConfigError
-from lirs_wct.option import Options, documented, option, within
+from lirs_wct.option import Options, option, within
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class FalsifyFolder(Options):
     """Results of `falsify`."""
@@ -27,7 +26,6 @@ class FalsifyFolder(Options):
     output: Path = option(Path("falsify"), "Folder for cases, page and archive.")
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class TuneFolder(OneSource):
     """Source and results of `tune`."""
@@ -35,7 +33,6 @@ class TuneFolder(OneSource):
     output: Path = option(Path("tune"), "Folder for tuned values, table and archive.")
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class TwinCommand(LogInOut):
     """Log, lidar and replayed mappers of `twin`."""

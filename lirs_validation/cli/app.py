@@ -16,8 +16,7 @@ from typing import Any
 
 import click
 
-from lirs_validation.cli.command import Command
-from lirs_validation.cli.help import paragraphs, render
+from lirs_validation.cli.command import Command, paragraphs, render
 from lirs_validation.cli.progress import BAD_INPUT, INTERRUPTED, RUN_FAILED, err
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.interrupts import is_interrupt, raise_interrupts

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from lirs_validation.cli.command import Few, complete_source
 from lirs_validation.cli.progress import err, progress_bar
 from lirs_validation.config import WORLD_FLAGS
-from lirs_wct.option import Options, argument, documented
+from lirs_wct.option import Options, argument
 from lirs_wct.sources.options import BuildOptions
 
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
@@ -28,7 +28,6 @@ def sources_argument(**given: Any) -> Any:
     return argument(SOURCE_HELP, "SOURCES...", complete=complete_source, **given)
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class OneSource(Options):
     """Source of a command."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from lirs_validation.cli.progress import out
 from lirs_wct.errors import unknown_name
-from lirs_wct.option import Options, argument, documented
+from lirs_wct.option import Options, argument
 
 if TYPE_CHECKING:
     from lirs_envs.robots.robot import Robot
@@ -18,7 +18,6 @@ Data = Mapping[str, str]
 """Values by heading."""
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class ListOptions(Options):
     """Names that `list` shows."""

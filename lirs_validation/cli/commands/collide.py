@@ -15,14 +15,13 @@ from lirs_validation.cli.sources import World, map_logs, sources_argument
 from lirs_validation.config import DRIVABLE, RunConfig
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import WctError
-from lirs_wct.option import Options, documented, option
+from lirs_wct.option import Options, option
 from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class CollideOptions(Options):
     """Worlds, robots and drives of `collide`."""

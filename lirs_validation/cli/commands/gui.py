@@ -10,10 +10,9 @@ from lirs_validation.cli.command import complete_source
 from lirs_validation.cli.progress import out
 from lirs_validation.cli.sources import SOURCE_HELP
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, argument, documented, option, within
+from lirs_wct.option import Options, argument, option, within
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class GuiOptions(Options):
     """Source, runs and address of `gui`."""

@@ -12,13 +12,12 @@ from rich.table import Table
 from lirs_validation.cli.command import common
 from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
 from lirs_validation.map_config import MapConfig
-from lirs_wct.option import Options, argument, documented, option
+from lirs_wct.option import Options, argument, option
 
 if TYPE_CHECKING:
     from lirs_validation.record.map_record import MapRecord
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class LogInOut(Options):
     """Log and results of a command."""

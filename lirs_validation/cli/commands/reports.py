@@ -14,7 +14,7 @@ from click.exceptions import Exit
 from lirs_validation.cli.progress import RUN_FAILED, err, out
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.suffixes import Storage
-from lirs_wct.option import Options, argument, documented, option, read_pairs
+from lirs_wct.option import Options, argument, option, read_pairs
 
 
 def read_offset(text: str, label: str) -> float | Literal["auto"]:
@@ -34,7 +34,6 @@ def read_offset(text: str, label: str) -> float | Literal["auto"]:
     return seconds
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class ReportOptions(Options):
     """Results and files of `report`."""
@@ -46,7 +45,6 @@ class ReportOptions(Options):
     )
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class CompareOptions(Options):
     """Results and table of `compare`."""
@@ -65,7 +63,6 @@ class CompareOptions(Options):
     output: Path | None = option(None, "File for the table.", metavar="FILE.csv|FILE.json")
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class ScoreOptions(Options):
     """Run and results of `score`.
@@ -103,7 +100,6 @@ class ScoreOptions(Options):
             raise ConfigError("nothing to score: give --trajectory, --map or both")
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class ExportCommand(Options):
     """Run or robot, and formats of `export`."""

@@ -16,7 +16,7 @@ from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, ru
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError, OutputError, SourceError
 from lirs_wct.formats.suffixes import Storage
-from lirs_wct.option import Options, documented, option
+from lirs_wct.option import Options, option
 from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
@@ -42,7 +42,6 @@ class SweepOptions(Options):
     )
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class ValidateOptions(SweepOptions):
     """Sources, results and gate of `validate`.
@@ -63,7 +62,6 @@ class ValidateOptions(SweepOptions):
             raise ConfigError("--limits is for --gate, which is not given")
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions(SweepOptions):
     """Sources and bag of `record`."""

@@ -17,7 +17,7 @@ from lirs_validation.cli.progress import GATE_FAILED, err, out
 from lirs_validation.cli.sources import World, map_logs, sources_argument
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_wct import ConfigError
-from lirs_wct.option import Options, documented, option
+from lirs_wct.option import Options, option
 
 if TYPE_CHECKING:
     from lirs_validation.decision.trials import Perform, Trial
@@ -39,7 +39,6 @@ def read_duration(text: str, flag: str) -> float:
     return float(match[1]) * UNITS[match[2]]
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class VerdictOptions(Options):
     """Sources, budget and results of `verdict`."""

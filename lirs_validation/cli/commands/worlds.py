@@ -11,7 +11,7 @@ from lirs_validation.cli.progress import err, out, progress_bar
 from lirs_validation.cli.sources import OneSource, map_logs
 from lirs_validation.map_config import LogOptions
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
-from lirs_wct.option import Options, argument, documented, option
+from lirs_wct.option import Options, argument, option
 from lirs_wct.sources.options import BuildOptions
 
 if TYPE_CHECKING:
@@ -22,7 +22,6 @@ MESHES = {"dae", "stl", "obj", "glb", "usd"}
 _SCALE = ("size", "height", "resolution", "window", "invert", "wall_height", "kind")
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class BuildCommand(OneSource):
     """Source and files of `build`."""
@@ -38,7 +37,6 @@ class BuildCommand(OneSource):
     )
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class InfoCommand(OneSource):
     """Source and picture of `info`."""
@@ -47,7 +45,6 @@ class InfoCommand(OneSource):
     robot: str = option("husky", "Robot whose lidar the forecast uses.", metavar="R")
 
 
-@documented
 @dataclass(frozen=True, kw_only=True)
 class ConvertCommand(Options):
     """Meshes of `convert`."""

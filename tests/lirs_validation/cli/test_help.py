@@ -9,8 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from lirs_validation.cli.app import COMMANDS, MOVED, PROGRAM
-from lirs_validation.cli.command import OLD, Command
-from lirs_validation.cli.help import RARE
+from lirs_validation.cli.command import OLD, RARE, Command
 from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]
