@@ -6,7 +6,6 @@ Command line, page, sweep axes, digest, checks and reference are generated from 
 from __future__ import annotations
 
 import inspect
-import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
@@ -16,6 +15,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from lirs_wct.checks import Check, Names
 from lirs_wct.errors import ConfigError, did_you_mean, unknown_name
 
 _KEY = "option"
@@ -23,12 +23,8 @@ MAX_NUMBERS = 100_000
 """Largest length of a list such as 1-100000."""
 YES, NO = ("true", "yes", "1"), ("false", "no", "0")
 
-Check = Callable[[Any, str], None]
-"""Function of a value (never None) and its name that raises ConfigError for an illegal value."""
 Reader = Callable[[str, str], Any]
 """Function of a text and the option's name that returns the value."""
-Names = Collection[Any] | Callable[[], Collection[Any]]
-"""Legal values, or a function that returns them if their import is slow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -249,38 +245,6 @@ def documented(options: Declared) -> Declared:
     lines = (f"    {name}: {found.help}" for name, found in declared(options).items())
     options.__doc__ = "\n".join((text, *heading, *lines)) + raises + errors
     return options
-
-
-def positive(value: float | Iterable[float], label: str) -> None:
-    """Check that a number, or each of several numbers, is finite and above 0."""
-    for number in value if isinstance(value, Iterable) else (value,):
-        if not 0 < number < math.inf:
-            raise ConfigError(f"{label} must be a finite number above 0, got {number}")
-
-
-def within(legal: str, unit: str = "") -> Check:
-    """Return a check that a number lies in an interval such as "[0, inf)" or "(0, 360]"; NaN never does."""
-    low, high = (float(bound) for bound in legal[1:-1].split(","))
-    closed = legal[0] == "["
-    words = f"within {legal}" if high < math.inf else f"{'at least' if closed else 'above'} {low:g}"
-
-    def check(value: float, label: str) -> None:
-        above = value >= low if closed else value > low
-        if not (above and (value <= high if legal[-1] == "]" else value < high)):
-            raise ConfigError(f"{label} must be {words}{unit and f' {unit}'}, got {value}")
-
-    return check
-
-
-def one_of(legal: Names) -> Check:
-    """Return a check that a value is one of the legal names."""
-
-    def check(value: Any, label: str) -> None:
-        names = legal() if callable(legal) else legal
-        if value not in names:
-            raise unknown_name(label, value, names)
-
-    return check
 
 
 def _no_such_word(label: str, word: Any, legal: tuple[str, ...]) -> ConfigError:

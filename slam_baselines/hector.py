@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from lirs_wct.checks import require_within
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_within
 from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory
 from slam_baselines.front_end import FrontEndConfig, Registered, ScanToMapFrontEnd
 from slam_baselines.leveling import LeveledScan

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, PointCloud, Pose3, Trajectory
 from slam_baselines.mapper import MapperStats, Stopwatch
 
@@ -22,7 +22,7 @@ of a sweep at one instant; returns the (4, 4) pose of the sensor at the sweep's 
 
 
 @dataclass(frozen=True, kw_only=True)
-class KissIcpConfig:
+class KissIcpConfig(Checked, of="kiss-icp"):
     """Configurable parameters of KISS-ICP; the defaults are the authors'.
 
     Attributes:
@@ -30,22 +30,12 @@ class KissIcpConfig:
         min_range: points nearer are left out, meters.
         voxel_size: edge of the map's voxels, meters; None = `max_range` / 100, as the authors do.
         threads: of the registration; 1 = as every other mapper here, 0 = all.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
-    mapper: ClassVar[str] = "kiss-icp"
-    max_range: float = 100.0
-    min_range: float = 0.0
-    voxel_size: float | None = None
-    threads: int = 1
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "max_range", of=self.mapper, unit="m", finite=True)
-        require_at_least(self, 0, "min_range", "threads", of=self.mapper)
-        if self.voxel_size is not None:
-            require_above(self, 0, "voxel_size", of=self.mapper, unit="m", finite=True)
+    max_range: float = limited(100.0, "(0, inf)", "m")
+    min_range: float = limited(0.0, "[0, inf]")
+    voxel_size: float | None = limited(None, "(0, inf)", "m")
+    threads: int = limited(1, "[0, inf]")
 
 
 def make_kiss_icp(config: KissIcpConfig) -> CloudOdometry:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.field_validators import require_above, require_within
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3
 from lirs_wct.kernels import njit
 
@@ -169,25 +169,18 @@ def _level(
 
 
 @dataclass(frozen=True, kw_only=True)
-class InterpolationConfig:
+class InterpolationConfig(Checked, of="the interpolation"):
     """Conditions for neighboring hits on one surface.
 
     Attributes:
         max_gap: largest distance between them, meters.
         max_obliqueness: largest ratio of that distance to the distance of the two beams there.
         max_bend: largest angle between their line and that through the hit before or after, radians.
-
-    Raises:
-        ConfigError: a value that is not above 0, or a ratio below 1.
     """
 
-    max_gap: float = 1.0
-    max_obliqueness: float = 3.0
-    max_bend: float = 0.35
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "max_gap", "max_bend", of="the interpolation")
-        require_within(self, "[1, inf)", "max_obliqueness", of="the interpolation")
+    max_gap: float = limited(1.0, "(0, inf]")
+    max_obliqueness: float = limited(3.0, "[1, inf)")
+    max_bend: float = limited(0.35, "(0, inf]")
 
 
 def interpolate_hits(

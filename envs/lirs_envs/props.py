@@ -11,7 +11,7 @@ import mujoco
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct import ConfigError, Pose2, Pose3, World, unknown_name
-from lirs_wct.field_validators import is_finite
+from lirs_wct.checks import is_finite
 
 PROP_GROUP = 1
 """Geom group of props, which the lidar sees through MuJoCo's rays; no robot uses it."""

@@ -22,8 +22,8 @@ from lirs_envs.sensing.sensors import INERTIAL_STREAM, FaultInjector, Observatio
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct import ConfigError, HeightField, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
+from lirs_wct.checks import check_seed
 from lirs_wct.contact.contact_grid import ContactGrid
-from lirs_wct.field_validators import require_seed
 from lirs_wct.ground import Terrain
 
 ROW = np.zeros(1, np.int64)
@@ -89,7 +89,7 @@ class Simulation:
 
     def __init__(self, world: World, config: SimulationConfig, *, seed: int = 0) -> None:
         check_fit(world, config.robot)
-        require_seed(seed)
+        check_seed(seed)
         self.world = world
         self.config = config
         self.robot = config.robot
@@ -151,7 +151,7 @@ class Simulation:
         self._initial_state = None
         start = resolve_start(self.world, self.config.start if start is None else start)
         seed = self._seed if seed is None else seed
-        require_seed(seed)
+        check_seed(seed)
         self._row.place(0, self.world, start, seed)
         self._seed = seed
         self._begin()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import Rays, resolve_rays
@@ -13,13 +13,13 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.inertial import InertialNoise
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.walkers import TOUCHABLE
-from lirs_wct import ConfigError, Pose2, unknown_name
+from lirs_wct import ConfigError, Pose2
+from lirs_wct.checks import Checked, check_field, is_finite, limited, of_type, one_of
 from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.field_validators import is_finite, require_type
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulationConfig:
+class SimulationConfig(Checked):
     """Configuration of a simulation: robot, sensors, props and walkers.
 
     Attributes:
@@ -43,33 +43,27 @@ class SimulationConfig:
             name.
     """
 
-    robot: Robot
+    robot: Robot = check_field(of_type(Robot))
     lidar: str | None = None
-    noise: SensorNoise = field(default_factory=SensorNoise)
+    noise: SensorNoise = check_field(of_type(SensorNoise), default_factory=SensorNoise)
     rays: Rays = "builtin"
-    contact_geometry: ContactGeometry = "hfield"
+    contact_geometry: ContactGeometry = check_field(one_of(CONTACT_GEOMETRIES), default="hfield")
     props: Sequence[Prop | StaticRobot] = ()
-    actors: int = 0
+    actors: int = limited(0, "[0, inf)", whole=True)
     start: Pose2 | None = None
     height_range: tuple[float, float] | None = None
-    inertial: InertialNoise | None = None
+    inertial: InertialNoise | None = check_field(of_type(InertialNoise), default=None)
 
     def __post_init__(self) -> None:
-        require_type(self, Robot, "robot")
-        require_type(self, SensorNoise, "noise")
+        super().__post_init__()
         object.__setattr__(self, "rays", resolve_rays(self.rays))
-        if self.contact_geometry not in CONTACT_GEOMETRIES:
-            raise unknown_name("terrain for MuJoCo", self.contact_geometry, CONTACT_GEOMETRIES)
         object.__setattr__(self, "props", tuple(self.props))
         for prop in self.props:
             if not isinstance(prop, Prop | StaticRobot):
                 raise ConfigError(f"props must be Prop or StaticRobot, got {prop!r}")
-        if isinstance(self.actors, bool) or not isinstance(self.actors, int) or self.actors < 0:
-            raise ConfigError(f"actors must be a whole number from 0 up, got {self.actors!r}")
         if self.start is not None:
             check_start(self.start)
         self._check_height_range()
-        require_type(self, InertialNoise | None, "inertial")
         make_lidar_preset(self.preset_name)
 
     def _check_height_range(self) -> None:

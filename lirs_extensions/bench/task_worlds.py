@@ -17,7 +17,7 @@ from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES, fractal,
 from lirs_envs.generators.terrain import KINDS, generate
 from lirs_wct import BuildOptions, ConfigError, HeightField, SourceError, World, build_world, unknown_name
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_seed
+from lirs_wct.checks import check_seed
 from lirs_wct.files import digest
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import RECIPES
@@ -116,13 +116,13 @@ def _bundled_world(name: str, *, source: str) -> World:
 def _natural(name: str, *, kind: str, seed: int) -> World:
     if kind not in NATURAL_TERRAINS:
         raise unknown_name("natural terrain", kind, NATURAL_TERRAINS)
-    require_seed(seed)
+    check_seed(seed)
     return _terrain(name, NATURAL_TERRAINS[kind](np.random.default_rng(seed)))
 
 
 def _boulders(name: str, *, seed: int) -> World:
     """Return rolling ground with many boulders, which block the view."""
-    require_seed(seed)
+    check_seed(seed)
     rng = np.random.default_rng(seed)
     return _terrain(name, with_rocks(rng, 3 * fractal(rng), 160, radius=(0.5, 1.2), height=(1.0, 2.0)))
 
@@ -135,12 +135,12 @@ def _terrain(name: str, heights: FloatArray) -> World:
 def _course(name: str, *, kind: str, difficulty: float, seed: int) -> World:
     if kind not in KINDS:
         raise unknown_name("course", kind, KINDS)
-    require_seed(seed)
+    check_seed(seed)
     return generate(kind, difficulty, np.random.default_rng(seed)).world()
 
 
 def _floor_plan(name: str, *, seed: int) -> World:
-    require_seed(seed)
+    check_seed(seed)
     return World(name, floor_plan(np.random.default_rng(seed)), scale="generated")
 
 

@@ -14,8 +14,8 @@ from typing import Any
 from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.robot import make_robot
 from lirs_extensions.bench.task_worlds import WorldSpec, read_world
+from lirs_wct.checks import check_seed, require_within
 from lirs_wct.errors import ConfigError, SourceError, WctError, reason_of, unknown_name
-from lirs_wct.field_validators import require_above, require_seed, require_within
 
 SETS = ("indoor", "hills", "lirs", "generated")
 SPLITS = ("train", "validation", "test")
@@ -69,8 +69,8 @@ class BenchTask:
         if self.split not in SPLITS:
             raise unknown_name("split", self.split, SPLITS)
         make_robot(self.robot)
-        require_seed(self.seed)
-        require_above(self, 0, "time_limit", of=self.name, unit="s", finite=True)
+        check_seed(self.seed)
+        require_within(self, "(0, inf)", "time_limit", of=self.name, unit="s")
         needs = {
             "navigation": {"world", "start", "goal"},
             "mapping": {"world", "start", "path_budget"},
@@ -91,7 +91,7 @@ class BenchTask:
                     f"{self.name}: {name} must be {size} finite numbers up to {FARTHEST:g}, got {value}"
                 )
         if self.path_budget is not None:
-            require_above(self, 0, "path_budget", of=self.name, unit="m", finite=True)
+            require_within(self, "(0, inf)", "path_budget", of=self.name, unit="m")
         if self.course is not None and self.course not in KINDS:
             raise unknown_name("course", self.course, KINDS)
         if self.difficulty is not None:

@@ -19,8 +19,8 @@ import numpy as np
 
 from lirs_extensions.clouds.timed_odometry import TimedOdometry, TimedSystem, matrix_of
 from lirs_wct.arrays import FloatArray
+from lirs_wct.checks import require_within
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.geometry import ImuReadings, PointCloud
 
 GRAVITY = 9.80665
@@ -88,8 +88,8 @@ class EvalioConfig:
         if self.pipeline not in PIPELINES:
             raise unknown_name("pipeline of evalio", self.pipeline, PIPELINES)
         of = f"evalio:{self.pipeline}"
-        require_above(self, 0, "max_range", "rate", "inertial_rate", of=of, finite=True)
-        require_at_least(self, 0, "min_range", of=of, unit="m")
+        require_within(self, "(0, inf)", "max_range", "rate", "inertial_rate", of=of)
+        require_within(self, "[0, inf]", "min_range", of=of, unit="m")
 
 
 class EvalioPipeline(TimedSystem):

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.checks import Checked, limited
 from slam_baselines.kiss_icp import CloudOdometry
 
 
 @dataclass(frozen=True, kw_only=True)
-class GenzIcpConfig:
+class GenzIcpConfig(Checked, of="genz-icp"):
     """Configurable parameters of GenZ-ICP; the defaults are the authors'.
 
     Its native code sums in another order each time: two runs of the same clouds differ by millimeters.
@@ -25,18 +25,11 @@ class GenzIcpConfig:
         max_range: points beyond are left out, meters.
         min_range: points nearer are left out, meters.
         voxel_size: edge of the map's voxels at the start, meters; the method adapts it.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
-    max_range: float = 100.0
-    min_range: float = 0.3
-    voxel_size: float = 0.3
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "max_range", "voxel_size", of="genz-icp", unit="m", finite=True)
-        require_at_least(self, 0, "min_range", of="genz-icp", unit="m")
+    max_range: float = limited(100.0, "(0, inf)", "m")
+    min_range: float = limited(0.3, "[0, inf]", "m")
+    voxel_size: float = limited(0.3, "(0, inf)", "m")
 
 
 def make_genz_icp(config: GenzIcpConfig) -> CloudOdometry:

@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_extensions.clouds.timed_odometry import TimedOdometry, TimedSystem, matrix_of
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import ImuReadings, PointCloud
 
 BEGIN = 1.0
@@ -19,7 +19,7 @@ BEGIN = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class RkoLioConfig:
+class RkoLioConfig(Checked, of="rko-lio"):
     """Configurable parameters of RKO-LIO; the defaults are the authors'.
 
     Attributes:
@@ -31,21 +31,14 @@ class RkoLioConfig:
         initialization_phase: whether gravity and biases come from the time between the first two sweeps, in
             which the robot must stand still; the authors' default is no.
         max_num_threads: of the registration; 1 = as every other mapper here, 0 = all.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
-    max_range: float = 100.0
-    min_range: float = 1.0
-    voxel_size: float = 1.0
+    max_range: float = limited(100.0, "(0, inf)", "m")
+    min_range: float = limited(1.0, "[0, inf]")
+    voxel_size: float = limited(1.0, "(0, inf)", "m")
     double_downsample: bool = True
     initialization_phase: bool = True
-    max_num_threads: int = 1
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "max_range", "voxel_size", of="rko-lio", unit="m", finite=True)
-        require_at_least(self, 0, "min_range", "max_num_threads", of="rko-lio")
+    max_num_threads: int = limited(1, "[0, inf]")
 
 
 class RkoLio(TimedSystem):

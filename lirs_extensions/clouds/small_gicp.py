@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_extensions.clouds.timed_odometry import TimedOdometry, TimedSystem, deskew, matrix_of
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import PointCloud
 from slam_baselines.kiss_icp import sweep_times
 
@@ -20,7 +20,7 @@ KEPT = 10**6
 
 
 @dataclass(frozen=True, kw_only=True)
-class SmallGicpConfig:
+class SmallGicpConfig(Checked, of="small-gicp"):
     """Configurable parameters of the odometry; the defaults follow the package's odometry benchmark.
 
     Attributes:
@@ -30,24 +30,14 @@ class SmallGicpConfig:
         max_distance: largest distance between a point and its voxel, meters.
         neighbors: number of points that give the covariance of a point.
         threads: of the registration; 1 = as every other mapper here.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
-    max_range: float = 100.0
-    min_range: float = 0.3
-    voxel_size: float = 0.25
-    max_distance: float = 1.0
-    neighbors: int = 10
-    threads: int = 1
-
-    def __post_init__(self) -> None:
-        positive = "max_range", "voxel_size", "max_distance"
-        require_above(self, 0, *positive, of="small-gicp", unit="m", finite=True)
-        require_at_least(self, 0, "min_range", of="small-gicp", unit="m")
-        require_at_least(self, 5, "neighbors", of="small-gicp")
-        require_at_least(self, 1, "threads", of="small-gicp")
+    max_range: float = limited(100.0, "(0, inf)", "m")
+    min_range: float = limited(0.3, "[0, inf]", "m")
+    voxel_size: float = limited(0.25, "(0, inf)", "m")
+    max_distance: float = limited(1.0, "(0, inf)", "m")
+    neighbors: int = limited(10, "[5, inf]")
+    threads: int = limited(1, "[1, inf]")
 
 
 class SmallGicp(TimedSystem):

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.linalg import solve3
@@ -27,7 +27,7 @@ ITERATIONS = (6, 4, 4)
 
 
 @dataclass(frozen=True, kw_only=True)
-class HectorOriginalConfig:
+class HectorOriginalConfig(Checked):
     """Parameters of hector_mapping by their names.
 
     Attributes:
@@ -48,27 +48,23 @@ class HectorOriginalConfig:
             probability on the wrong side of 0.5.
     """
 
-    map_resolution: float = 0.05
+    map_resolution: float = limited(0.05, "(0, inf]", "m")
     map_size: int = 4096
-    map_multi_res_levels: int = 3
-    map_update_distance_thresh: float = 0.4
-    map_update_angle_thresh: float = 0.9
-    update_factor_free: float = 0.4
-    update_factor_occupied: float = 0.9
-    laser_min_dist: float = 0.4
-    laser_max_dist: float = 30.0
+    map_multi_res_levels: int = limited(3, "[1, inf]")
+    map_update_distance_thresh: float = limited(0.4, "[0, inf]")
+    map_update_angle_thresh: float = limited(0.9, "[0, inf]")
+    update_factor_free: float = limited(0.4, "(0, 0.5)")
+    update_factor_occupied: float = limited(0.9, "(0.5, 1)")
+    laser_min_dist: float = limited(0.4, "[0, inf]")
+    laser_max_dist: float = limited(30.0, "(0, inf]", "m")
 
     def __post_init__(self) -> None:
-        require_above(self, 0, "map_resolution", "laser_max_dist", unit="m")
-        require_at_least(self, 1, "map_multi_res_levels")
+        super().__post_init__()
         multiple = 2**self.map_multi_res_levels
         if self.map_size < multiple or self.map_size % multiple:
             raise ConfigError(
                 f"map_size must be a multiple of {multiple} (2^map_multi_res_levels), got {self.map_size}"
             )
-        require_at_least(self, 0, "map_update_distance_thresh", "map_update_angle_thresh", "laser_min_dist")
-        require_within(self, "(0, 0.5)", "update_factor_free")
-        require_within(self, "(0.5, 1)", "update_factor_occupied")
 
 
 class HectorOriginalMapper:

@@ -37,8 +37,8 @@ from lirs_validation.collision.contact_log import DEEP
 from lirs_validation.collision.contact_solid import ContactSolid
 from lirs_validation.collision.random_drive import MARGIN, PERIOD, drive_at_random
 from lirs_wct import ConfigError, Pose2, SimulationError, World
+from lirs_wct.checks import check_seed
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.field_validators import require_seed
 from lirs_wct.files import write_csv, write_json
 
 STREAM = 21
@@ -161,7 +161,7 @@ def check_collisions(
         ConfigError: an argument is not legal, or the robot can stand nowhere in this world.
     """
     check_fit(world, robot)
-    require_seed(seed)
+    check_seed(seed)
     if not 0 < seconds < float("inf"):
         raise ConfigError(f"seconds must be a finite number above 0, got {seconds:g}")
     body = RobotModel(world, robot, PERIOD, contact_geometry=terrain)

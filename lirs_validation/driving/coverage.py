@@ -18,12 +18,12 @@ from lirs_validation.driving.path_driver import DriverConfig, Path, PathDriver
 from lirs_validation.driving.paths import COMFORTABLE, NARROW, arc_length, cells_ahead, penalize_behind
 from lirs_wct import HeightField, OccupancyGrid, Pose2
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry.grid_search import Reach, search
 
 
 @dataclass(frozen=True, kw_only=True)
-class TourConfig:
+class TourConfig(Checked, of="a tour"):
     """Parameters of the coverage planner.
 
     Attributes:
@@ -35,21 +35,15 @@ class TourConfig:
         loop: meters of tour between two returns to an old place.
         arc: radius in which it turns round where there is room, meters.
         straight: meters that the first tour leads straight ahead, where they are free.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    radius: float = 4.0
-    room: float = COMFORTABLE
-    narrow: float = NARROW
-    turn: float = 6.0
-    loop: float = 50.0
-    arc: float = 1.2
-    straight: float = 1.2
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *vars(self), of="a tour")
+    radius: float = limited(4.0, "(0, inf]")
+    room: float = limited(COMFORTABLE, "(0, inf]")
+    narrow: float = limited(NARROW, "(0, inf]")
+    turn: float = limited(6.0, "(0, inf]")
+    loop: float = limited(50.0, "(0, inf]")
+    arc: float = limited(1.2, "(0, inf]")
+    straight: float = limited(1.2, "(0, inf]")
 
 
 class CoveragePlanner:

@@ -15,12 +15,12 @@ from lirs_envs.robots.robot import Robot, Twist
 from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.paths import SPACING, arc_length, curvature
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import LaserScan, Pose2, wrap_angle
 
 
 @dataclass(frozen=True, kw_only=True)
-class PursuitConfig:
+class PursuitConfig(Checked, of="a pursuit"):
     """Speed limits and pursuit parameters.
 
     Attributes:
@@ -33,23 +33,17 @@ class PursuitConfig:
         careful_room: room to blocked cells below which it drives slower, meters.
         careful_speed: share of the speed where there is no room or the ground is steep.
         steep: slope along the path above which the speed falls, radians; lowest at twice the slope.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    speed: float = 0.8
-    turn_rate: float = 1.2
-    acceleration: float = 0.6
-    lookahead: float = 0.35
-    lookahead_time: float = 0.5
-    turn_in_place: float = 1.0
-    careful_room: float = 0.3
-    careful_speed: float = 0.6
-    steep: float = math.radians(8)
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *vars(self), of="a pursuit")
+    speed: float = limited(0.8, "(0, inf]")
+    turn_rate: float = limited(1.2, "(0, inf]")
+    acceleration: float = limited(0.6, "(0, inf]")
+    lookahead: float = limited(0.35, "(0, inf]")
+    lookahead_time: float = limited(0.5, "(0, inf]")
+    turn_in_place: float = limited(1.0, "(0, inf]")
+    careful_room: float = limited(0.3, "(0, inf]")
+    careful_speed: float = limited(0.6, "(0, inf]")
+    steep: float = limited(math.radians(8), "(0, inf]")
 
 
 def speed_profile(
@@ -169,7 +163,7 @@ DriverState = Literal["driving", "turning", "backing off", "waiting", "stuck", "
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriverConfig:
+class DriverConfig(Checked, of="a driver"):
     """Parameters of a path driver.
 
     Attributes:
@@ -181,23 +175,16 @@ class DriverConfig:
         tries: how often in a row it backs off before it gives up.
         off_path: distance from the path at which it replans, meters.
         facing: heading error that is left after a turn to a wanted yaw, radians.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
     pursuit: PursuitConfig = field(default_factory=PursuitConfig)
-    patience: float = 8.0
-    step: float = 0.3
-    back_off: float = 2.5
-    back_speed: float = 0.3
-    tries: int = 4
-    off_path: float = 1.0
-    facing: float = math.radians(5)
-
-    def __post_init__(self) -> None:
-        own = ("patience", "step", "back_off", "back_speed", "tries", "off_path", "facing")
-        require_above(self, 0, *own, of="a driver")
+    patience: float = limited(8.0, "(0, inf]")
+    step: float = limited(0.3, "(0, inf]")
+    back_off: float = limited(2.5, "(0, inf]")
+    back_speed: float = limited(0.3, "(0, inf]")
+    tries: int = limited(4, "(0, inf]")
+    off_path: float = limited(1.0, "(0, inf]")
+    facing: float = limited(math.radians(5), "(0, inf]")
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, Float32Array
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContactBudget:
+class ContactBudget(Checked, of="the contact budget"):
     """Limits on the deviation of a contact grid from the surface.
 
     Attributes:
@@ -29,20 +29,13 @@ class ContactBudget:
         match: tolerance of that height, meters; at the foot of a wall the ground itself rises by so much.
         steep: slope from which a triangle counts as steep, radians.
         max_cell: largest contact cell, meters; larger cells save no time.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    vertical: float = 0.01
-    horizontal: float = 0.5
-    match: float = 0.02
-    steep: float = math.radians(45)
-    max_cell: float = 0.5
-
-    def __post_init__(self) -> None:
-        names = ("vertical", "horizontal", "match", "steep", "max_cell")
-        require_above(self, 0, *names, of="the contact budget", finite=True)
+    vertical: float = limited(0.01, "(0, inf)")
+    horizontal: float = limited(0.5, "(0, inf)")
+    match: float = limited(0.02, "(0, inf)")
+    steep: float = limited(math.radians(45), "(0, inf)")
+    max_cell: float = limited(0.5, "(0, inf)")
 
 
 @dataclass(frozen=True, kw_only=True)

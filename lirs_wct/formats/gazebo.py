@@ -14,8 +14,8 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from lirs_wct.arrays import ByteArray
+from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_above, require_at_least
 from lirs_wct.formats.images.picture import write_image
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.grid_sampling import resample
@@ -29,25 +29,18 @@ FRICTION = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)
-class Physics:
+class Physics(Checked):
     """Settings of Gazebo's physics engine.
 
     Attributes:
         timestep: seconds.
         real_time_factor: target of simulated seconds per wall second; 0 = as fast as possible.
         gravity: m/s^2 along x, y, z.
-
-    Raises:
-        ConfigError: the timestep is not above 0, or the factor is negative.
     """
 
-    timestep: float = 0.001
-    real_time_factor: float = 1.0
+    timestep: float = limited(0.001, "(0, inf]", "s")
+    real_time_factor: float = limited(1.0, "[0, inf]")
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.80665)
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "timestep", unit="s")
-        require_at_least(self, 0, "real_time_factor")
 
 
 def model_config(name: str, *, author: str = "LIRS-WCT", description: str = "") -> str:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from lirs_wct.checks import require_within
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
 
 OCCUPIED = 0.65
@@ -39,7 +39,7 @@ class OccupancyGrid(ShownAsPicture):
     origin: Pose2 = field(default_factory=Pose2)
 
     def __post_init__(self) -> None:
-        require_above(self, 0, "resolution", unit="m")
+        require_within(self, "(0, inf]", "resolution", unit="m")
         if self.log_odds.ndim != 2 or self.log_odds.dtype != np.float32:
             raise ConfigError(
                 f"log_odds must be a float32 matrix, got {self.log_odds.dtype} {self.log_odds.shape}"

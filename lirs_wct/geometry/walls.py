@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.checks import require_within
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_above
 from lirs_wct.geometry.pose import Pose2
 
 
@@ -37,8 +37,8 @@ class WallGrid:
     def __post_init__(self) -> None:
         if self.solid.ndim != 2 or self.solid.dtype != np.bool_:
             raise ConfigError(f"walls must be a bool matrix, got {self.solid.dtype} {self.solid.shape}")
-        require_above(self, 0, "resolution", unit="m")
-        require_above(self, 0, "height", of="the walls", unit="m")
+        require_within(self, "(0, inf]", "resolution", unit="m")
+        require_within(self, "(0, inf]", "height", of="the walls", unit="m")
         if self.hole is None:
             return
         if self.hole.shape != self.solid.shape or self.hole.dtype != np.bool_:

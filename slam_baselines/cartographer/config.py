@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from lirs_wct.checks import Checked, limited, require_within
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import number_fields, require_above, require_within
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from slam_baselines.leveling import InterpolationConfig
 from slam_baselines.mapping.bootstrap import BootstrapConfig
@@ -21,7 +21,7 @@ from slam_baselines.motion.motion_filter import MotionFilterConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class CandidateConfig:
+class CandidateConfig(Checked, of="the candidates"):
     """Number of candidates that are tried.
 
     Attributes:
@@ -31,25 +31,18 @@ class CandidateConfig:
         found_per_pair: loops after which no more are searched for between two submaps.
         tries_per_pair: searches after which no more are made between two submaps.
         max_num_candidates: length of the queue; the oldest candidates beyond it are dropped, and counted.
-
-    Raises:
-        ConfigError: a value that is not above 0, or a ratio above 1.
     """
 
-    sampling_ratio: float = 0.2
-    sampling_distance: float = 2.0
-    max_constraint_distance: float = 12.0
-    found_per_pair: int = 8
-    tries_per_pair: int = 8
-    max_num_candidates: int = 2000
-
-    def __post_init__(self) -> None:
-        require_within(self, "(0, 1]", "sampling_ratio", of="the candidates")
-        require_above(self, 0, *self.__dataclass_fields__, of="the candidates")
+    sampling_ratio: float = limited(0.2, "(0, 1]")
+    sampling_distance: float = limited(2.0, "(0, inf]")
+    max_constraint_distance: float = limited(12.0, "(0, inf]")
+    found_per_pair: int = limited(8, "(0, inf]")
+    tries_per_pair: int = limited(8, "(0, inf]")
+    max_num_candidates: int = limited(2000, "(0, inf]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstraintConfig:
+class ConstraintConfig(Checked, of="the constraints"):
     """Window and scores of the loop search; names as in Cartographer's constraint_builder.
 
     Attributes:
@@ -79,34 +72,34 @@ class ConstraintConfig:
         ConfigError: a value that is not above 0, or scores not in order.
     """
 
-    min_score: float = 0.4
-    global_min_score: float = 0.55
-    min_refined_score: float = 0.5
-    min_known_ratio: float = 0.4
-    linear_search_window: float = 5.0
-    angular_search_window: float = math.radians(20.0)
-    linear_start: float = 0.3
-    linear_drift: float = 0.03
-    angular_start: float = 0.05
-    angular_drift: float = 0.003
-    max_refined_window: float = 0.6
-    ambiguity_ratio: float = 0.9
-    min_separation: float = 0.5
-    max_points: int = 120
-    min_points: int = 20
-    voxel_size: float = 0.1
-    max_search_nodes: int = 60000
+    min_score: float = limited(0.4, "(0, inf]")
+    global_min_score: float = limited(0.55, "(0, inf]")
+    min_refined_score: float = limited(0.5, "(0, inf]")
+    min_known_ratio: float = limited(0.4, "(0, inf]")
+    linear_search_window: float = limited(5.0, "(0, inf]")
+    angular_search_window: float = limited(math.radians(20.0), "(0, inf]")
+    linear_start: float = limited(0.3, "(0, inf]")
+    linear_drift: float = limited(0.03, "(0, inf]")
+    angular_start: float = limited(0.05, "(0, inf]")
+    angular_drift: float = limited(0.003, "(0, inf]")
+    max_refined_window: float = limited(0.6, "(0, inf]")
+    ambiguity_ratio: float = limited(0.9, "(0, inf]")
+    min_separation: float = limited(0.5, "(0, inf]")
+    max_points: int = limited(120, "(0, inf]")
+    min_points: int = limited(20, "(0, inf]")
+    voxel_size: float = limited(0.1, "(0, inf]")
+    max_search_nodes: int = limited(60000, "(0, inf]")
     match: MatchConfig = field(default_factory=lambda: MatchConfig(iterations=(8, 5, 5), exact=True))
     search_deviation: tuple[float, float] = (0.2, 0.05)
     min_deviation: tuple[float, float] = (0.02, 0.003)
 
     def __post_init__(self) -> None:
-        require_above(self, 0, *number_fields(self), of="the constraints")
+        super().__post_init__()
         require_within(self, f"[{self.min_score}, 1]", "global_min_score", of="the constraints")
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopVerificationConfig:
+class LoopVerificationConfig(Checked, of="the loop verification"):
     """Limits above which a loop needs a second one, and tolerances of their agreement.
 
     Attributes:
@@ -118,21 +111,15 @@ class LoopVerificationConfig:
         linear_tolerance: largest difference between the two corrections, meters.
         angular_tolerance: largest difference between the two corrections, radians.
         max_pending: number of loops that may wait.
-
-    Raises:
-        ConfigError: a value that is not above 0.
     """
 
-    max_translation: float = 0.4
-    max_rotation: float = 0.06
-    max_separation: float = 25.0
-    min_separation: float = 0.5
-    linear_tolerance: float = 0.3
-    angular_tolerance: float = 0.04
-    max_pending: int = 50
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the loop verification")
+    max_translation: float = limited(0.4, "(0, inf]")
+    max_rotation: float = limited(0.06, "(0, inf]")
+    max_separation: float = limited(25.0, "(0, inf]")
+    min_separation: float = limited(0.5, "(0, inf]")
+    linear_tolerance: float = limited(0.3, "(0, inf]")
+    angular_tolerance: float = limited(0.04, "(0, inf]")
+    max_pending: int = limited(50, "(0, inf]")
 
 
 SUBMAP_REGISTRATION = RegistrationConfig(
@@ -148,7 +135,7 @@ SUBMAP_REGISTRATION = RegistrationConfig(
 
 
 @dataclass(frozen=True, kw_only=True)
-class SubmapConfig:
+class SubmapConfig(Checked, of="the submaps"):
     """Size and resolution of submaps.
 
     Attributes:
@@ -169,23 +156,23 @@ class SubmapConfig:
         ConfigError: a number that is not above 0, or a search_level that is no level.
     """
 
-    num_range_data: int = 60
-    max_distance: float = 20.0
-    resolution: float = 0.05
-    levels: int = 3
+    num_range_data: int = limited(60, "(0, inf]")
+    max_distance: float = limited(20.0, "(0, inf]")
+    resolution: float = limited(0.05, "(0, inf]")
+    levels: int = limited(3, "(0, inf]")
     search_level: int = 1
-    max_search_cells: int = 1500
-    branch_and_bound_depth: int = 6
-    max_unpacked_bytes: int = 160_000_000
+    max_search_cells: int = limited(1500, "(0, inf]")
+    branch_and_bound_depth: int = limited(6, "(0, inf]")
+    max_unpacked_bytes: int = limited(160_000_000, "(0, inf]")
     update: UpdateConfig = field(default_factory=UpdateConfig)
 
     def __post_init__(self) -> None:
-        require_above(self, 0, *(n for n in number_fields(self) if n != "search_level"), of="the submaps")
+        super().__post_init__()
         require_within(self, f"[0, {self.levels - 1}]", "search_level", of="the submaps")
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocalConfig:
+class LocalConfig(Checked, of="local SLAM"):
     """Parameters of local SLAM.
 
     Attributes:
@@ -211,7 +198,7 @@ class LocalConfig:
 
     submaps: SubmapConfig = field(default_factory=SubmapConfig)
     motion_filter: MotionFilterConfig = field(default_factory=MotionFilterConfig)
-    sparse_distance: float = 0.4
+    sparse_distance: float = limited(0.4, "(0, inf]")
     interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
     registration: RegistrationConfig = SUBMAP_REGISTRATION
@@ -222,13 +209,13 @@ class LocalConfig:
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.2))
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         legal = f"(0, {self.registration.search_threshold}]"
         require_within(self.tracking, legal, "lost_score", of="the tracking")
-        require_above(self, 0, "sparse_distance", of="local SLAM")
 
 
 @dataclass(frozen=True, kw_only=True)
-class OptimizationConfig:
+class OptimizationConfig(Checked, of="the optimization"):
     """Parameters of the solver; names as in Cartographer's optimization_problem and in Ceres.
 
     Attributes:
@@ -238,25 +225,18 @@ class OptimizationConfig:
         function_tolerance: relative decrease of the cost below which the optimization ends.
         initial_damping: Levenberg's damping of the first step, as a share of the diagonal.
         gauge_information: information of the prior that holds the first node.
-
-    Raises:
-        ConfigError: a value that is not above 0, or scale_reduction not above 1.
     """
 
-    cauchy_scale: float = 3.0
-    scale_reduction: float = 2.0
-    max_num_iterations: int = 30
-    function_tolerance: float = 1e-4
-    initial_damping: float = 1e-4
-    gauge_information: float = 1e8
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the optimization")
-        require_above(self, 1, "scale_reduction", of="the optimization")
+    cauchy_scale: float = limited(3.0, "(0, inf]")
+    scale_reduction: float = limited(2.0, "(1, inf]")
+    max_num_iterations: int = limited(30, "(0, inf]")
+    function_tolerance: float = limited(1e-4, "(0, inf]")
+    initial_damping: float = limited(1e-4, "(0, inf]")
+    gauge_information: float = limited(1e8, "(0, inf]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrimmingConfig:
+class TrimmingConfig(Checked, of="the trimming"):
     """Submaps that are kept; names as in Cartographer's overlapping_submaps_trimmer_2d.
 
     Attributes:
@@ -264,22 +244,16 @@ class TrimmingConfig:
         min_covered_area: smallest area that a submap is kept for, square meters.
         min_added_submaps_count: number of newly finished submaps after which trimming is due.
         cell: edge of a square that counts as one place, meters.
-
-    Raises:
-        ConfigError: a value that is not above 0.
     """
 
-    fresh_submaps_count: int = 3
-    min_covered_area: float = 4.0
-    min_added_submaps_count: int = 5
-    cell: float = 0.5
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the trimming")
+    fresh_submaps_count: int = limited(3, "(0, inf]")
+    min_covered_area: float = limited(4.0, "(0, inf]")
+    min_added_submaps_count: int = limited(5, "(0, inf]")
+    cell: float = limited(0.5, "(0, inf]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class GlobalConfig:
+class GlobalConfig(Checked, of="the graph"):
     """Parameters of global SLAM; names as in Cartographer's pose_graph.
 
     Attributes:
@@ -296,9 +270,6 @@ class GlobalConfig:
             meter on, meters. It grows with that distance to the power of 3/2: the farther apart, the less do
             two scans see of the same.
         drift_rotation: the same of yaw, radians.
-
-    Raises:
-        ConfigError: a value that is not above 0.
     """
 
     candidates: CandidateConfig = field(default_factory=CandidateConfig)
@@ -306,19 +277,16 @@ class GlobalConfig:
     verification: LoopVerificationConfig = field(default_factory=LoopVerificationConfig)
     optimization: OptimizationConfig = field(default_factory=OptimizationConfig)
     trimming: TrimmingConfig = field(default_factory=TrimmingConfig)
-    optimize_every_n_nodes: int = 40
-    searches_per_update: int = 1
-    matcher_translation_error: float = 0.03
-    matcher_rotation_error: float = 0.01
-    drift_translation: float = 0.03
-    drift_rotation: float = 0.004
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *number_fields(self), of="the graph")
+    optimize_every_n_nodes: int = limited(40, "(0, inf]")
+    searches_per_update: int = limited(1, "(0, inf]")
+    matcher_translation_error: float = limited(0.03, "(0, inf]")
+    matcher_rotation_error: float = limited(0.01, "(0, inf]")
+    drift_translation: float = limited(0.03, "(0, inf]")
+    drift_rotation: float = limited(0.004, "(0, inf]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocalizationConfig:
+class LocalizationConfig(Checked, of="the localization"):
     """Search in a known map, and when its result is accepted.
 
     Attributes:
@@ -332,30 +300,23 @@ class LocalizationConfig:
         max_search_nodes: nodes of the tree after which a search is given up.
         tracking: mean occupancy at the ends of the beams below which a scan does not fit.
         start_deviation: standard deviation of a pose that is given or found, meters and radians.
-
-    Raises:
-        ConfigError: a value that is not above 0, or a score or ratio above 1.
     """
 
-    min_score: float = 0.55
-    ambiguity_ratio: float = 0.9
-    min_separation: float = 1.0
-    search_distance: float = 1.0
-    search_interval: float = 5.0
-    max_points: int = 150
-    min_points: int = 30
-    max_search_nodes: int = 1 << 20
+    min_score: float = limited(0.55, "(0, 1]")
+    ambiguity_ratio: float = limited(0.9, "(0, 1]")
+    min_separation: float = limited(1.0, "(0, inf]")
+    search_distance: float = limited(1.0, "(0, inf]")
+    search_interval: float = limited(5.0, "(0, inf]")
+    max_points: int = limited(150, "(0, inf]")
+    min_points: int = limited(30, "(0, inf]")
+    max_search_nodes: int = limited(1 << 20, "(0, inf]")
     localizability: LocalizabilityConfig = field(default_factory=LocalizabilityConfig)
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.2))
     start_deviation: tuple[float, float] = (0.3, 0.1)
 
-    def __post_init__(self) -> None:
-        require_above(self, 0, *number_fields(self), of="the localization")
-        require_within(self, "(0, 1]", "min_score", "ambiguity_ratio", of="the localization")
-
 
 @dataclass(frozen=True, kw_only=True)
-class CartographerConfig:
+class CartographerConfig(Checked):
     """Parameters, in the parts' configurations under the original's names where they exist.
 
     Attributes:
@@ -376,16 +337,16 @@ class CartographerConfig:
 
     local: LocalConfig = field(default_factory=LocalConfig)
     graph: GlobalConfig = field(default_factory=GlobalConfig)
-    map_resolution: float = 0.05
+    map_resolution: float = limited(0.05, "(0, inf]", "m")
     update: UpdateConfig = field(default_factory=UpdateConfig)
     bootstrap: BootstrapConfig = field(default_factory=lambda: BootstrapConfig(first=2.0, last=math.inf))
-    max_range: float = math.inf
+    max_range: float = limited(math.inf, "(0, inf]", "m")
     clear_range: float = 0.0
     map: OccupancyGrid | str | Path | None = None
     start: Pose2 | None = None
     localization: LocalizationConfig = field(default_factory=LocalizationConfig)
 
     def __post_init__(self) -> None:
-        require_above(self, 0, "map_resolution", "max_range", unit="m")
+        super().__post_init__()
         if self.start is not None and self.map is None:
             raise ConfigError("start is a pose in a known map: map is needed with it")

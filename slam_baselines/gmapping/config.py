@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from lirs_wct.field_validators import require_above, require_at_least, require_within
+from lirs_wct.checks import limited
 from slam_baselines.gmapping.proposal import ProposalConfig
 from slam_baselines.leveling import InterpolationConfig
 from slam_baselines.mapping.bootstrap import BootstrapConfig
@@ -47,25 +47,22 @@ class GmappingConfig(ProposalConfig):
         mahalanobis_gate: largest Mahalanobis distance from dead reckoning at which a match corrects it. On
             slopes wheels slide by up to four standard deviations.
         gyro_bias: the gyro's errors by its data sheet, and parameters of the bias filter.
-
-    Raises:
-        ConfigError: a value that is not legal.
     """
 
-    particles: int = 30
+    particles: int = limited(30, "(0, inf]")
     seed: int = 0
-    linearUpdate: float = 1.0  # noqa: N815  the original's names
-    angularUpdate: float = 0.5  # noqa: N815
-    resampleThreshold: float = 0.5  # noqa: N815
-    srr: float = 0.05
-    srt: float = 0.05
-    str: float = 0.05
-    stt: float = 0.1
-    ogain: float = 0.5
-    delta: float = 0.05
-    maxUrange: float = math.inf  # noqa: N815
-    sparse_distance: float = 0.4
-    sparse_memory: float = 10.0
+    linearUpdate: float = limited(1.0, "[0, inf]")  # noqa: N815  the original's names
+    angularUpdate: float = limited(0.5, "[0, inf]")  # noqa: N815
+    resampleThreshold: float = limited(0.5, "[0, 1]")  # noqa: N815
+    srr: float = limited(0.05, "(0, inf]")
+    srt: float = limited(0.05, "(0, inf]")
+    str: float = limited(0.05, "(0, inf]")
+    stt: float = limited(0.1, "(0, inf]")
+    ogain: float = limited(0.5, "(0, inf]")
+    delta: float = limited(0.05, "(0, inf]")
+    maxUrange: float = limited(math.inf, "(0, inf]")  # noqa: N815
+    sparse_distance: float = limited(0.4, "(0, inf]")
+    sparse_memory: float = limited(10.0, "(0, inf]")
     interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
     tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.3, lost_after=3))
     localizability: LocalizabilityConfig = field(
@@ -73,28 +70,8 @@ class GmappingConfig(ProposalConfig):
     )
     bootstrap: BootstrapConfig = field(default_factory=lambda: BootstrapConfig(first=2.0))
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
-    mahalanobis_gate: float = 8.0
+    mahalanobis_gate: float = limited(8.0, "(0, inf]")
     gyro_bias: GyroBiasConfig = field(default_factory=GyroBiasConfig)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_above(
-            self,
-            0,
-            "particles",
-            "srr",
-            "srt",
-            "str",
-            "stt",
-            "ogain",
-            "delta",
-            "maxUrange",
-            "sparse_distance",
-            "sparse_memory",
-            "mahalanobis_gate",
-        )
-        require_at_least(self, 0, "linearUpdate", "angularUpdate")
-        require_within(self, "[0, 1]", "resampleThreshold")
 
     @property
     def motion(self) -> MotionConfig:

@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
+from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_above
 from lirs_wct.geometry import Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps, PatchMapView
@@ -41,7 +41,7 @@ from slam_baselines.linalg import between, compose
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProposalConfig:
+class ProposalConfig(Checked):
     """Parameters of scan matching and of the Gaussian; names as in gmapping where they exist.
 
     Attributes:
@@ -64,22 +64,22 @@ class ProposalConfig:
         ConfigError: a value that is not above 0, or minimumScore above search_threshold.
     """
 
-    sigma: float = 0.05
-    kernelSize: int = 1  # noqa: N815  the original's name
-    iterations: int = 8
-    lsigma: float = 0.005
-    lstep: float = 0.1
-    astep: float = 0.02
-    llsamplerange: float = 0.7
-    lasamplerange: float = 0.5
-    samples: int = 16
-    spread: float = 2.0
-    search_threshold: float = 0.5
-    minimumScore: float = 0.15  # noqa: N815
-    min_beams: int = 15
+    sigma: float = limited(0.05, "(0, inf]")
+    kernelSize: int = limited(1, "(0, inf]")  # noqa: N815  the original's name
+    iterations: int = limited(8, "(0, inf]")
+    lsigma: float = limited(0.005, "(0, inf]")
+    lstep: float = limited(0.1, "(0, inf]")
+    astep: float = limited(0.02, "(0, inf]")
+    llsamplerange: float = limited(0.7, "(0, inf]")
+    lasamplerange: float = limited(0.5, "(0, inf]")
+    samples: int = limited(16, "(0, inf]")
+    spread: float = limited(2.0, "(0, inf]")
+    search_threshold: float = limited(0.5, "(0, inf]")
+    minimumScore: float = limited(0.15, "(0, inf]")  # noqa: N815
+    min_beams: int = limited(15, "(0, inf]")
 
     def __post_init__(self) -> None:
-        require_above(self, 0, *ProposalConfig.__dataclass_fields__, of="the proposal")
+        super().__post_init__()
         if self.minimumScore > self.search_threshold:
             raise ConfigError(
                 f"minimumScore must be at most search_threshold = {self.search_threshold}, "

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 
@@ -29,22 +29,16 @@ the estimate of that one; returns the estimate of the keyframe.
 
 
 @dataclass(frozen=True, kw_only=True)
-class BootstrapConfig:
+class BootstrapConfig(Checked, of="the bootstrap"):
     """Distances at which the start is refined.
 
     Attributes:
         first: distance traveled at the first refinement, meters; the next are due at 2, 4, 8 ... times that.
         last: distance after which there is none, meters.
-
-    Raises:
-        ConfigError: a distance that is not above 0.
     """
 
-    first: float = 4.0
-    last: float = 40.0
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "first", "last", of="the bootstrap", unit="m")
+    first: float = limited(4.0, "(0, inf]", "m")
+    last: float = limited(40.0, "(0, inf]", "m")
 
 
 class Bootstrap(Generic[K]):

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, IntArray
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.leveling import LeveledScan, ScanPoints
@@ -109,7 +109,7 @@ IN_MAP: _Place = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroundFilterConfig:
+class GroundFilterConfig(Checked, of="the ground filter"):
     """Errors of attitude and height, and slopes of the ground.
 
     Attributes:
@@ -132,31 +132,24 @@ class GroundFilterConfig:
         first_margin: added to it at the start, when little ground is known, radians.
         first_meters: distance over which the first margin falls to 1/e, meters.
         slope_limit: of the steepest ground for matching, radians.
-
-    Raises:
-        ConfigError: a value that is not above 0.
     """
 
-    resolution: float = 0.1
-    attitude_error: float = math.radians(0.15)
-    height_error: float = 0.01
-    confidence: float = 3.0
+    resolution: float = limited(0.1, "(0, inf]")
+    attitude_error: float = limited(math.radians(0.15), "(0, inf]")
+    height_error: float = limited(0.01, "(0, inf]")
+    confidence: float = limited(3.0, "(0, inf]")
     drift: float = 0.0015
     tilt_lever: float = 0.05
     slip_slope: float = math.radians(25.0)
     base_height: float = 0.13
     footprint: float = 0.3
     flat_tilt: float = math.radians(0.6)
-    wall_slope: float = math.radians(45.0)
+    wall_slope: float = limited(math.radians(45.0), "(0, inf]")
     match_margin: float = math.radians(3.0)
-    full_weight_slope: float = 2.0
+    full_weight_slope: float = limited(2.0, "(0, inf]")
     first_margin: float = math.radians(15.0)
     first_meters: float = 5.0
-    slope_limit: float = math.radians(40.0)
-
-    def __post_init__(self) -> None:
-        above = "resolution", "attitude_error", "height_error", "confidence", "wall_slope"
-        require_above(self, 0, *above, "full_weight_slope", "slope_limit", of="the ground filter")
+    slope_limit: float = limited(math.radians(40.0), "(0, inf]")
 
 
 class GroundFilter:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, wrap_angle
 from slam_baselines.leveling import (
     InterpolationConfig,
@@ -20,7 +20,7 @@ from slam_baselines.mapping.occupancy_map import NO_WALL, MapPyramid, OccupancyM
 
 
 @dataclass(frozen=True, kw_only=True)
-class BuilderConfig:
+class BuilderConfig(Checked):
     """Resolution of the map and conditions of its update; names as in hector_mapping.
 
     Attributes:
@@ -34,26 +34,17 @@ class BuilderConfig:
         interpolation: of hits along surfaces.
         update: of the log-odds by a scan.
         ground_filter: separates hits on ground from hits on walls.
-
-    Raises:
-        ConfigError: a resolution that is not above 0, no level, or a negative threshold.
     """
 
-    map_resolution: float = 0.05
-    map_multi_res_levels: int = 3
-    map_update_distance_thresh: float = 0.4
-    map_update_angle_thresh: float = 0.9
-    map_update_tilt_thresh: float = math.radians(3.0)
-    sparse_distance: float = 0.4
+    map_resolution: float = limited(0.05, "(0, inf]", "m")
+    map_multi_res_levels: int = limited(3, "[1, inf]")
+    map_update_distance_thresh: float = limited(0.4, "[0, inf]")
+    map_update_angle_thresh: float = limited(0.9, "[0, inf]")
+    map_update_tilt_thresh: float = limited(math.radians(3.0), "[0, inf]")
+    sparse_distance: float = limited(0.4, "(0, inf]", "m")
     interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
     update: UpdateConfig = field(default_factory=UpdateConfig)
     ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "map_resolution", "sparse_distance", unit="m")
-        require_at_least(self, 1, "map_multi_res_levels")
-        thresholds = (f"map_update_{motion}_thresh" for motion in ("distance", "angle", "tilt"))
-        require_at_least(self, 0, *thresholds)
 
 
 class MapBuilder:

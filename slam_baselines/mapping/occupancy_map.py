@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.field_validators import require_within
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.leveling import ScanPoints
@@ -98,7 +98,7 @@ SLOPE_STEP = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class UpdateConfig:
+class UpdateConfig(Checked):
     """Parameters of the map's update by a scan.
 
     Names and defaults of the first two are those of hector_mapping.
@@ -107,19 +107,11 @@ class UpdateConfig:
         update_factor_free: probability that a cell is occupied, given that a beam passed it.
         update_factor_occupied: probability that a cell is occupied, given that a beam ended there.
         limit: log-odds are kept within +-limit, so that the map can adapt to changes.
-
-    Raises:
-        ConfigError: a probability on the wrong side of 0.5, or a limit beyond the map's number range.
     """
 
-    update_factor_free: float = 0.4
-    update_factor_occupied: float = 0.9
-    limit: float = 4.0
-
-    def __post_init__(self) -> None:
-        require_within(self, "(0, 0.5)", "update_factor_free")
-        require_within(self, "(0.5, 1)", "update_factor_occupied")
-        require_within(self, "(0, 12]", "limit")
+    update_factor_free: float = limited(0.4, "(0, 0.5)")
+    update_factor_occupied: float = limited(0.9, "(0.5, 1)")
+    limit: float = limited(4.0, "(0, 12]")
 
     @property
     def steps(self) -> tuple[int, int, int]:

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.kernels import njit
 from slam_baselines.mapping.occupancy_map import FULL, GrowingGrid
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchConfig:
+class SearchConfig(Checked, of="the correlative search"):
     """Window of the search, and the weights of its candidates.
 
     Attributes:
@@ -28,21 +28,14 @@ class SearchConfig:
         beams: most beams that are used, evenly chosen.
         translation_weight: loss of score per meter from the start.
         rotation_weight: loss of score per radian from the start.
-
-    Raises:
-        ConfigError: a window, step or number that is not above 0.
     """
 
-    linear_search_window: float = 0.7
-    angular_search_window: float = 0.5
-    angular_step: float = 0.02
-    beams: int = 120
+    linear_search_window: float = limited(0.7, "(0, inf]")
+    angular_search_window: float = limited(0.5, "(0, inf]")
+    angular_step: float = limited(0.02, "(0, inf]")
+    beams: int = limited(120, "(0, inf]")
     translation_weight: float = 0.05
     rotation_weight: float = 0.05
-
-    def __post_init__(self) -> None:
-        names = ("linear_search_window", "angular_search_window", "angular_step", "beams")
-        require_above(self, 0, *names, of="the correlative search")
 
 
 class _Cells(NamedTuple):

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_wct.field_validators import require_above, require_at_least, require_within
+from lirs_wct.checks import Checked, limited, require_within
 from lirs_wct.geometry import wrap_angle
 
 
 @dataclass(frozen=True, kw_only=True)
-class LocalizabilityConfig:
+class LocalizabilityConfig(Checked, of="localizability"):
     """Conditions under which matches localize the robot.
 
     Attributes:
@@ -38,21 +38,19 @@ class LocalizabilityConfig:
             another value that is not above 0.
     """
 
-    score: float = 0.6
-    share: float = 0.7
+    score: float = limited(0.6, "(0, 1)")
+    share: float = limited(0.7, "(0, 1)")
     least_share: float = 0.15
-    memory: float = 50.0
-    turn: float = math.radians(1.5)
-    seconds: float = 5.0
-    drawn_share: float = 0.5
-    recent_share: float = 0.8
-    first_meters: float = 5.0
+    memory: float = limited(50.0, "[1, inf]")
+    turn: float = limited(math.radians(1.5), "(0, inf]")
+    seconds: float = limited(5.0, "(0, inf]")
+    drawn_share: float = limited(0.5, "(0, 1)")
+    recent_share: float = limited(0.8, "(0, 1)")
+    first_meters: float = limited(5.0, "(0, inf]")
 
     def __post_init__(self) -> None:
-        require_within(self, "(0, 1)", "score", "share", "drawn_share", "recent_share", of="localizability")
+        super().__post_init__()
         require_within(self, f"(0, {self.share}]", "least_share", of="localizability")
-        require_at_least(self, 1, "memory", of="localizability")
-        require_above(self, 0, "turn", "seconds", "first_meters", of="localizability")
 
 
 class LocalizabilityMonitor:

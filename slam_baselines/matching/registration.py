@@ -18,8 +18,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.geometry import Pose2, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.linalg import invert3, solve3
@@ -29,7 +29,7 @@ from slam_baselines.motion.dead_reckoning import PoseEstimate
 
 
 @dataclass(frozen=True, kw_only=True)
-class MatchConfig:
+class MatchConfig(Checked, of="the scan matcher"):
     """Effort of the matcher, and the noise of a beam.
 
     Attributes:
@@ -45,15 +45,15 @@ class MatchConfig:
     """
 
     iterations: tuple[int, ...] = (5, 3, 3)
-    sigma: float = 0.3
-    converged: float = 0.02
+    sigma: float = limited(0.3, "(0, inf]")
+    converged: float = limited(0.02, "(0, inf]")
     lever: float = 3.0
     exact: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if min(self.iterations) < 1:
             raise ConfigError(f"iterations must be at least 1 on every level, got {self.iterations}")
-        require_above(self, 0, "sigma", "converged", of="the scan matcher")
 
 
 class Match(NamedTuple):
@@ -289,7 +289,7 @@ def linearize(
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegistrationConfig:
+class RegistrationConfig(Checked, of="the registration"):
     """Thresholds of the wider search, and acceptance of matches.
 
     Attributes:
@@ -310,31 +310,21 @@ class RegistrationConfig:
         decorrelation_distance: distance between scans below which they see the same cells with the same
             errors, so that each adds only its share of information, meters.
         min_information_share: smallest share of information that a scan adds.
-
-    Raises:
-        ConfigError: a ratio, share or threshold outside (0, 1), or a distance that is not above 0.
     """
 
     match: MatchConfig = field(default_factory=MatchConfig)
     search: SearchConfig = field(default_factory=SearchConfig)
-    search_threshold: float = 0.4
-    min_gain: float = 0.05
+    search_threshold: float = limited(0.4, "(0, 1)")
+    min_gain: float = limited(0.05, "[0, inf]")
     search_prior: bool = False
     coasting: bool = True
-    known_ratio: float = 0.3
-    min_beams: int = 15
-    min_walls: int = 40
+    known_ratio: float = limited(0.3, "(0, 1)")
+    min_beams: int = limited(15, "[1, inf]")
+    min_walls: int = limited(40, "[1, inf]")
     reject_poor: bool = True
-    mahalanobis_gate: float = 4.0
-    decorrelation_distance: float = 0.4
-    min_information_share: float = 0.02
-
-    def __post_init__(self) -> None:
-        ratios = ("search_threshold", "known_ratio", "min_information_share")
-        require_within(self, "(0, 1)", *ratios, of="the registration")
-        require_above(self, 0, "decorrelation_distance", "mahalanobis_gate", of="the registration")
-        require_at_least(self, 0, "min_gain", of="the registration")
-        require_at_least(self, 1, "min_beams", "min_walls", of="the registration")
+    mahalanobis_gate: float = limited(4.0, "(0, inf]")
+    decorrelation_distance: float = limited(0.4, "(0, inf]")
+    min_information_share: float = limited(0.02, "(0, 1)")
 
 
 class Registration:

@@ -4,29 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lirs_wct.field_validators import require_at_least, require_within
+from lirs_wct.checks import Checked, limited
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackingConfig:
+class TrackingConfig(Checked, of="the tracking"):
     """Thresholds of a contradiction between scan and map, and of a lost mapper.
 
     Attributes:
         lost_score: score below which a scan contradicts the map.
         known_ratio: share of beams on known cells below which a score does not count.
         lost_after: contradicting scans in a row after which the mapper is lost.
-
-    Raises:
-        ConfigError: a score or ratio outside (0, 1], or lost_after below 1.
     """
 
-    lost_score: float = 0.25
-    known_ratio: float = 0.3
-    lost_after: int = 10
-
-    def __post_init__(self) -> None:
-        require_within(self, "(0, 1]", "lost_score", "known_ratio", of="the tracking")
-        require_at_least(self, 1, "lost_after", of="the tracking")
+    lost_score: float = limited(0.25, "(0, 1]")
+    known_ratio: float = limited(0.3, "(0, 1]")
+    lost_after: int = limited(10, "[1, inf]")
 
 
 class TrackingMonitor:

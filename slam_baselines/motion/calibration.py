@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Pose2, wrap_angle
 
 Slope = tuple[float, float]
@@ -28,7 +28,7 @@ UNTOLD = 1e-100
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationConfig:
+class CalibrationConfig(Checked, of="the calibration"):
     """Prior and noise of the correction, which set its rate of learning.
 
     Attributes:
@@ -38,20 +38,14 @@ class CalibrationConfig:
         memory: steps of one kind after which an observation of that kind counts 1/e.
         slide: standard deviation of the slide before anything is known, meters per radian and unit of slope.
         slide_noise: of the slide observed in one step, meters.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    per_meter: float = 0.05
-    per_radian: float = 0.05
-    noise: float = 0.02
-    memory: float = 500.0
-    slide: float = 2.0
-    slide_noise: float = 0.007
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the calibration")
+    per_meter: float = limited(0.05, "(0, inf]")
+    per_radian: float = limited(0.05, "(0, inf]")
+    noise: float = limited(0.02, "(0, inf]")
+    memory: float = limited(500.0, "(0, inf]")
+    slide: float = limited(2.0, "(0, inf]")
+    slide_noise: float = limited(0.007, "(0, inf]")
 
 
 class Calibration:

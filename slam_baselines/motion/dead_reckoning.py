@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, Pose2, Pose3, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.linalg import moved_covariance
@@ -61,7 +61,7 @@ class MotionStep(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionConfig:
+class MotionConfig(Checked, of="the motion"):
     """Errors of the odometry as random walks over distance, turn and time.
 
     Variances add up, so that the uncertainty of a motion does not depend on the rate of the scans.
@@ -77,24 +77,18 @@ class MotionConfig:
         gyro_per_second: of a gyro's yaw after one second, radians.
         blind_translation: after one second without odometry, meters.
         blind_rotation: after one second without odometry, radians.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    translation_per_meter: float = 0.04
-    translation_per_radian: float = 0.1
-    slide_per_radian: float = 2.0
-    translation_per_second: float = 0.005
-    rotation_per_meter: float = 0.03
-    rotation_per_radian: float = 0.05
-    rotation_per_second: float = 0.005
-    gyro_per_second: float = 0.001
-    blind_translation: float = 0.5
-    blind_rotation: float = 0.5
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the motion")
+    translation_per_meter: float = limited(0.04, "(0, inf]")
+    translation_per_radian: float = limited(0.1, "(0, inf]")
+    slide_per_radian: float = limited(2.0, "(0, inf]")
+    translation_per_second: float = limited(0.005, "(0, inf]")
+    rotation_per_meter: float = limited(0.03, "(0, inf]")
+    rotation_per_radian: float = limited(0.05, "(0, inf]")
+    rotation_per_second: float = limited(0.005, "(0, inf]")
+    gyro_per_second: float = limited(0.001, "(0, inf]")
+    blind_translation: float = limited(0.5, "(0, inf]")
+    blind_rotation: float = limited(0.5, "(0, inf]")
 
     def predict(
         self,

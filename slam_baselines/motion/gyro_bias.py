@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 
 ALIKE = np.array((1.0, 0.0))
 """Observation model: the disagreement is observed, the bias is not."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class GyroBiasConfig:
+class GyroBiasConfig(Checked, of="the gyro's bias"):
     """Standard deviations of a gyro and of the registered headings.
 
     Attributes:
@@ -30,19 +30,13 @@ class GyroBiasConfig:
         walk: of the disagreement's random walk after one second, radians.
         heading: at which a scan is registered, radians.
         gate: standard deviations from the expected disagreement beyond which one is not learned from.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    prior: float = math.radians(0.02)
-    drift: float = math.radians(0.0002)
-    walk: float = math.radians(0.1)
-    heading: float = math.radians(0.3)
-    gate: float = 3.0
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="the gyro's bias")
+    prior: float = limited(math.radians(0.02), "(0, inf]")
+    drift: float = limited(math.radians(0.0002), "(0, inf]")
+    walk: float = limited(math.radians(0.1), "(0, inf]")
+    heading: float = limited(math.radians(0.3), "(0, inf]")
+    gate: float = limited(3.0, "(0, inf]")
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_wct.field_validators import require_at_least
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.leveling import LeveledScan
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionFilterConfig:
+class MotionFilterConfig(Checked, of="the motion filter"):
     """Motion after which a scan becomes a node; names as in Cartographer's motion_filter.
 
     Attributes:
@@ -19,18 +19,12 @@ class MotionFilterConfig:
         max_distance_meters: largest distance between two nodes.
         max_angle_radians: largest turn between two nodes.
         max_tilt_radians: largest change of tilt between two nodes; it shows other heights of the same things.
-
-    Raises:
-        ConfigError: a negative value.
     """
 
-    max_time_seconds: float = math.inf
-    max_distance_meters: float = 0.2
-    max_angle_radians: float = math.radians(10.0)
-    max_tilt_radians: float = math.radians(1.0)
-
-    def __post_init__(self) -> None:
-        require_at_least(self, 0, *self.__dataclass_fields__, of="the motion filter")
+    max_time_seconds: float = limited(math.inf, "[0, inf]")
+    max_distance_meters: float = limited(0.2, "[0, inf]")
+    max_angle_radians: float = limited(math.radians(10.0), "[0, inf]")
+    max_tilt_radians: float = limited(math.radians(1.0), "[0, inf]")
 
 
 class MotionFilter:

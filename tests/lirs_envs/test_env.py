@@ -249,7 +249,7 @@ def test_an_episode_that_diverges_ends_with_a_valid_observation(plane: World) ->
         ({"randomize": {"mass": [2, 1]}}, "needs lowest <= highest"),
         ({"randomize": {"start": [1, 2]}}, "takes no factors"),
         ({"randomize": ["terrain"]}, "is for the task to cross generated terrain"),
-        ({"time_limit": 0}, "time_limit of the environment must be a finite number above 0 s"),
+        ({"time_limit": 0}, "time_limit of the environment must be above 0 s, got 0"),
         ({"colour": 1}, "an unexpected keyword argument 'colour'; legal: actors, control_hz"),
         ({"robots": 1}, "an unexpected keyword argument 'robots'; legal: .* world; did you mean robot"),
         ({"render_mode": "ascii"}, "unknown render mode 'ascii'"),

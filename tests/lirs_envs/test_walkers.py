@@ -287,7 +287,7 @@ def test_legs_are_straight_and_free(rough: World) -> None:
 
 def test_bad_numbers_and_full_worlds_are_named(plane: World, husky: Robot) -> None:
     for bad in (-1, 1.5, True, "3"):
-        with pytest.raises(ConfigError, match="actors must be a whole number from 0 up"):
+        with pytest.raises(ConfigError, match="actors must be a whole number at least 0"):
             SimulationConfig(robot=husky, actors=bad)  # type: ignore[arg-type]
     steep = np.tile(np.arange(0, 60, 1, dtype=np.float32), (60, 1))
     world = World("steep", Terrain(HeightField.centered(steep, (0.1, 0.1))))

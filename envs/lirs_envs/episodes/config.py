@@ -15,8 +15,8 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.tasks.task import Rewards
 from lirs_wct import ConfigError, Pose2, World, unknown_name
+from lirs_wct.checks import Checked, is_finite, limited, of_type
 from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.field_validators import is_finite, require_above, require_type, require_within
 
 RANDOMIZED: dict[str, tuple[float, float] | None] = {
     "friction": (0.7, 1.3),
@@ -38,7 +38,7 @@ LARGEST = {"pushes": 2.0, "latency": 1.0, "slip": 1.0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class EnvConfig:
+class EnvConfig(Checked, of="the environment"):
     """Options of an environment.
 
     Attributes:
@@ -75,23 +75,20 @@ class EnvConfig:
     noise: NoiseLevel = "simulated"
     odometry: Method = "gyro"
     sweep: bool = False
-    control_hz: float = 10.0
+    control_hz: float = limited(10.0, "[5, 50]", "Hz")
     observe: Sequence[str] | None = None
     randomize: Sequence[str] | Mapping[str, Sequence[float] | None] | None = None
     rays: str = "builtin"
     props: Sequence[Prop | Mapping[str, Any]] = ()
     actors: int = 0
-    difficulty: float = 0.5
-    time_limit: float | None = None
+    difficulty: float = limited(0.5, "[0, 1]")
+    time_limit: float | None = limited(None, "(0, inf)", "s")
     rewards: Mapping[str, float] = field(default_factory=dict)
     simulation: SimulationConfig = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        require_type(self, World | str, "world", of="the environment")
-        require_within(self, "[5, 50]", "control_hz", of="the environment", unit="Hz")
-        require_within(self, "[0, 1]", "difficulty", of="the environment")
-        if self.time_limit is not None:
-            require_above(self, 0, "time_limit", of="the environment", unit="s", finite=True)
+        super().__post_init__()
+        of_type(World | str)(self.world, "world of the environment")
         noise = SensorNoise(
             odometry=OdometryConfig(method=self.odometry), lidar=self.noise, rolling_scan=self.sweep
         )

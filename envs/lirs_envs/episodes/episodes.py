@@ -25,7 +25,7 @@ from lirs_envs.tasks.task import DRAWS, Stage, Task
 from lirs_envs.tasks.traverse import MIXED, CourseScale, TraverseTask, course_scale
 from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.field_validators import is_finite
+from lirs_wct.checks import is_finite
 from lirs_wct.kernels import njit
 
 TASKS: dict[str, type[Task]] = {

@@ -10,7 +10,7 @@ import numpy as np
 from lirs_envs.generators.natural import fractal
 from lirs_wct import HeightField, Pose2, World
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.field_validators import require_at_least, require_seed, require_within
+from lirs_wct.checks import Checked, check_field, check_seed, limited
 from lirs_wct.ground import Terrain
 
 CELL = 0.1
@@ -37,7 +37,7 @@ ROUGHNESS_LENGTH = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class ArenaConfig:
+class ArenaConfig(Checked, of="an arena"):
     """Parameters of an arena; the defaults are level ground with boxes and a closed wall.
 
     Attributes:
@@ -53,31 +53,20 @@ class ArenaConfig:
         corridor_width: distance between them, meters.
         boundary: share of the wall around the arena that stands.
         seed: of the random positions and hills.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
-    relief: float = 0.0
-    slope: float = 0.0
-    slope_direction: float = 90.0
-    roughness: float = 0.0
-    obstacles: int = 20
-    obstacle_height: float = 2.0
-    round_obstacles: float = 0.0
-    symmetry: float = 0.0
-    corridor: float = 0.0
-    corridor_width: float = 3.0
-    boundary: float = 1.0
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        lengths = ("relief", "roughness", "obstacles", "obstacle_height", "corridor", "corridor_width")
-        require_at_least(self, 0, *lengths, of="an arena", finite=True)
-        require_within(self, "[0, 45]", "slope", of="an arena", unit="deg")
-        require_within(self, "[-360, 360]", "slope_direction", of="an arena", unit="deg")
-        require_within(self, "[0, 1]", "round_obstacles", "symmetry", "boundary", of="an arena")
-        require_seed(self.seed)
+    relief: float = limited(0.0, "[0, inf)")
+    slope: float = limited(0.0, "[0, 45]", "deg")
+    slope_direction: float = limited(90.0, "[-360, 360]", "deg")
+    roughness: float = limited(0.0, "[0, inf)")
+    obstacles: int = limited(20, "[0, inf)")
+    obstacle_height: float = limited(2.0, "[0, inf)")
+    round_obstacles: float = limited(0.0, "[0, 1]")
+    symmetry: float = limited(0.0, "[0, 1]")
+    corridor: float = limited(0.0, "[0, inf)")
+    corridor_width: float = limited(3.0, "[0, inf)")
+    boundary: float = limited(1.0, "[0, 1]")
+    seed: int = check_field(check_seed, default=1)
 
 
 def arena(name: str, config: ArenaConfig) -> World:

@@ -14,7 +14,7 @@ from lirs_envs.generators.obstacles import OBSTACLES, X, Y, at_difficulty, nodes
 from lirs_envs.generators.route import CELL, distance_to_route, winding_route
 from lirs_wct import ConfigError, HeightField, Pose2, World, unknown_name
 from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.field_validators import is_finite
+from lirs_wct.checks import is_finite
 from lirs_wct.ground import Terrain
 
 KINDS = (*OBSTACLES, "mazes")

@@ -12,8 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct.checks import Checked, limited, require_within
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.field_validators import require_above, require_at_least, require_within
 from lirs_wct.kernels import njit
 
 
@@ -52,11 +52,11 @@ class LidarPreset:
 
     def __post_init__(self) -> None:
         of = f"lidar {self.name!r}"
-        require_at_least(self, 2, "beams", of=of)
+        require_within(self, "[2, inf]", "beams", of=of)
         require_within(self, f"(0, {math.tau}]", "fov", of=of, unit="rad")
-        require_above(self, 0, "rate", of=of, unit="Hz", finite=True)
-        require_at_least(self, 0, "range_min", "range_max", of=of, unit="m", finite=True)
-        require_at_least(self, 0, "sigma", "sigma_relative", of=of, finite=True)
+        require_within(self, "(0, inf)", "rate", of=of, unit="Hz")
+        require_within(self, "[0, inf)", "range_min", "range_max", of=of, unit="m")
+        require_within(self, "[0, inf)", "sigma", "sigma_relative", of=of)
         if self.range_min >= self.range_max:
             raise ConfigError(
                 f"range_min of {of} must be below range_max, got {self.range_min} and {self.range_max} m"
@@ -217,7 +217,7 @@ class NoiseParameters(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LidarNoise:
+class LidarNoise(Checked, of="the lidar noise"):
     """Errors of a range measurement.
 
     Attributes:
@@ -227,22 +227,14 @@ class LidarNoise:
         dropout: share of invalid beams (NaN, REP 117).
         mixed_pixels: share of the beams at an edge that fall on both sides of it and measure a range between.
         edge_threshold: difference between the ranges of two neighbors that makes an edge, meters.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
-    sigma: float = 0.0
-    sigma_relative: float = 0.0
-    quantization: float = 0.0
-    dropout: float = 0.0
-    mixed_pixels: float = 0.0
-    edge_threshold: float = 0.2
-
-    def __post_init__(self) -> None:
-        lengths = ("sigma", "sigma_relative", "quantization", "edge_threshold")
-        require_at_least(self, 0, *lengths, of="the lidar noise", finite=True)
-        require_within(self, "[0, 1]", "dropout", "mixed_pixels", of="the lidar noise")
+    sigma: float = limited(0.0, "[0, inf)")
+    sigma_relative: float = limited(0.0, "[0, inf)")
+    quantization: float = limited(0.0, "[0, inf)")
+    dropout: float = limited(0.0, "[0, 1]")
+    mixed_pixels: float = limited(0.0, "[0, 1]")
+    edge_threshold: float = limited(0.2, "[0, inf)")
 
     @property
     def parameters(self) -> NoiseParameters:

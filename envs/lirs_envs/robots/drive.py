@@ -11,31 +11,24 @@ import numpy as np
 from lirs_envs.robots.flight import FlyingBody, QuadrotorController
 from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_wct.arrays import FloatArray, IntArray, RecordArray
-from lirs_wct.field_validators import require_at_least
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveConfig:
+class DriveConfig(Checked, of="the yaw loop"):
     """Gains of the yaw loop, which corrects the error of the feed-forward.
 
     Attributes:
         proportional: extra turn rate per rad/s of error.
         integral: extra turn rate per radian of error.
         integral_limit: largest integral part, rad/s.
-
-    Raises:
-        ConfigError: a gain is negative or not finite.
     """
 
-    proportional: float = 0.3
-    integral: float = 4.0
-    integral_limit: float = 1.0
-
-    def __post_init__(self) -> None:
-        names = ("proportional", "integral", "integral_limit")
-        require_at_least(self, 0, *names, of="the yaw loop", finite=True)
+    proportional: float = limited(0.3, "[0, inf)")
+    integral: float = limited(4.0, "[0, inf)")
+    integral_limit: float = limited(1.0, "[0, inf)")
 
 
 LIMITS = (

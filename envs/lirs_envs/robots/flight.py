@@ -8,7 +8,7 @@ thrust and a tilt. The attitude loop gives torques. The control reads the true s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Protocol
 
 import mujoco
@@ -16,7 +16,7 @@ import numpy as np
 
 from lirs_envs.robots.robot import Robot, Twist, Waypoint, clip
 from lirs_wct.arrays import FloatArray, Vector3
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Pose3, wrap_angle
 from lirs_wct.geometry.heightfield import HeightField
 
@@ -25,7 +25,7 @@ LEAST_THRUST = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlightConfig:
+class FlightConfig(Checked, of="the flight control"):
     """Gains and limits of the flight control.
 
     Attributes:
@@ -40,26 +40,19 @@ class FlightConfig:
         min_altitude: lowest that a climb makes it, meters.
         max_altitude: highest that a climb makes it, meters.
         lookahead: time ahead over which the ground counts in terrain following, seconds.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    position_gain: float = 1.5
-    velocity_gain: float = 5.0
-    attitude_gain: float = 220.0
-    rate_gain: float = 24.0
-    heading_gain: float = 2.0
-    max_tilt: float = math.radians(45)
-    max_climb_rate: float = 5.0
-    altitude: float = 1.0
-    min_altitude: float = 0.6
-    max_altitude: float = 10.0
-    lookahead: float = 0.8
-
-    def __post_init__(self) -> None:
-        names = (item.name for item in fields(self))
-        require_above(self, 0, *names, of="the flight control", finite=True)
+    position_gain: float = limited(1.5, "(0, inf)")
+    velocity_gain: float = limited(5.0, "(0, inf)")
+    attitude_gain: float = limited(220.0, "(0, inf)")
+    rate_gain: float = limited(24.0, "(0, inf)")
+    heading_gain: float = limited(2.0, "(0, inf)")
+    max_tilt: float = limited(math.radians(45), "(0, inf)")
+    max_climb_rate: float = limited(5.0, "(0, inf)")
+    altitude: float = limited(1.0, "(0, inf)")
+    min_altitude: float = limited(0.6, "(0, inf)")
+    max_altitude: float = limited(10.0, "(0, inf)")
+    lookahead: float = limited(0.8, "(0, inf)")
 
 
 class FlyingBody(Protocol):

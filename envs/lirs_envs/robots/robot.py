@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
+from lirs_wct.checks import is_finite, require_within
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.field_validators import is_finite, require_above, require_at_least
 from lirs_wct.geometry import Pose3
 
 ASSETS = Path(__file__).parent / "assets"
@@ -89,8 +89,8 @@ class Robot(ShownAsTable):
             raise ConfigError(f"robot {self.name!r} needs driven wheels on both sides, or rotors")
         of = f"robot {self.name!r}"
         positive = POSITIVE if self.flies else (*POSITIVE, "wheel_radius", "track")
-        require_above(self, 0, *positive, of=of, finite=True)
-        require_at_least(self, 0, "wheelbase", of=of, unit="m", finite=True)
+        require_within(self, "(0, inf)", *positive, of=of)
+        require_within(self, "[0, inf)", "wheelbase", of=of, unit="m")
 
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, radius {self.radius:g} m, {self.max_speed:g} m/s, lidar {self.lidar!r})"

@@ -13,7 +13,7 @@ average over the directions of the slip. The pull m g sin(slope) balances it at 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,14 +22,14 @@ from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import Odometry, OdometryConfig, OdometryIncrement, integrate_motion
 from lirs_wct import ConfigError, Pose2
 from lirs_wct.arrays import FloatArray, Vector3
-from lirs_wct.field_validators import require_at_least
+from lirs_wct.checks import Checked, limited
 
 X, Y, YAW, BIAS, SCALE = range(5)
 BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]
 
 
 @dataclass(frozen=True, kw_only=True)
-class EkfConfig:
+class EkfConfig(Checked, of="the odometry filter"):
     """Process noise beyond the sensors' own noise; standard deviations.
 
     Attributes:
@@ -45,25 +45,18 @@ class EkfConfig:
         wheel_rate_relative: the part that grows with the rate, rad/s each rad/s.
         gate: largest normalized innovation that is accepted, in deviations: wheels may spin or be dragged.
         rest: turn rate of the wheels below which the robot stands, rad/s.
-
-    Raises:
-        ConfigError: a value is negative or not finite.
     """
 
-    slip_forward: float = 0.01
-    slip_lateral: float = 0.01
-    slip_turning: float = 0.02
-    slide: float = 2.0
-    drift: float = 0.35
-    tilt: float = 0.003
-    wheel_rate: float = 0.05
-    wheel_rate_relative: float = 0.05
-    gate: float = 3.0
-    rest: float = 1e-3
-
-    def __post_init__(self) -> None:
-        names = (item.name for item in fields(self))
-        require_at_least(self, 0, *names, of="the odometry filter", finite=True)
+    slip_forward: float = limited(0.01, "[0, inf)")
+    slip_lateral: float = limited(0.01, "[0, inf)")
+    slip_turning: float = limited(0.02, "[0, inf)")
+    slide: float = limited(2.0, "[0, inf)")
+    drift: float = limited(0.35, "[0, inf)")
+    tilt: float = limited(0.003, "[0, inf)")
+    wheel_rate: float = limited(0.05, "[0, inf)")
+    wheel_rate_relative: float = limited(0.05, "[0, inf)")
+    gate: float = limited(3.0, "[0, inf)")
+    rest: float = limited(1e-3, "[0, inf)")
 
 
 class EkfOdometry(Odometry):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
-from lirs_wct.field_validators import require_above, require_at_least
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu
 from lirs_wct.kernels import njit
 
@@ -21,7 +21,7 @@ RATE_BLOCK = 256
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImuConfig:
+class ImuConfig(Checked, of="the IMU"):
     """Noise of an inertial unit; standard deviations.
 
     Attributes:
@@ -32,24 +32,15 @@ class ImuConfig:
         rate_bias: constant error of each rate, drawn at a reset, rad/s.
         acceleration_sigma: white noise of each acceleration in each reading, m/s^2.
         acceleration_bias: constant error of each acceleration, drawn at a reset, m/s^2.
-
-    Raises:
-        ConfigError: a value is negative or not finite, or `attitude_time` is 0.
     """
 
-    attitude_sigma: float = math.radians(0.1)
-    attitude_bias: float = math.radians(0.1)
-    attitude_time: float = 10.0
-    rate_sigma: float = math.radians(0.1)
-    rate_bias: float = math.radians(0.02)
-    acceleration_sigma: float = 0.05
-    acceleration_bias: float = 0.02
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "attitude_time", of="the IMU", unit="s", finite=True)
-        biases = ("attitude_bias", "rate_bias", "acceleration_bias")
-        sigmas = ("attitude_sigma", "rate_sigma", "acceleration_sigma")
-        require_at_least(self, 0, *biases, *sigmas, of="the IMU", finite=True)
+    attitude_sigma: float = limited(math.radians(0.1), "[0, inf)")
+    attitude_bias: float = limited(math.radians(0.1), "[0, inf)")
+    attitude_time: float = limited(10.0, "(0, inf)", "s")
+    rate_sigma: float = limited(math.radians(0.1), "[0, inf)")
+    rate_bias: float = limited(math.radians(0.02), "[0, inf)")
+    acceleration_sigma: float = limited(0.05, "[0, inf)")
+    acceleration_bias: float = limited(0.02, "[0, inf)")
 
 
 class ImuParameters(NamedTuple):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_at_least
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import ImuReadings
 from lirs_wct.kernels import njit
 
@@ -20,7 +20,7 @@ STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, kw_only=True)
-class InertialNoise:
+class InertialNoise(Checked, of="the inertial unit"):
     """Noise densities and constant biases of an inertial unit.
 
     The densities are those of the data sheet of Bosch's BMI088; the biases are what remains after a
@@ -31,19 +31,12 @@ class InertialNoise:
         rate_bias: standard deviation of the constant error of each rate, rad/s.
         acceleration_density: white noise of each acceleration, m/s^2/sqrt(Hz).
         acceleration_bias: standard deviation of the constant error of each acceleration, m/s^2.
-
-    Raises:
-        ConfigError: a value is negative or not finite.
     """
 
-    rate_density: float = math.radians(0.014)
-    rate_bias: float = math.radians(0.02)
-    acceleration_density: float = 175e-6 * STANDARD_GRAVITY
-    acceleration_bias: float = 0.02
-
-    def __post_init__(self) -> None:
-        names = ("rate_density", "rate_bias", "acceleration_density", "acceleration_bias")
-        require_at_least(self, 0, *names, of="the inertial unit", finite=True)
+    rate_density: float = limited(math.radians(0.014), "[0, inf)")
+    rate_bias: float = limited(math.radians(0.02), "[0, inf)")
+    acceleration_density: float = limited(175e-6 * STANDARD_GRAVITY, "[0, inf)")
+    acceleration_bias: float = limited(0.02, "[0, inf)")
 
 
 class InertialUnit:

@@ -8,9 +8,9 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from lirs_wct import Pose2, Pose3, unknown_name
+from lirs_wct import Pose2, Pose3
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
-from lirs_wct.field_validators import require_above, require_within
+from lirs_wct.checks import Checked, check_field, limited, one_of
 from lirs_wct.kernels import njit
 
 Method = Literal["gyro", "ekf"]
@@ -20,7 +20,7 @@ BLOCK = 256
 
 
 @dataclass(frozen=True, kw_only=True)
-class OdometryConfig:
+class OdometryConfig(Checked, of="the odometry"):
     """Noise and method of odometry; slip comes from the simulation and adds to the noise.
 
     Attributes:
@@ -29,22 +29,12 @@ class OdometryConfig:
         scale_bias: constant scale error of the distance, as of a wrong wheel radius.
         method: `gyro` = distance from the wheels, heading from the gyro; `ekf` = a Kalman filter over both,
             which estimates the gyro's bias where the wheels measure the turn (at rest, or with one axle).
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
-    scale_sigma: float = 0.02
-    scale_length: float = 5.0
-    scale_bias: float = 0.0
-    method: Method = "gyro"
-
-    def __post_init__(self) -> None:
-        require_within(self, "[0, 1)", "scale_sigma", of="the odometry")
-        require_within(self, "(-1, 1)", "scale_bias", of="the odometry")
-        require_above(self, 0, "scale_length", of="the odometry", unit="m", finite=True)
-        if self.method not in METHODS:
-            raise unknown_name("odometry method", self.method, METHODS)
+    scale_sigma: float = limited(0.02, "[0, 1)")
+    scale_length: float = limited(5.0, "(0, inf)", "m")
+    scale_bias: float = limited(0.0, "(-1, 1)")
+    method: Method = check_field(one_of(METHODS), default="gyro")
 
 
 class OdometryIncrement(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Protocol, get_args
 
@@ -18,8 +18,8 @@ from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
 from lirs_wct.arrays import FloatArray, IntArray, Vector3
+from lirs_wct.checks import Checked, check_field, limited, of_type
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
-from lirs_wct.field_validators import require_type, require_within
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.geometry import Imu, ImuReadings, LaserScan, PointCloud, Pose2, Pose3
@@ -33,7 +33,7 @@ LONGEST_LAG = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorFaults:
+class SensorFaults(Checked, of="the sensor faults"):
     """Faults of a robot's sensors; all are off by default.
 
     Attributes:
@@ -42,20 +42,12 @@ class SensorFaults:
         dust: share of beams that a particle nearer than 2 m returns.
         slip: excess of the measured distance, as a share, per unit sine of the slope uphill. On a cross slope
             it is the sideways motion that the wheels do not measure.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
-    lag: float = 0.0
-    field_of_view: float = 360.0
-    dust: float = 0.0
-    slip: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_within(self, f"[0, {LONGEST_LAG:g}]", "lag", of="the sensor faults", unit="s")
-        require_within(self, "(0, 360]", "field_of_view", of="the sensor faults", unit="deg")
-        require_within(self, "[0, 1]", "dust", "slip", of="the sensor faults")
+    lag: float = limited(0.0, f"[0, {LONGEST_LAG:g}]", "s")
+    field_of_view: float = limited(360.0, "(0, 360]", "deg")
+    dust: float = limited(0.0, "[0, 1]")
+    slip: float = limited(0.0, "[0, 1]")
 
     @property
     def any(self) -> bool:
@@ -146,7 +138,7 @@ class Observation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensorNoise:
+class SensorNoise(Checked, of="the sensor noise"):
     """Errors of all sensors.
 
     Attributes:
@@ -156,23 +148,13 @@ class SensorNoise:
         rolling_scan: whether the beams of a scan are cast one after the other over its time; None = those of
             lidars with rings.
         faults: late scans, covered beams, dust and slip; of a single simulation alone.
-
-    Raises:
-        ConfigError: one is of the wrong type.
     """
 
-    imu: ImuConfig = field(default_factory=ImuConfig)
-    odometry: OdometryConfig = field(default_factory=OdometryConfig)
-    lidar: LidarNoise | NoiseLevel = "simulated"
-    rolling_scan: bool | None = None
-    faults: SensorFaults = field(default_factory=SensorFaults)
-
-    def __post_init__(self) -> None:
-        require_type(self, ImuConfig, "imu", of="the sensor noise")
-        require_type(self, OdometryConfig, "odometry", of="the sensor noise")
-        require_type(self, LidarNoise | str, "lidar", of="the sensor noise")
-        require_type(self, bool | None, "rolling_scan", of="the sensor noise")
-        require_type(self, SensorFaults, "faults", of="the sensor noise")
+    imu: ImuConfig = check_field(of_type(ImuConfig), default_factory=ImuConfig)
+    odometry: OdometryConfig = check_field(of_type(OdometryConfig), default_factory=OdometryConfig)
+    lidar: LidarNoise | NoiseLevel = check_field(of_type(LidarNoise | str), default="simulated")
+    rolling_scan: bool | None = check_field(of_type(bool), default=None)
+    faults: SensorFaults = check_field(of_type(SensorFaults), default_factory=SensorFaults)
 
     def with_odometry_noise(self, factor: float) -> SensorNoise:
         """Return the noise with that of wheels and gyro multiplied by a factor."""

@@ -14,14 +14,14 @@ from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import SeenFrame, Site
 from lirs_wct import ConfigError, Pose2, Pose3
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.field_validators import is_finite, require_at_least
+from lirs_wct.checks import Checked, limited
 
 DRAWS = 100
 """Number of draws of start and goal before a reset fails."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rewards:
+class Rewards(Checked, of="the rewards"):
     """Weights of the rewards that all tasks share; costs are negative.
 
     Tipping over and leaving the world never cost less than a collision.
@@ -40,20 +40,16 @@ class Rewards:
         ConfigError: a weight has the wrong sign, or an accident costs less than a collision.
     """
 
-    success: float = 10.0
-    crossing: float = 100.0
-    collision: float = -5.0
-    contact: float = -5.0
-    tipped: float = -10.0
-    left: float = -10.0
-    effort: float = -0.1
+    success: float = limited(10.0, "[0, inf)")
+    crossing: float = limited(100.0, "[0, inf)")
+    collision: float = limited(-5.0, "(-inf, 0]")
+    contact: float = limited(-5.0, "(-inf, 0]")
+    tipped: float = limited(-10.0, "(-inf, 0]")
+    left: float = limited(-10.0, "(-inf, 0]")
+    effort: float = limited(-0.1, "(-inf, 0]")
 
     def __post_init__(self) -> None:
-        require_at_least(self, 0, "success", "crossing", of="the rewards", finite=True)
-        for name in ("collision", "contact", "tipped", "left", "effort"):
-            value = getattr(self, name)
-            if not (is_finite(value) and value <= 0):
-                raise ConfigError(f"{name} of the rewards is a cost, at most 0 and finite, got {value!r}")
+        super().__post_init__()
         for name in ("tipped", "left"):
             if getattr(self, name) > self.collision:
                 raise ConfigError(

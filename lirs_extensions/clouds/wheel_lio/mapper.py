@@ -17,7 +17,7 @@ from lirs_extensions.clouds.wheel_lio.registration import MatchRule, PlaneMatch,
 from lirs_extensions.clouds.wheel_lio.sweep import BodyTwist, SweepPoints, deskew, find_edges, thin
 from lirs_extensions.clouds.wheel_lio.voxel_map import LineMap, LocalMap, PlaneMap
 from lirs_wct.arrays import FloatArray
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, ImuReadings, PointCloud, Pose2, Pose3, Trajectory
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 from slam_baselines.motion.dead_reckoning import climb
@@ -156,7 +156,7 @@ def level(R: FloatArray, imu: Imu, share: float) -> FloatArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WheelLioConfig:
+class WheelLioConfig(Checked, of="wheel_lio"):
     """Parameters of map, registration and motion.
 
     Attributes:
@@ -178,31 +178,25 @@ class WheelLioConfig:
         shift_per_second: after one second.
         turn_per_second: standard deviation of the predicted rotation after one second, radians.
         tilt_time: seconds within which roll and pitch follow gravity.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    cell: float = 0.5
-    thin: float = 0.3
-    near: float = 0.5
-    far: float = 60.0
-    radius: float = 80.0
-    key_shift: float = 0.1
-    key_turn: float = 0.05
-    noise: float = 0.02
-    edge: float = 0.05
-    gate: float = 0.5
-    error: float = 0.001
-    weak: float = 0.03
-    shift_per_meter: float = 0.04
-    shift_per_radian: float = 0.1
-    shift_per_second: float = 0.005
-    turn_per_second: float = 0.0016
-    tilt_time: float = 2.0
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *self.__dataclass_fields__, of="wheel_lio", finite=True)
+    cell: float = limited(0.5, "(0, inf)")
+    thin: float = limited(0.3, "(0, inf)")
+    near: float = limited(0.5, "(0, inf)")
+    far: float = limited(60.0, "(0, inf)")
+    radius: float = limited(80.0, "(0, inf)")
+    key_shift: float = limited(0.1, "(0, inf)")
+    key_turn: float = limited(0.05, "(0, inf)")
+    noise: float = limited(0.02, "(0, inf)")
+    edge: float = limited(0.05, "(0, inf)")
+    gate: float = limited(0.5, "(0, inf)")
+    error: float = limited(0.001, "(0, inf)")
+    weak: float = limited(0.03, "(0, inf)")
+    shift_per_meter: float = limited(0.04, "(0, inf)")
+    shift_per_radian: float = limited(0.1, "(0, inf)")
+    shift_per_second: float = limited(0.005, "(0, inf)")
+    turn_per_second: float = limited(0.0016, "(0, inf)")
+    tilt_time: float = limited(2.0, "(0, inf)")
 
 
 class WheelLioMapper:

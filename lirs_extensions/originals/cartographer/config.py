@@ -8,32 +8,26 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from lirs_wct.field_validators import number_fields, require_above, require_at_least, require_within
+from lirs_wct.checks import Checked, limited
 
 
 @dataclass(frozen=True, kw_only=True)
-class AdaptiveVoxelFilterConfig:
+class AdaptiveVoxelFilterConfig(Checked, of="the adaptive voxel filter"):
     """Thinning of the points that are matched.
 
     Attributes:
         max_length: largest edge of a voxel, meters.
         min_num_points: fewest points that are kept, where a scan has so many.
         max_range: farther points are dropped, meters.
-
-    Raises:
-        ConfigError: a value that is not above 0.
     """
 
-    max_length: float = 0.5
-    min_num_points: int = 200
-    max_range: float = 50.0
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *number_fields(self), of="the adaptive voxel filter")
+    max_length: float = limited(0.5, "(0, inf]")
+    min_num_points: int = limited(200, "(0, inf]")
+    max_range: float = limited(50.0, "(0, inf]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class OnlineSearchConfig:
+class OnlineSearchConfig(Checked, of="the online search"):
     """Exhaustive search around the predicted pose, real_time_correlative_scan_matcher.
 
     Attributes:
@@ -41,25 +35,16 @@ class OnlineSearchConfig:
         angular_search_window: largest turn, radians.
         translation_delta_cost_weight: of the shift in the score, 1/m.
         rotation_delta_cost_weight: of the turn in the score, 1/rad.
-
-    Raises:
-        ConfigError: a window that is not above 0, or a weight below 0.
     """
 
-    linear_search_window: float = 0.1
-    angular_search_window: float = math.radians(20.0)
-    translation_delta_cost_weight: float = 0.1
-    rotation_delta_cost_weight: float = 0.1
-
-    def __post_init__(self) -> None:
-        windows = ("linear_search_window", "angular_search_window")
-        require_above(self, 0, *windows, of="the online search")
-        weights = ("translation_delta_cost_weight", "rotation_delta_cost_weight")
-        require_at_least(self, 0, *weights, of="the online search")
+    linear_search_window: float = limited(0.1, "(0, inf]")
+    angular_search_window: float = limited(math.radians(20.0), "(0, inf]")
+    translation_delta_cost_weight: float = limited(0.1, "[0, inf]")
+    rotation_delta_cost_weight: float = limited(0.1, "[0, inf]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CeresMatcherConfig:
+class CeresMatcherConfig(Checked, of="the scan matcher"):
     """Weights of the residuals of ceres_scan_matcher, and its solver.
 
     Attributes:
@@ -68,20 +53,13 @@ class CeresMatcherConfig:
         rotation_weight: of the turn from the start, 1/rad.
         use_nonmonotonic_steps: whether steps may raise the cost.
         max_num_iterations: of the solver.
-
-    Raises:
-        ConfigError: a value that is not above 0.
     """
 
-    occupied_space_weight: float = 1.0
-    translation_weight: float = 10.0
-    rotation_weight: float = 40.0
+    occupied_space_weight: float = limited(1.0, "(0, inf]")
+    translation_weight: float = limited(10.0, "(0, inf]")
+    rotation_weight: float = limited(40.0, "(0, inf]")
     use_nonmonotonic_steps: bool = False
-    max_num_iterations: int = 20
-
-    def __post_init__(self) -> None:
-        names = ("occupied_space_weight", "translation_weight", "rotation_weight", "max_num_iterations")
-        require_above(self, 0, *names, of="the scan matcher")
+    max_num_iterations: int = limited(20, "(0, inf]")
 
 
 LOOP_MATCHER = CeresMatcherConfig(
@@ -91,7 +69,7 @@ LOOP_MATCHER = CeresMatcherConfig(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstraintBuilderConfig:
+class ConstraintBuilderConfig(Checked, of="the constraint builder"):
     """Loop search.
 
     Attributes:
@@ -104,28 +82,21 @@ class ConstraintBuilderConfig:
         angular_search_window: largest turn, radians.
         branch_and_bound_depth: number of levels of the search.
         ceres_scan_matcher: refinement.
-
-    Raises:
-        ConfigError: a value that is not above 0, or a ratio or score above 1.
     """
 
-    sampling_ratio: float = 0.3
-    max_constraint_distance: float = 15.0
-    min_score: float = 0.55
-    loop_closure_translation_weight: float = 1.1e4
-    loop_closure_rotation_weight: float = 1e5
-    linear_search_window: float = 7.0
-    angular_search_window: float = math.radians(30.0)
-    branch_and_bound_depth: int = 7
+    sampling_ratio: float = limited(0.3, "(0, 1]")
+    max_constraint_distance: float = limited(15.0, "(0, inf]")
+    min_score: float = limited(0.55, "(0, 1]")
+    loop_closure_translation_weight: float = limited(1.1e4, "(0, inf]")
+    loop_closure_rotation_weight: float = limited(1e5, "(0, inf]")
+    linear_search_window: float = limited(7.0, "(0, inf]")
+    angular_search_window: float = limited(math.radians(30.0), "(0, inf]")
+    branch_and_bound_depth: int = limited(7, "(0, inf]")
     ceres_scan_matcher: CeresMatcherConfig = LOOP_MATCHER
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *number_fields(self), of="the constraint builder")
-        require_within(self, "(0, 1]", "sampling_ratio", "min_score", of="the constraint builder")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseGraphConfig:
+class PoseGraphConfig(Checked, of="the pose graph"):
     """Weights of the pose graph's residuals, and its solver.
 
     Attributes:
@@ -140,29 +111,23 @@ class PoseGraphConfig:
         huber_scale: weighted error of a loop from which on it counts linearly.
         max_num_iterations: of the solver.
         max_num_final_iterations: of the solver in the last optimization.
-
-    Raises:
-        ConfigError: a value that is not above 0.
     """
 
-    optimize_every_n_nodes: int = 90
+    optimize_every_n_nodes: int = limited(90, "(0, inf]")
     constraint_builder: ConstraintBuilderConfig = field(default_factory=ConstraintBuilderConfig)
-    matcher_translation_weight: float = 5e2
-    matcher_rotation_weight: float = 1.6e3
-    local_slam_pose_translation_weight: float = 1e5
-    local_slam_pose_rotation_weight: float = 1e5
-    odometry_translation_weight: float = 1e5
-    odometry_rotation_weight: float = 1e5
-    huber_scale: float = 10.0
-    max_num_iterations: int = 50
-    max_num_final_iterations: int = 200
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, *number_fields(self), of="the pose graph")
+    matcher_translation_weight: float = limited(5e2, "(0, inf]")
+    matcher_rotation_weight: float = limited(1.6e3, "(0, inf]")
+    local_slam_pose_translation_weight: float = limited(1e5, "(0, inf]")
+    local_slam_pose_rotation_weight: float = limited(1e5, "(0, inf]")
+    odometry_translation_weight: float = limited(1e5, "(0, inf]")
+    odometry_rotation_weight: float = limited(1e5, "(0, inf]")
+    huber_scale: float = limited(10.0, "(0, inf]")
+    max_num_iterations: int = limited(50, "(0, inf]")
+    max_num_final_iterations: int = limited(200, "(0, inf]")
 
 
 @dataclass(frozen=True, kw_only=True)
-class CartographerOriginalConfig:
+class CartographerOriginalConfig(Checked):
     """Parameters of Cartographer 2D with its defaults.
 
     Attributes:
@@ -182,32 +147,21 @@ class CartographerOriginalConfig:
         hit_probability: probability that a cell is occupied, given that a beam ended there.
         miss_probability: probability that a cell is occupied, given that a beam passed it.
         pose_graph: loops and optimization.
-
-    Raises:
-        ConfigError: a value that is not above 0, or a probability on the wrong side of 0.5.
     """
 
-    min_range: float = 0.0
-    max_range: float = 30.0
-    missing_data_ray_length: float = 5.0
-    voxel_filter_size: float = 0.025
+    min_range: float = limited(0.0, "[0, inf]")
+    max_range: float = limited(30.0, "(0, inf]", "m")
+    missing_data_ray_length: float = limited(5.0, "(0, inf]", "m")
+    voxel_filter_size: float = limited(0.025, "(0, inf]", "m")
     adaptive_voxel_filter: AdaptiveVoxelFilterConfig = field(default_factory=AdaptiveVoxelFilterConfig)
     use_online_correlative_scan_matching: bool = False
     real_time_correlative_scan_matcher: OnlineSearchConfig = field(default_factory=OnlineSearchConfig)
     ceres_scan_matcher: CeresMatcherConfig = field(default_factory=CeresMatcherConfig)
-    max_time_seconds: float = 5.0
-    max_distance_meters: float = 0.2
-    max_angle_radians: float = math.radians(1.0)
-    num_range_data: int = 90
-    resolution: float = 0.05
-    hit_probability: float = 0.55
-    miss_probability: float = 0.49
+    max_time_seconds: float = limited(5.0, "(0, inf]")
+    max_distance_meters: float = limited(0.2, "[0, inf]")
+    max_angle_radians: float = limited(math.radians(1.0), "[0, inf]")
+    num_range_data: int = limited(90, "(0, inf]")
+    resolution: float = limited(0.05, "(0, inf]", "m")
+    hit_probability: float = limited(0.55, "(0.5, 0.9]")
+    miss_probability: float = limited(0.49, "[0.1, 0.5)")
     pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
-
-    def __post_init__(self) -> None:
-        lengths = ("max_range", "missing_data_ray_length", "voxel_filter_size", "resolution")
-        require_above(self, 0, *lengths, unit="m")
-        require_above(self, 0, "max_time_seconds", "num_range_data")
-        require_at_least(self, 0, "min_range", "max_distance_meters", "max_angle_radians")
-        require_within(self, "(0.5, 0.9]", "hit_probability")
-        require_within(self, "[0.1, 0.5)", "miss_probability")

@@ -17,7 +17,7 @@ import numpy as np
 
 from lirs_extensions.originals.gmapping.hit_maps import HitMaps, MatchingParameters, match_scan
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.field_validators import require_above, require_at_least, require_within
+from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.gmapping.particles import Particles, normalize
@@ -38,7 +38,7 @@ WARM_UP = {"resampleThreshold": 1.0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class GmappingOriginalConfig:
+class GmappingOriginalConfig(Checked):
     """Parameters of OpenSLAM's GMapping with its defaults.
 
     Attributes:
@@ -63,39 +63,28 @@ class GmappingOriginalConfig:
             range, as in a CARMEN log.
         maxUrange: farther readings are no hits, meters: free up to there.
         occ_thresh: share of hits among the beams through a cell above which it is occupied.
-
-    Raises:
-        ConfigError: a value that is not legal.
     """
 
-    particles: int = 30
+    particles: int = limited(30, "(0, inf]")
     seed: int = 0
-    linearUpdate: float = 1.0  # noqa: N815  the original's names
-    angularUpdate: float = 0.5  # noqa: N815
-    resampleThreshold: float = 0.5  # noqa: N815
-    srr: float = 0.1
-    srt: float = 0.2
-    str: float = 0.1
-    stt: float = 0.2
-    sigma: float = 0.05
-    kernelSize: int = 1  # noqa: N815
-    lstep: float = 0.05
-    astep: float = 0.05
-    iterations: int = 5
-    lsigma: float = 0.075
-    ogain: float = 3.0
-    delta: float = 0.05
-    maxrange: float = 80.0
-    maxUrange: float = 80.0  # noqa: N815
-    occ_thresh: float = 0.25
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "particles", "sigma", "lstep", "astep", "lsigma", "ogain", "delta")
-        require_above(self, 0, "maxrange", "maxUrange", unit="m")
-        require_at_least(self, 0, "linearUpdate", "angularUpdate", "srr", "srt", "str", "stt", "kernelSize")
-        require_at_least(self, 1, "iterations")
-        require_within(self, "[0, 1]", "resampleThreshold")
-        require_within(self, "[0, 1)", "occ_thresh")
+    linearUpdate: float = limited(1.0, "[0, inf]")  # noqa: N815  the original's names
+    angularUpdate: float = limited(0.5, "[0, inf]")  # noqa: N815
+    resampleThreshold: float = limited(0.5, "[0, 1]")  # noqa: N815
+    srr: float = limited(0.1, "[0, inf]")
+    srt: float = limited(0.2, "[0, inf]")
+    str: float = limited(0.1, "[0, inf]")
+    stt: float = limited(0.2, "[0, inf]")
+    sigma: float = limited(0.05, "(0, inf]")
+    kernelSize: int = limited(1, "[0, inf]")  # noqa: N815
+    lstep: float = limited(0.05, "(0, inf]")
+    astep: float = limited(0.05, "(0, inf]")
+    iterations: int = limited(5, "[1, inf]")
+    lsigma: float = limited(0.075, "(0, inf]")
+    ogain: float = limited(3.0, "(0, inf]")
+    delta: float = limited(0.05, "(0, inf]")
+    maxrange: float = limited(80.0, "(0, inf]", "m")
+    maxUrange: float = limited(80.0, "(0, inf]", "m")  # noqa: N815
+    occ_thresh: float = limited(0.25, "[0, 1)")
 
     @property
     def matching(self) -> MatchingParameters:

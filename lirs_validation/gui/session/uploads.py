@@ -14,8 +14,8 @@ from pathlib import Path, PureWindowsPath
 
 import yaml
 
+from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import SourceError
-from lirs_wct.field_validators import require_above
 from lirs_wct.files import remove_orphans
 from lirs_wct.formats.images.picture import MAX_PIXELS
 from lirs_wct.formats.map_server import map_entries
@@ -32,22 +32,16 @@ PREFIX = "lirs-wct-gui-"
 
 
 @dataclass(frozen=True, kw_only=True)
-class PageLimits:
+class PageLimits(Checked):
     """Limits of a page's uploads.
 
     Attributes:
         upload: bytes of all files that a page sends.
         pixels: of a picture, decoded.
-
-    Raises:
-        ConfigError: a limit is not above 0.
     """
 
-    upload: int = 256 * 2**20
-    pixels: int = MAX_PIXELS
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "upload", "pixels")
+    upload: int = limited(256 * 2**20, "(0, inf]")
+    pixels: int = limited(MAX_PIXELS, "(0, inf]")
 
 
 class Uploads:

@@ -19,8 +19,7 @@ import numpy as np
 import scipy  # its modules load on first use
 
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.errors import ConfigError
-from lirs_wct.field_validators import require_above
+from lirs_wct.checks import Checked, limited
 from lirs_wct.sources.clouds.grid import SMOOTH, NodeGrid, fill_gaps
 
 MOST_CELLS, SPARSEST = 1e7, 1000.0
@@ -30,7 +29,7 @@ STEEPEST = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Smrf:
+class Smrf(Checked):
     """Parameters of SMRF, by default the paper's values for all of its test sites (section 4.2).
 
     Attributes:
@@ -40,22 +39,14 @@ class Smrf:
         threshold: largest height of a ground point over the provisional ground, meters, on level ground.
         scaling: increase of `threshold` per unit of slope, meters.
         cell: smallest cell of the grid on which objects are found, meters.
-
-    Raises:
-        ConfigError: a value is not above 0.
     """
 
-    slope: float = 0.15
-    mountain: float = 0.4
-    window: float = 18.0
-    threshold: float = 0.5
-    scaling: float = 1.25
-    cell: float = 1.0
-
-    def __post_init__(self) -> None:
-        require_above(self, 0, "slope", "window", "threshold", "scaling", "cell")
-        if not self.mountain > 0:
-            raise ConfigError(f"mountain must be above 0, got {self.mountain}")
+    slope: float = limited(0.15, "(0, inf]")
+    mountain: float = limited(0.4, "(0, inf]")
+    window: float = limited(18.0, "(0, inf]")
+    threshold: float = limited(0.5, "(0, inf]")
+    scaling: float = limited(1.25, "(0, inf]")
+    cell: float = limited(1.0, "(0, inf]")
 
 
 class GroundPoints(NamedTuple):

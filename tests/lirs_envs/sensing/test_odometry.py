@@ -201,7 +201,7 @@ def test_same_seed_same_bytes(plane: World, husky: Robot) -> None:
 
 
 def test_methods_and_figures_that_are_none() -> None:
-    with pytest.raises(ConfigError, match=r"unknown odometry method 'magic'; legal: ekf, gyro"):
+    with pytest.raises(ConfigError, match=r"unknown method of the odometry 'magic'; legal: ekf, gyro"):
         OdometryConfig(method="magic")  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="slip_forward"):
         EkfConfig(slip_forward=-1.0)

@@ -261,7 +261,7 @@ def test_bad_arguments(blocks: World) -> None:
     for options, words in (
         ({"seconds": 0.0}, "seconds must be a finite number above 0"),
         ({"seconds": math.nan}, "seconds must be"),
-        ({"seed": -1}, "seed must be 0 or above"),
+        ({"seed": -1}, "seed must be a whole number at least 0"),
         ({"seed": "one"}, "seed must be a whole number"),
         ({"terrain": "mud"}, "'mud'; legal"),
     ):
