@@ -47,7 +47,7 @@ def measure(ready: ReadyRun) -> dict[str, Any]:
     speed = np.diff(cpu) / np.diff(at)
     settled = at >= END * MINUTE
     line = np.polyfit(at[settled] / 3600, memory[settled], 1)
-    stamps = np.array([seen.scan.stamp for seen in drive.log.observations])
+    stamps = np.array([scan.stamp for scan in drive.log.scans])
     exact = np.arange(len(stamps)) * ready.simulation.period
     first, last = float(np.median(speed[:END])), float(np.median(speed[-END:]))
     return {

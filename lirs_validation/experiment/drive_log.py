@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import TypeVar, overload
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -22,22 +21,7 @@ from slam_baselines.motion.dead_reckoning import spatial_odometry
 T = TypeVar("T")
 
 
-class _SlicedSequence(Sequence[T]):
-    """Sequence whose slices are lists; a subclass returns the value at an index from 0."""
-
-    @abstractmethod
-    def _value(self, index: int) -> T: ...
-
-    @overload
-    def __getitem__(self, index: int) -> T: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[T]: ...
-    def __getitem__(self, index: int | slice) -> T | list[T]:
-        found = range(len(self))[index]
-        return self._value(found) if isinstance(found, int) else [self._value(k) for k in found]
-
-
-class PackedList(_SlicedSequence[T]):
+class PackedList(Generic[T]):
     """Append-only sequence that stores its values as numbers of one array.
 
     Args:
@@ -58,46 +42,15 @@ class PackedList(_SlicedSequence[T]):
     def __len__(self) -> int:
         return len(self._numbers) // self._width
 
-    def __iter__(self) -> Iterator[T]:
-        numbers, width = self._numbers, self._width
-        return (self._unpack(*numbers[k : k + width]) for k in range(0, len(numbers), width))
-
-    def _value(self, index: int) -> T:
-        first = index * self._width
+    def __getitem__(self, index: int) -> T:
+        first = range(len(self))[index] * self._width
         return self._unpack(*self._numbers[first : first + self._width])
 
+    def __iter__(self) -> Iterator[T]:
+        return (self[index] for index in range(len(self)))
 
-_numbers2: Callable[[Pose2], tuple[float, ...]] = attrgetter("x", "y", "yaw")
+
 _numbers3: Callable[[Pose3], tuple[float, ...]] = attrgetter("x", "y", "z", "qw", "qx", "qy", "qz")
-
-
-class ObservationList(_SlicedSequence[Observation]):
-    """Append-only sequence of observations without clouds and inertial readings.
-
-    Attributes:
-        scans: Scans alone.
-        odometry: `T_odom_base` of each scan.
-    """
-
-    def __init__(self) -> None:
-        self.scans: list[LaserScan] = []
-        self.odometry = PackedList(_numbers2, Pose2)
-        self._imu = PackedList(attrgetter("row"), Imu.from_row)
-
-    def append(self, observation: Observation) -> None:
-        """Add an observation at the end."""
-        self.scans.append(observation.scan)
-        self.odometry.append(observation.odometry)
-        self._imu.append(observation.imu)
-
-    def __len__(self) -> int:
-        return len(self.scans)
-
-    def __iter__(self) -> Iterator[Observation]:
-        return map(Observation, self.scans, self.odometry, self._imu)
-
-    def _value(self, index: int) -> Observation:
-        return Observation(self.scans[index], self.odometry[index], self._imu[index])
 
 
 @dataclass
@@ -109,7 +62,9 @@ class DriveLog:
     Attributes:
         start: where the driver had the robot set down, world frame.
         spatial: whether the mapper estimates poses in space.
-        observations: the mapper's inputs, without the clouds.
+        scans: Scans alone, without their clouds.
+        odometry: `T_odom_base` of each scan.
+        imu: Inertial reading of each scan.
         clouds: some of these, of a mapper that reads them.
         walker_beams: which beams of each scan met a walker; empty where there are none.
         truth: `T_world_base`, from the simulator.
@@ -124,7 +79,11 @@ class DriveLog:
 
     start: Pose2 = field(default_factory=Pose2)
     spatial: bool = False
-    observations: ObservationList = field(default_factory=ObservationList)
+    scans: list[LaserScan] = field(default_factory=list)
+    odometry: PackedList[Pose2] = field(
+        default_factory=lambda: PackedList(attrgetter("x", "y", "yaw"), Pose2)
+    )
+    imu: PackedList[Imu] = field(default_factory=lambda: PackedList(attrgetter("row"), Imu.from_row))
     clouds: CloudSample = field(default_factory=CloudSample)
     walker_beams: list[BoolArray] = field(default_factory=list)
     truth: PackedList[Pose3] = field(default_factory=lambda: PackedList(_numbers3, Pose3))
@@ -156,21 +115,28 @@ class DriveLog:
             walker_beams: Mask of the scan's beams that met a walker; None without walkers.
             walker_points: Mask of the cloud's points that met a walker; None without walkers or cloud.
         """
+        scan = observation.scan
         if observation.cloud is not None:
             if self.spatial:
-                self.clouds.offer(len(self.observations), observation.cloud, walker_points)
-            scan = replace(observation.scan, ranges=observation.scan.ranges.copy())  # not the whole sweep
-            observation = replace(observation, scan=scan)
-        self.observations.append(observation)
+                self.clouds.offer(len(self.scans), observation.cloud, walker_points)
+            scan = replace(scan, ranges=scan.ranges.copy())  # not the whole sweep
+        self.scans.append(scan)
+        self.odometry.append(observation.odometry)
+        self.imu.append(observation.imu)
         if walker_beams is not None:
             self.walker_beams.append(walker_beams)
         self.truth.append(T_world_base)
         self.estimates.append(estimate)
 
     @property
+    def observations(self) -> list[Observation]:
+        """The mapper's inputs, without clouds and inertial readings."""
+        return list(map(Observation, self.scans, self.odometry, self.imu))
+
+    @property
     def stamps(self) -> FloatArray:
         """(n,) stamps of the scans, seconds."""
-        return np.array([scan.stamp for scan in self.observations.scans])
+        return np.array([scan.stamp for scan in self.scans])
 
     @property
     def T_world_map(self) -> Pose2 | Pose3:  # noqa: N802  a frame pair
@@ -193,7 +159,7 @@ class DriveLog:
 
     def spatial_odometry(self) -> Trajectory:
         """Return dead reckoning in space by wheels, gyro and gravity, world frame."""
-        poses = spatial_odometry([o.odometry for o in self.observations], [o.imu for o in self.observations])
+        poses = spatial_odometry(list(self.odometry), list(self.imu))
         return Trajectory.from_poses(self.stamps, poses).moved(self.truth[0] @ poses[0].inverse())
 
     def scans_dropped(self, received: int) -> int:
@@ -201,17 +167,17 @@ class DriveLog:
 
         A mapper with a queue may drop scans; `received` 0 means that it does not count them.
         """
-        return max(0, len(self.observations) - received) if received else 0
+        return max(0, len(self.scans) - received) if received else 0
 
     def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:
         """Return truth, final estimate and odometry, all in the world frame.
 
         The final estimate is the mapper's own, with all that it learnt later; see `online`.
         """
-        stamps, T_odom_base = self.stamps, self.observations.odometry[0]
+        stamps, T_odom_base = self.stamps, self.odometry[0]
         T_world_odom = self.truth[0].to_pose2() @ T_odom_base.inverse()
         return (
             Trajectory.from_poses(stamps, self.truth),
             (self.online() if self.final is None else self.final).moved(self.T_world_map),
-            Trajectory.from_poses(stamps, self.observations.odometry).moved(T_world_odom),
+            Trajectory.from_poses(stamps, self.odometry).moved(T_world_odom),
         )

@@ -162,12 +162,11 @@ def true_pose_map(log: DriveLog, resolution: float) -> OccupancyGrid:
     """
     T_world_map = log.truth[0].to_pose2()
     reference = KnownPoseMapper(resolution=resolution)
-    for k, (observation, T_world_base) in enumerate(zip(log.observations, log.truth, strict=True)):
+    for k, (scan, T_world_base, imu) in enumerate(zip(log.scans, log.truth, log.imu, strict=True)):
         T_map_base = T_world_map.inverse() @ T_world_base.to_pose2()
-        scan = observation.scan
         if log.walker_beams:
             scan = replace(scan, ranges=np.where(log.walker_beams[k], np.float32(np.nan), scan.ranges))
-        reference.update(scan, T_map_base, observation.imu)
+        reference.update(scan, T_map_base, imu)
     return reference.map().moved(T_world_map)
 
 
@@ -247,7 +246,7 @@ def evaluate_scans(world: World, log: DriveLog) -> dict[str, Any]:
     if log.spatial:
         return {}
     chosen = np.unique(np.linspace(0, len(log.truth) - 1, COUNTED_SCANS).round().astype(int)).tolist()
-    scans = [log.observations[k].scan for k in chosen]
+    scans = [log.scans[k] for k in chosen]
     return observed_support(world, scans, [log.truth[k] for k in chosen])
 
 

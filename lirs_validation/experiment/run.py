@@ -393,8 +393,8 @@ def write_results(
         times = np.arange(len(log.commands)) * period
         commands = np.column_stack((times, [(c.v, c.omega) for c in log.commands]))
         write_commands(temporary / COMMANDS, Commands(log.start, commands))
-        write_log(temporary / "scans.clf.gz", ((o.scan, o.odometry) for o in log.observations))
-        write_imu(temporary / "imu.csv.gz", [o.imu for o in log.observations])
+        write_log(temporary / "scans.clf.gz", zip(log.scans, log.odometry, strict=True))
+        write_imu(temporary / "imu.csv.gz", list(log.imu))
         lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
         (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
         if drawn:

@@ -173,13 +173,13 @@ class LiveDrive(Playback):
 
     def scan_at(self, scan: int) -> tuple[LaserScan, Pose3]:
         """Return a scan and the true pose at it, world frame."""
-        return self._drive.log.observations[scan].scan, self._drive.log.truth[scan]
+        return self._drive.log.scans[scan], self._drive.log.truth[scan]
 
     def paths_until(self, scan: int) -> tuple[FloatArray, FloatArray]:
         """Return (k, 3) true and (k, 2) estimated positions until a scan, world frame, meters."""
         log, until = self._drive.log, scan + 1
         estimates = [log.in_plane(pose) for pose in log.estimates[:until]]
-        truth = np.array([T.position for T in log.truth[:until]])
+        truth = np.array([log.truth[k].position for k in range(until)])
         return truth, self._T_world_map.apply([(p.x, p.y) for p in estimates])
 
     def map_at(self, time: float) -> MapSnapshot | None:
@@ -209,7 +209,7 @@ class LiveDrive(Playback):
         """Return the figures until a scan."""
         log = self._drive.log
         walls = sum(log.walls[:scan])
-        stamp, seconds = log.observations[scan].scan.stamp, self.seconds
+        stamp, seconds = log.scans[scan].stamp, self.seconds
         speed = f"{scan * self._ready.simulation.period / walls:.1f}" if walls > 0 else "-"
         ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "driving"
         return (

@@ -74,7 +74,7 @@ def test_the_pretrained_policy_drives_to_a_goal_and_repeats(corridor: Path) -> N
     assert math.hypot(end.x, end.y) < 0.7
     assert first.record.reason.startswith("the last goal is reached at ")
     second = run(replace(config, seconds=2.0)).log.truth
-    assert [p.to_pose2() for p in second] == [p.to_pose2() for p in first.log.truth[: len(second)]]
+    assert [p.to_pose2() for p in second] == [p.to_pose2() for p in list(first.log.truth)[: len(second)]]
     with pytest.raises(SourceError, match=r"^pretrained:3,5: waypoint 2 \(3, 5\) is off the map"):
         run(replace(config, driver="pretrained:3,5"))
 

@@ -225,7 +225,7 @@ def test_a_robot_stands_still_before_it_drives(room: str) -> None:
     log = validate(room, robot="jackal", seconds=1.5, stand=1.5).log
     period = log.stamps[1] - log.stamps[0]
     still = round(1.5 / period)
-    assert set(log.commands[:still]) == {Twist()}
+    assert set(list(log.commands)[:still]) == {Twist()}
     assert log.commands[still] != Twist()
     gone = [float(np.hypot(*(pose.position - log.truth[0].position)[:2])) for pose in log.truth]
     assert max(gone[: still + 1]) < 0.01

@@ -199,7 +199,7 @@ def test_a_person_takes_over_and_the_record_says_so(tmp_path: Path, scenarios: S
     saved = drive.save(tmp_path)
     assert saved.record.config.driver == MANUAL
     commands = saved.log.commands
-    assert {(c.v, c.omega) for c in commands[5:15]} == {(1.0, 2.0)}
+    assert {(c.v, c.omega) for c in list(commands)[5:15]} == {(1.0, 2.0)}
     assert saved.folder is not None
     assert schema_error(json.loads((saved.folder / "record.json").read_text())) is None
     again = run(
@@ -207,7 +207,7 @@ def test_a_person_takes_over_and_the_record_says_so(tmp_path: Path, scenarios: S
         scenarios=scenarios,
     )
     assert [p.position.tolist() for p in again.log.truth] == [
-        p.position.tolist() for p in saved.log.truth[: len(again.log.truth)]
+        p.position.tolist() for p in list(saved.log.truth)[: len(again.log.truth)]
     ]
     with pytest.raises(ConfigError, match="replay:RUN drives the same again"):
         run(RunConfig(source="simple", driver=MANUAL), scenarios=scenarios)
