@@ -16,7 +16,8 @@ from lirs_validation.cli.sources import OneSource, World
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
 from lirs_wct import BuildOptions, ConfigError
-from lirs_wct.option import Options, option, within
+from lirs_wct.checks import within
+from lirs_wct.option import Options, option
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,6 @@
-"""Random drive of a robot at full speed.
+"""Random drive of a robot at full speed, with a log of each step.
 
-It hits walls, falls off ledges, tips over and is set down again.
+The robot hits walls, falls off ledges, tips over and is set down again.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import cycle, zip_longest
+from typing import NamedTuple
 
 import cv2
+import mujoco
 import numpy as np
 
 from lirs_envs.collisions import check_divergence
@@ -19,11 +21,13 @@ from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.simulation import ROW
-from lirs_validation.collision.contact_log import ContactLog, ContactRecorder
 from lirs_validation.driving.choice import no_room
 from lirs_wct import Pose2, SimulationError, World
+from lirs_wct.arrays import FloatArray
 from lirs_wct.navigation.spawn_poses import largest_area
 
+DEEP = 0.010
+"""Penetration that a contact may have whatever happens, meters."""
 PERIOD = 0.04
 """Seconds between two looks at the robot's state: a whole number of steps."""
 HELD = 1.6
@@ -40,23 +44,143 @@ MARGIN = 0.1
 """Meters beyond the robot's radius that are free where it is set down."""
 
 
-@dataclass(frozen=True)
-class Leg:
-    """Part of a drive between two resets.
+class DeepContact(NamedTuple):
+    """Contact deeper than `DEEP`.
 
-    It ends when the robot tips, leaves the world, or time is up.
+    Its step, depth in meters, (3,) point, (3,) normal out of the ground.
+    """
+
+    step: int
+    depth: float
+    point: FloatArray
+    normal: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """Part of a drive between two resets, with one row per simulation step.
+
+    It ends when the robot tips, leaves the world, or time is up. All values belong to a step's beginning,
+    where MuJoCo finds contacts.
 
     Attributes:
-        log: every step.
-        commanded: (n,) wanted speed ahead at each step, m/s.
+        position: (n, 3) of base_link, meters.
+        upright: (n,) cosine of the angle by which the robot leans.
+        velocity: (n, 3) of base_link in the world, m/s.
+        spin: (n, 3) turn rate in the world, rad/s.
+        bodies: (n, bodies, 3) centers of mass of all moving bodies, meters.
+        depth: (n,) deepest penetration, meters; 0 without contact.
+        peak_force: (n,) largest normal force of a contact, newtons.
+        force: (n,) sum of all normal forces, newtons.
+        energy: (n,) kinetic, potential and of springs, joules.
+        kinetic: (n,) kinetic energy alone, joules.
+        work: (n,) done by the motors during the step, joules.
+        commanded: (n,) wanted speed ahead, m/s.
+        deep: deepest contact of each step where it is deeper than `DEEP`.
+        timestep: seconds.
         tipped: whether it ended lying.
         diverged: why the simulation could not go on; empty = it could.
     """
 
-    log: ContactLog
-    commanded: tuple[float, ...]
+    position: FloatArray
+    upright: FloatArray
+    velocity: FloatArray
+    spin: FloatArray
+    bodies: FloatArray
+    depth: FloatArray
+    peak_force: FloatArray
+    force: FloatArray
+    energy: FloatArray
+    kinetic: FloatArray
+    work: FloatArray
+    commanded: FloatArray
+    deep: tuple[DeepContact, ...]
+    timestep: float
     tipped: bool
     diverged: str
+
+
+class ContactRecorder:
+    """Makes steps and notes each; nobody but the robot may touch anything in its model."""
+
+    def __init__(self, body: RobotModel) -> None:
+        self.body = body
+        model = body.model
+        model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+        self._own = model.geom_bodyid > 0
+        # A velocity servo's force changes with the speed within the step: integration is implicit.
+        self._damping = model.actuator_biasprm[:, 2].copy()
+        self._most = np.where(model.actuator_forcelimited, model.actuator_forcerange[:, 1], np.inf)
+        self._moment = np.zeros((model.nu, model.nv))
+        self._rows: list[dict[str, FloatArray | float]] = []
+        self._deep: list[DeepContact] = []
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def step(self, commanded: float = 0.0) -> None:
+        """Make one step with the present controls.
+
+        Args:
+            commanded: Wanted speed ahead, m/s.
+        """
+        body, data = self.body, self.body.data
+        rotation = body.pose().rotation
+        row: dict[str, FloatArray | float] = {
+            "position": data.qpos[:3].copy(),
+            "upright": float(rotation[2, 2]),
+            "velocity": data.qvel[:3].copy(),
+            "spin": rotation @ data.qvel[3:6],
+            "commanded": commanded,
+        }
+        body.step(1)
+        potential, kinetic = data.energy.tolist()
+        depth, peak, force = self._contacts() if data.ncon else (0.0, 0.0, 0.0)
+        row |= {"bodies": data.xipos[1:].copy(), "depth": depth, "peak_force": peak, "force": force}
+        row |= {"energy": potential + kinetic, "kinetic": kinetic, "work": self._work()}
+        self._rows.append(row)
+
+    def leg(self, *, tipped: bool = False, diverged: str = "") -> Leg:
+        """Return the log of all steps."""
+        columns: dict[str, FloatArray] = {
+            name: np.array([row[name] for row in self._rows]) for name in self._rows[0]
+        }
+        timestep = self.body.timestep
+        return Leg(**columns, deep=tuple(self._deep), timestep=timestep, tipped=tipped, diverged=diverged)
+
+    def _work(self) -> float:
+        """Return the motors' work in the last step.
+
+        It is the force times the mean of the speeds before and after.
+        """
+        data, moment = self.body.data, self._moment
+        mujoco.mju_sparse2dense(
+            moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
+        before = data.actuator_velocity
+        after = moment @ data.qvel
+        force = data.actuator_force
+        # At its limit it stays as it is.
+        force = force + np.where(np.abs(force) < self._most, self._damping * (after - before), 0.0)
+        return float(force @ (before + after) / 2 * self.body.timestep)
+
+    def _contacts(self) -> tuple[float, float, float]:
+        """Return deepest penetration, largest normal force and force sum; log a deep contact.
+
+        Only the deepest contact of a step tells how far the robot is in: ground is many convex pieces, and
+        the way out of one, maybe sideways into its neighbor, is never longer than the way out of them all.
+        """
+        data = self.body.data
+        contact = data.contact
+        depth = -contact.dist
+        i = int(depth.argmax())
+        if depth[i] > DEEP:
+            # MuJoCo's normal points from the first geom to the second.
+            out = contact.frame[i, :3] * (1.0 if self._own[contact.geom[i, 1]] else -1.0)
+            self._deep.append(DeepContact(len(self._rows), float(depth[i]), contact.pos[i].copy(), out))
+        rows = contact.efc_address
+        normal = data.efc_force[rows[rows >= 0]]
+        return max(float(depth.max()), 0.0), float(normal.max(initial=0.0)), float(normal.sum())
 
 
 def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
@@ -109,30 +233,27 @@ def drive_at_random(
 def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.random.Generator) -> Leg:
     controllers = make_controllers(robot, body.actuators, [body], [world.surface], [None])
     controllers.begin(0)
-    recorder, commanded = ContactRecorder(body), list[float]()
-    every, tipped, diverged = round(HELD / body.timestep), False, ""
-    command, rest = Twist(), steps
-    while len(commanded) < steps and rest > 0:
+    recorder, command = ContactRecorder(body), Twist()
+    every, tipped, rest = round(HELD / body.timestep), False, steps
+    while len(recorder) < steps and rest > 0:
         for piece in body.substeps:
-            if len(commanded) % every < piece:
+            if len(recorder) % every < piece:
                 command = _command(robot, rng)
             twists, rates = np.array(((command.v, command.omega, command.climb),)), np.array((body.rates(),))
             controllers.update(ROW, twists, rates, piece * body.timestep, body.ctrl[None])
             for _ in range(piece):
-                recorder.step()
-            commanded += [command.v] * piece
+                recorder.step(command.v)
             rest -= piece
         try:
             check_divergence(body.data)
         except SimulationError as error:
-            diverged = str(error)
-            break
+            return recorder.leg(tipped=tipped, diverged=str(error))
         x, y, _ = body.pose().position.tolist()
         if not world.surface.contains(x, y) or _fallen(body, world):
             break
         if not tipped and body.tipped:
             tipped, rest = True, min(rest, round(LYING / body.timestep))
-    return Leg(recorder.log(), tuple(commanded), tipped, diverged)
+    return recorder.leg(tipped=tipped)
 
 
 def _command(robot: Robot, rng: np.random.Generator) -> Twist:

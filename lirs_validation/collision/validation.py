@@ -23,7 +23,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,11 +33,9 @@ from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import ROW
 from lirs_validation.collision import contact_metrics
-from lirs_validation.collision.contact_log import DEEP
-from lirs_validation.collision.contact_solid import ContactSolid
-from lirs_validation.collision.random_drive import MARGIN, PERIOD, drive_at_random
-from lirs_wct import ConfigError, Pose2, SimulationError, World
-from lirs_wct.checks import check_seed
+from lirs_validation.collision.random_drive import DEEP, MARGIN, PERIOD, drive_at_random
+from lirs_wct import Pose2, SimulationError, World
+from lirs_wct.checks import check_seed, positive
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.files import write_csv, write_json
 
@@ -162,11 +160,10 @@ def check_collisions(
     """
     check_fit(world, robot)
     check_seed(seed)
-    if not 0 < seconds < float("inf"):
-        raise ConfigError(f"seconds must be a finite number above 0, got {seconds:g}")
+    positive(seconds, "seconds")
     body = RobotModel(world, robot, PERIOD, contact_geometry=terrain)
     legs = list(drive_at_random(body, world, robot, seconds, np.random.default_rng((seed, STREAM))))
-    slope = None if robot.flies or legs[-1].diverged else climb(body, world, robot)
+    climbed = None if robot.flies or legs[-1].diverged else climb(body, world, robot)
     p999, peak = contact_metrics.penetrations(legs)
     gain = contact_metrics.energy_gain(legs, float(body.model.body_mass.sum()) * body.gravity)
     force_peak, force_mean = contact_metrics.forces(legs)
@@ -185,12 +182,10 @@ def check_collisions(
         penetration_p999=p999,
         penetration_peak=peak.value,
         penetration_limit=peak.limit,
-        inside_steps=contact_metrics.inside_steps(legs, ContactSolid(world, body, terrain)),
+        inside_steps=contact_metrics.inside_steps(legs, contact_metrics.inside_test(world, body, terrain)),
         energy_gain=gain.value,
         energy_limit=gain.limit,
-        slope=slope.slope if slope else None,
-        slid=slope.slid if slope else None,
-        climbed=slope.climbed if slope else None,
+        **(dict.fromkeys(Climb._fields) if climbed is None else climbed._asdict()),
         diverged=legs[-1].diverged,
     )
 
@@ -220,8 +215,7 @@ SPEED = 0.3
 """Meters a second of the climb, or the robot's most."""
 
 
-@dataclass(frozen=True)
-class Climb:
+class Climb(NamedTuple):
     """Result of the slope test.
 
     Attributes:

@@ -9,8 +9,9 @@ from pathlib import Path
 from lirs_validation.cli.command import complete_source
 from lirs_validation.cli.progress import out
 from lirs_validation.cli.sources import SOURCE_HELP
+from lirs_wct.checks import within
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, argument, option, within
+from lirs_wct.option import Options, argument, option
 
 
 @dataclass(frozen=True, kw_only=True)

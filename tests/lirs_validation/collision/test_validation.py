@@ -14,10 +14,8 @@ from click.testing import CliRunner
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.cli.app import PROGRAM
-from lirs_validation.collision.contact_log import ContactRecorder
-from lirs_validation.collision.contact_metrics import energy_gain, penetrations, stuck_seconds
-from lirs_validation.collision.contact_solid import ContactSolid
-from lirs_validation.collision.random_drive import PERIOD, Leg, places
+from lirs_validation.collision.contact_metrics import energy_gain, inside_test, penetrations, stuck_seconds
+from lirs_validation.collision.random_drive import PERIOD, ContactRecorder, Leg, places
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions, climb, write_verdicts
 from lirs_validation.report.collision_tables import verdicts_table
 from lirs_wct.contact.contact_geometry import ContactGeometry
@@ -63,8 +61,7 @@ def left_alone(body: RobotModel, pose: Pose3, seconds: float) -> Leg:
     recorder = ContactRecorder(body)
     for _ in range(round(seconds / body.timestep)):
         recorder.step()
-    log = recorder.log()
-    return Leg(log, (0.0,) * len(log.depth), False, "")
+    return recorder.leg()
 
 
 @pytest.mark.parametrize(
@@ -122,10 +119,10 @@ def test_a_soft_ground_is_found_out(blocks: World, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_robot_under_the_ground_is_found_out(blocks: World) -> None:
-    solid = ContactSolid(blocks, body_in(blocks, "husky"), "hfield")
+    inside = inside_test(blocks, body_in(blocks, "husky"), "hfield")
     ground = float(blocks.surface.height_at(0.3, 0.2))
     points = np.array([(0.3, 0.2, ground + 0.01), (0.3, 0.2, ground - 0.02), (30.0, 0.0, -5.0)])
-    assert solid.holds(points).tolist() == [False, True, False]
+    assert inside(points).tolist() == [False, True, False]
 
 
 def test_inside_of_walls_holes_and_floors() -> None:
@@ -134,12 +131,12 @@ def test_inside_of_walls_holes_and_floors() -> None:
     walls = WallGrid(solid, 0.1, Pose2(1.0, 2.0, 0.5), 1.5, hole)
     floor = HeightField(np.zeros((2, 2), np.float32), (8.0, 8.0), (-4.0, -1.0))
     world = World("walled", LaserMap(floor, walls))
-    solid = ContactSolid(world, body_in(world, "turtlebot2"), "hfield")
+    inside = inside_test(world, body_in(world, "turtlebot2"), "hfield")
     middle = walls.origin.apply(np.array([(2.0, 2.05), (2.0, 1.0), (2.0, 0.55), (9.0, 9.0)]))
     for z, expected in ((0.5, [True, False, False, False]), (-0.1, [True, True, False, False])):
         points = np.column_stack((middle, np.full(4, z)))
-        assert solid.holds(points).tolist() == expected
-    assert not solid.holds(np.array([(*middle[0], 1.6)])).any()
+        assert inside(points).tolist() == expected
+    assert not inside(np.array([(*middle[0], 1.6)])).any()
 
 
 def test_energy_of_a_fall_is_kept_and_a_push_is_found_out() -> None:
@@ -151,15 +148,14 @@ def test_energy_of_a_fall_is_kept_and_a_push_is_found_out() -> None:
     assert gain.ratio < 1
     assert energy_gain([leg], weight / 6).limit < gain.limit, "on the Moon"
     # By hand: all that the height gave is gone when it lies still.
-    log = leg.log
-    lost = weight * (log.position[0, 2] - log.position[-1, 2])
-    assert log.energy[0] - log.energy[-1] == pytest.approx(lost, rel=0.02)
+    lost = weight * (leg.position[0, 2] - leg.position[-1, 2])
+    assert leg.energy[0] - leg.energy[-1] == pytest.approx(lost, rel=0.02)
     # Work by no motor: 8 J a tenth of a second before the end.
-    k = len(log.energy) - 25
-    pushed = log.energy + np.where(np.arange(len(log.energy)) >= k, 8.0, 0.0)
-    assert energy_gain([replace(leg, log=replace(log, energy=pushed))], weight).ratio > 1
-    motors = replace(log, energy=pushed, work=np.append(np.diff(pushed), 0.0))
-    assert energy_gain([replace(leg, log=motors)], weight).ratio < 1
+    k = len(leg.energy) - 25
+    pushed = leg.energy + np.where(np.arange(len(leg.energy)) >= k, 8.0, 0.0)
+    assert energy_gain([replace(leg, energy=pushed)], weight).ratio > 1
+    motors = replace(leg, energy=pushed, work=np.append(np.diff(pushed), 0.0))
+    assert energy_gain([motors], weight).ratio < 1
 
 
 def test_motors_work_is_what_the_robot_gains() -> None:
@@ -172,8 +168,8 @@ def test_motors_work_is_what_the_robot_gains() -> None:
         speed = min(1.0, k / 100) / robot.wheel_radius
         body.ctrl[:] = speed
         recorder.step()
-    log = recorder.log()
-    work, gained = float(log.work.sum()), float(log.energy[-1] - log.energy[0])
+    leg = recorder.leg()
+    work, gained = float(leg.work.sum()), float(leg.energy[-1] - leg.energy[0])
     assert gained > 0.5 * mass_of(body) * 0.9
     assert work == pytest.approx(gained, rel=0.1)
     assert work >= gained
@@ -192,9 +188,9 @@ def test_an_impact_may_go_as_deep_as_its_speed_allows() -> None:
     assert peak.value > 0.010
     assert peak.limit == pytest.approx(0.010 * speed, rel=0.05)
     assert peak.ratio < 1
-    assert p999 == pytest.approx(np.quantile(leg.log.depth, 0.999))
+    assert p999 == pytest.approx(np.quantile(leg.depth, 0.999))
     # The same depths at a tenth of the speed are no impact.
-    slow = replace(leg, log=replace(leg.log, velocity=leg.log.velocity / 10, spin=leg.log.spin / 10))
+    slow = replace(leg, velocity=leg.velocity / 10, spin=leg.spin / 10)
     assert penetrations([slow])[1].ratio > 1
 
 
@@ -202,7 +198,7 @@ def test_standing_before_a_wall_is_stuck() -> None:
     world = terrain(lambda x, y: 0.01 * (x > 9.9))
     leg = left_alone(body_in(world, "turtlebot2"), Pose3(0.0, 0.0, 0.02), 3.2)
     assert stuck_seconds([leg]) == 0
-    assert stuck_seconds([replace(leg, commanded=(0.5,) * len(leg.commanded))]) == 3
+    assert stuck_seconds([replace(leg, commanded=np.full(len(leg.commanded), 0.5))]) == 3
 
 
 def test_the_steepest_legal_slope_is_found_and_climbed() -> None:
