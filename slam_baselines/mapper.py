@@ -102,39 +102,21 @@ def _evalio(pipeline: str, needs: str = "") -> Method:
     )
 
 
+def _wrap_package(
+    package: str, config: str, *, module: str = _CLOUDS, extra: str = "", needs: str = ""
+) -> Method:
+    """Return a system that the authors' package of its name holds."""
+    factory = f"make_{package}"
+    return Method(
+        f"{module}.{package}", config, factory, package=package, extra=extra, license="MIT", needs=needs
+    )
+
+
 CLOUD_MAPPERS: Mapping[str, Method] = {
-    "kiss-icp": Method(
-        "slam_baselines.kiss_icp",
-        "KissIcpConfig",
-        "make_kiss_icp",
-        package="kiss_icp",
-        extra="slam",
-        license="MIT",
-    ),
-    "genz-icp": Method(
-        f"{_CLOUDS}.genz_icp",
-        "GenzIcpConfig",
-        "make_genz_icp",
-        package="genz_icp",
-        extra="slam",
-        license="MIT",
-    ),
-    "small-gicp": Method(
-        f"{_CLOUDS}.small_gicp",
-        "SmallGicpConfig",
-        "make_small_gicp",
-        package="small_gicp",
-        extra="slam",
-        license="MIT",
-    ),
-    "rko-lio": Method(
-        f"{_CLOUDS}.rko_lio",
-        "RkoLioConfig",
-        "make_rko_lio",
-        package="rko_lio",
-        license="MIT",
-        needs=_INERTIAL,
-    ),
+    "kiss-icp": _wrap_package("kiss_icp", "KissIcpConfig", module="slam_baselines", extra="slam"),
+    "genz-icp": _wrap_package("genz_icp", "GenzIcpConfig", extra="slam"),
+    "small-gicp": _wrap_package("small_gicp", "SmallGicpConfig", extra="slam"),
+    "rko-lio": _wrap_package("rko_lio", "RkoLioConfig", needs=_INERTIAL),
     "evalio:ct": _evalio("ct", "rolling sweeps"),
     "evalio:dlio": _evalio("dlio", _INERTIAL),
     "evalio:form": _evalio("form", "organized clouds"),
