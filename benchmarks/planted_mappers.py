@@ -81,7 +81,7 @@ class LosesScans(Sound):
         step = (self._before or odometry).inverse() @ odometry
         self._before, self._count = odometry, self._count + 1
         if self._count % 3 == 0:
-            return self.mapper.estimate.pose
+            return self.mapper.front.pose
         self._sum = self._sum @ step
         return self.mapper.update(scan, self._sum, imu)
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
@@ -23,9 +23,16 @@ from slam_baselines.mapping.keyframe import Keyframe, KeyframeTrajectory
 from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor
 from slam_baselines.matching.registration import Match
 from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
-from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionStep, PoseEstimate
+from slam_baselines.motion.dead_reckoning import PoseEstimate
 
 K = TypeVar("K", bound=Keyframe[Any])
+Registered = tuple[PoseEstimate, Match | None]
+"""Estimate by a registration, the prior without a match, and the match, None with too few walls in view."""
+Refine = Callable[[list[K]], "list[K] | None"]
+"""Function that builds a map again from its first keyframes.
+
+It returns them with their new poses, or None if that is not possible.
+"""
 
 
 class PlanarMapper(ABC):
@@ -34,6 +41,7 @@ class PlanarMapper(ABC):
     Attributes:
         name: of the method, as in MAPPERS.
         requires_odometry: whether scans without odometry are refused.
+        tracking: monitor of the scans that contradict the map; None = the pose is never called unknown.
         received: scans so far.
         lost_scans: scans during which the pose was unknown.
     """
@@ -41,7 +49,8 @@ class PlanarMapper(ABC):
     name = ""
     requires_odometry = False
 
-    def __init__(self) -> None:
+    def __init__(self, tracking: TrackingMonitor | None = None) -> None:
+        self.tracking = tracking
         self.received = self.lost_scans = 0
         self._stopwatch = Stopwatch()
 
@@ -71,8 +80,8 @@ class PlanarMapper(ABC):
 
     @property
     def lost(self) -> bool:
-        """Whether the pose is unknown; always False for a method without a monitor."""
-        return False
+        """Whether the pose is unknown: too many scans in a row contradict the map."""
+        return self.tracking is not None and self.tracking.lost
 
     @property
     def stats(self) -> MapperStats:
@@ -81,27 +90,9 @@ class PlanarMapper(ABC):
         return replace(self.counts(), received=self.received, lost=self.lost_scans, **times)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FrontEndConfig:
-    """Parameters of the front end, from those of the method.
-
-    Attributes:
-        tracking: fit of scans to the map below which they do not enter it.
-        localizability: conditions for using matches on uneven ground.
-        bootstrap: when the start is refined.
-        clear_range: range up to which a beam without return is free, meters.
-        max_range: range from which on hits are not used, meters.
-    """
-
-    tracking: TrackingConfig
-    localizability: LocalizabilityConfig
-    bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
-    clear_range: float = 0.0
-    max_range: float = math.inf
-
-
-class FrontEnd(PlanarMapper, Generic[K]):
-    """Leveling, ground filter, monitors and start-up refinement.
+@dataclass
+class FrontEnd(Generic[K]):
+    """Leveling, ground filter, monitors and start-up refinement of a mapper.
 
     Attributes:
         leveler: of scans.
@@ -112,19 +103,21 @@ class FrontEnd(PlanarMapper, Generic[K]):
         reckoned_yaw: yaw by dead reckoning since the start, radians.
     """
 
-    def __init__(self, config: FrontEndConfig, ground_filter: GroundFilter) -> None:
-        super().__init__()
-        self.leveler = ScanLeveler(config.clear_range, config.max_range)
-        self.ground_filter = ground_filter
-        self.localizability = LocalizabilityMonitor(config.localizability)
-        self.tracking = TrackingMonitor(config.tracking)
-        self.bootstrap: Bootstrap[K] = Bootstrap(config.bootstrap)
-        self.reckoned_yaw = 0.0
+    leveler: ScanLeveler
+    ground_filter: GroundFilter
+    tracking: TrackingMonitor
+    localizability: LocalizabilityMonitor
+    bootstrap: Bootstrap[K]
+    reckoned_yaw: float = 0.0
 
-    @property
-    def lost(self) -> bool:
-        """Whether too many scans in a row contradict the map."""
-        return self.tracking.lost
+    @classmethod
+    def make(
+        cls, ground_filter: GroundFilter, tracking: TrackingConfig, localizability: LocalizabilityConfig,
+        bootstrap: BootstrapConfig, clear_range: float, max_range: float,
+    ) -> Self:  # fmt: skip
+        """Make a front end by the parameters of its parts."""
+        leveler, monitor = ScanLeveler(clear_range, max_range), LocalizabilityMonitor(localizability)
+        return cls(leveler, ground_filter, TrackingMonitor(tracking), monitor, Bootstrap(bootstrap))
 
     @property
     def draws_walls(self) -> bool:
@@ -141,7 +134,7 @@ class FrontEnd(PlanarMapper, Generic[K]):
         unproven = self.localizability.scans and not self.localizability.proven
         return self.tracking.observe(None if unproven else score, known)
 
-    def refine_start(self, newest: K) -> bool:
+    def refine_start(self, newest: K, refine: Refine[K]) -> bool:
         """Keep a keyframe for the start-up refinement; refine when due, and return whether it was.
 
         Only where the attitude is known: on a floor the start needs no refinement.
@@ -149,115 +142,58 @@ class FrontEnd(PlanarMapper, Generic[K]):
         driven = self.ground_filter.distance_traveled
         if not newest.scan.leveled or not self.bootstrap.add(newest, driven):
             return False
-        refined = self.refine(self.bootstrap.keyframes)
+        refined = refine(self.bootstrap.keyframes)
         if refined is None:
             return False
         self.bootstrap.replace(refined)
         return True
 
-    @abstractmethod
-    def refine(self, keyframes: list[K]) -> list[K] | None:
-        """Build the map again from its first keyframes.
 
-        Return the keyframes with their new poses, None if not possible.
-        """
-
-
-class Registered(NamedTuple):
-    """Result of a registration.
-
-    Attributes:
-        estimate: of the pose; the prior without a match.
-        match: of the scan; None with too few walls in view.
-    """
-
-    estimate: PoseEstimate
-    match: Match | None
-
-
+@dataclass
 class ScanToMapFrontEnd(FrontEnd[K]):
     """Front end of a method that matches each scan to its map.
 
     Attributes:
-        reckoning: dead reckoning.
         estimate: `T_map_base` and its covariance.
         matched: scans with a match.
         unmatched: scans with too few walls in view.
-        distance_traveled: meters.
         path: poses of the keyframes.
         scans: poses of all scans relative to them.
+        stamp: of the last scan, seconds.
     """
 
-    def __init__(self, config: FrontEndConfig, ground_filter: GroundFilter, reckoning: DeadReckoning) -> None:
-        super().__init__(config, ground_filter)
-        self.reckoning = reckoning
-        self.estimate = PoseEstimate(Pose2(), np.zeros((3, 3)))
-        self.matched = self.unmatched = 0
-        self.distance_traveled = 0.0
-        self.path: list[Pose2] = []
-        self.scans = KeyframeTrajectory()
-        self._stamp = -math.inf
+    estimate: PoseEstimate = field(default_factory=lambda: PoseEstimate(Pose2(), np.zeros((3, 3))))
+    matched: int = 0
+    unmatched: int = 0
+    path: list[Pose2] = field(default_factory=list)
+    scans: KeyframeTrajectory = field(default_factory=KeyframeTrajectory)
+    stamp: float = -math.inf
 
-    @abstractmethod
-    def register(self, scan: LeveledScan, prior: PoseEstimate, seconds: float) -> Registered:
-        """Match a scan to the map.
-
-        Args:
-            scan: leveled.
-            prior: the estimate by dead reckoning; `estimate` is still that of the scan before.
-            seconds: since the scan before.
-        """
-
-    @abstractmethod
-    def due(self, scan: LeveledScan) -> bool:
-        """Return whether the robot has moved enough since the last keyframe."""
-
-    @abstractmethod
-    def insert(self, scan: LeveledScan, pose: Pose2) -> K:
-        """Enter a scan into the map; return its keyframe."""
-
-    @abstractmethod
-    def add_motion(self, scan: LeveledScan, step: MotionStep | None) -> None:
-        """Add a step by dead reckoning to the motion since the last keyframe."""
-
-    def use_match(self, match: Match | None, before: Pose2) -> bool:
-        """Return whether the height of the base follows from a registered pose.
-
-        Args:
-            match: of the scan.
-            before: pose of the scan before.
-        """
-        return self.localizability.localizable
-
-    def move_base(self, scan: LeveledScan, step: Pose2, *, registered: bool) -> None:
-        """Update the height of the base by its step."""
-        if scan.leveled:
-            self.ground_filter.move(step, scan, registered=registered)
-
-    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Match a scan to the map, enter it if due; return `T_map_base`."""
-        level, before = self.leveler.level(scan, imu), self.estimate.pose
-        step = self.reckoning.step(odometry, imu, scan.stamp)
-        self.add_motion(level, step)
-        match = self._match(level, self.estimate if step is None else step.after(self.estimate))
-        registered = self.use_match(match, before)
-        self.distance_traveled += before.distance(self.estimate.pose)
-        self.move_base(level, before.inverse() @ self.estimate.pose, registered=registered)
-        fits = self.observe_fit(None, 1.0) if match is None else self.observe_fit(match.score, match.known)
-        if fits and self.due(level):
-            self._enter(level)
-        last = self.path[-1].inverse() @ self.estimate.pose if self.path else self.estimate.pose
-        self.scans.add(scan.stamp, len(self.path) - 1, last)
+    @property
+    def pose(self) -> Pose2:
+        """`T_map_base`."""
         return self.estimate.pose
 
-    def _match(self, scan: LeveledScan, prior: PoseEstimate) -> Match | None:
-        """Set the estimate to the registered pose or the prior."""
-        seconds, self._stamp = scan.stamp - self._stamp, scan.stamp
-        self.reckoned_yaw += wrap_angle(prior.pose.yaw - self.estimate.pose.yaw)
+    def match(
+        self,
+        scan: LeveledScan,
+        prior: PoseEstimate,
+        register: Callable[[LeveledScan, PoseEstimate, float], Registered],
+    ) -> Match | None:
+        """Set the estimate to the registered pose, or to the prior where no match is believed.
+
+        Args:
+            scan: Leveled scan.
+            prior: Estimate by dead reckoning.
+            register: Function of scan, prior and the seconds since the scan before that matches the scan to
+                the map; `estimate` is still that of the scan before.
+        """
+        seconds, self.stamp = scan.stamp - self.stamp, scan.stamp
+        self.reckoned_yaw += wrap_angle(prior.pose.yaw - self.pose.yaw)
         if not self.path:
             self.estimate = prior
             return None
-        estimate, match = self.register(scan, prior, seconds)
+        estimate, match = register(scan, prior, seconds)
         if scan.leveled:
             score, yaw = (None, 0.0) if match is None else (match.score, float(match.pose[2]))
             self.observe_localizability(score, yaw, seconds)
@@ -266,17 +202,23 @@ class ScanToMapFrontEnd(FrontEnd[K]):
         self.unmatched += match is None
         return match
 
-    def _enter(self, scan: LeveledScan) -> None:
-        """Make the scan a keyframe; correct the estimate if the start was refined."""
-        pose = self.estimate.pose
-        self.path.append(pose)
-        if self.refine_start(self.insert(scan, pose)):
-            refined: Sequence[K] = self.bootstrap.keyframes
-            self.path[: len(refined)] = [keyframe.pose for keyframe in refined]
-            T_new_old = self.path[-1] @ pose.inverse()
-            self.estimate = PoseEstimate(T_new_old @ pose, self.estimate.covariance)
-            self.correct_pose(self.estimate.pose)
+    def fits(self, match: Match | None) -> bool:
+        """Return whether a scan may enter the map by its match."""
+        return self.observe_fit(None, 1.0) if match is None else self.observe_fit(match.score, match.known)
 
-    @abstractmethod
-    def correct_pose(self, pose: Pose2) -> None:
-        """Correct the pose of the last keyframe."""
+    def enter(self, keyframe: K, refine: Refine[K]) -> bool:
+        """Add a keyframe; correct path and estimate if the start was refined, and return whether it was."""
+        self.path.append(keyframe.pose)
+        refined = self.refine_start(keyframe, refine)
+        if refined:
+            start = self.bootstrap.keyframes
+            self.path[: len(start)] = [keyframe.pose for keyframe in start]
+            T_new_old = self.path[-1] @ keyframe.pose.inverse()
+            self.estimate = PoseEstimate(T_new_old @ keyframe.pose, self.estimate.covariance)
+        return refined
+
+    def note(self, stamp: float) -> Pose2:
+        """Add the scan to the trajectory; return `T_map_base`."""
+        last = self.path[-1].inverse() @ self.pose if self.path else self.pose
+        self.scans.add(stamp, len(self.path) - 1, last)
+        return self.pose

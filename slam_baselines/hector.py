@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 
 from lirs_wct.checks import require_within
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory
-from slam_baselines.front_end import FrontEndConfig, Registered, ScanToMapFrontEnd
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
+from slam_baselines.front_end import PlanarMapper, Registered, ScanToMapFrontEnd
 from slam_baselines.leveling import LeveledScan
 from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.bootstrap import BootstrapConfig, register_forwards
@@ -23,13 +23,7 @@ from slam_baselines.matching.localizability import LocalizabilityConfig, Localiz
 from slam_baselines.matching.registration import Match, Registration, RegistrationConfig
 from slam_baselines.matching.tracking_monitor import TrackingConfig
 from slam_baselines.motion.calibration import CalibrationConfig
-from slam_baselines.motion.dead_reckoning import (
-    DeadReckoning,
-    MotionConfig,
-    MotionStep,
-    OdometryStep,
-    PoseEstimate,
-)
+from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryStep, PoseEstimate
 
 WARM_UP = {"sparse_distance": 0.1}
 """Configuration with which a short drive reaches every kernel: the scans are sparse."""
@@ -83,19 +77,26 @@ class HectorConfig(BuilderConfig):
             )
 
 
-class HectorMapper(ScanToMapFrontEnd[HectorKeyframe]):
-    """Scan-to-map matching in one map, without loop closure."""
+class HectorMapper(PlanarMapper):
+    """Scan-to-map matching in one map, without loop closure.
+
+    Attributes:
+        config: its parameters.
+        front: front end, with the present estimate.
+        reckoning: dead reckoning.
+    """
 
     name = "hector"
 
     def __init__(self, config: HectorConfig | None = None) -> None:
         self.config = c = config or HectorConfig()
         self._builder = MapBuilder(c)
-        front_end = FrontEndConfig(
-            tracking=c.tracking, localizability=c.localizability, bootstrap=c.bootstrap,
-            clear_range=c.laser_clear_dist, max_range=c.laser_max_dist,
+        self.front = ScanToMapFrontEnd[HectorKeyframe].make(
+            self._builder.ground_filter, c.tracking, c.localizability, c.bootstrap,
+            c.laser_clear_dist, c.laser_max_dist,
         )  # fmt: skip
-        super().__init__(front_end, self._builder.ground_filter, DeadReckoning(c.motion, c.calibration))
+        super().__init__(self.front.tracking)
+        self.reckoning = DeadReckoning(c.motion, c.calibration)
         self._registration = Registration(c.registration)
         self._motion: list[OdometryStep | None] = []
         self._earlier: Pose2 | None = None
@@ -105,72 +106,77 @@ class HectorMapper(ScanToMapFrontEnd[HectorKeyframe]):
         """Edge of a cell of the map, meters."""
         return self.config.map_resolution
 
-    def register(self, scan: LeveledScan, prior: PoseEstimate, seconds: float) -> Registered:
-        """Match a scan to the map by Gauss-Newton from coarse to fine."""
-        weights, before = self._builder.match_weights(scan, prior.pose), self.estimate.pose
-        estimate, match = self._registration.register(
-            self._builder.pyramid, scan.hits, weights, prior, before, self._earlier
-        )
-        self._earlier = before
-        return Registered(estimate, match)
-
-    def due(self, scan: LeveledScan) -> bool:
-        """Return whether the robot has moved or tilted enough since the last map update."""
-        return self._builder.due(scan, self.estimate.pose)
-
-    def insert(self, scan: LeveledScan, pose: Pose2) -> HectorKeyframe:
-        """Update all levels of the map by a scan."""
-        min_slopes = self._builder.enter(scan, pose)
-        motion = tuple(self._motion)
-        self._motion.clear()
-        return Keyframe(scan, pose, self.ground_filter.height, min_slopes, motion)
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Level a scan, predict its pose, register it, monitor the match and insert it if due."""
+        front, builder = self.front, self._builder
+        level, before = front.leveler.level(scan, imu), front.pose
+        prior = self._predict(level, odometry, imu)
+        match = front.match(level, prior, self._register)
+        registered = self._calibrate(level, match, before)
+        builder.move_base(level, before.inverse() @ front.pose, registered=registered)
+        if front.fits(match) and builder.due(level, front.pose):
+            self._insert(level)
+        return front.note(scan.stamp)
 
     def map(self) -> OccupancyGrid:
         """Return the finest level, without walls if dead reckoning placed most."""
-        return self._builder.map(walls=self.draws_walls)
+        return self._builder.map(walls=self.front.draws_walls)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
-        return self.scans.trajectory(self.path)
+        return self.front.scans.trajectory(self.front.path)
 
     def counts(self) -> MapperStats:
         """Return used and skipped scans, memory and other counts."""
+        front = self.front
         return MapperStats(
-            used=self.matched,
-            skipped={"too few walls in view to match": self.unmatched} if self.unmatched else {},
+            used=front.matched,
+            skipped={"too few walls in view to match": front.unmatched} if front.unmatched else {},
             memory=self._builder.memory,
             counts={
                 "map_updates": self._builder.updates,
                 "searches": self._registration.searches,
-                "second_looks": self.bootstrap.refinements,
+                "second_looks": front.bootstrap.refinements,
             },
         )
 
-    def add_motion(self, scan: LeveledScan, step: MotionStep | None) -> None:
-        """Keep the odometry's steps for the start-up refinement."""
-        if scan.leveled and not self.bootstrap.over:
+    def _predict(self, scan: LeveledScan, odometry: Pose2 | None, imu: Imu | None) -> PoseEstimate:
+        """Return the estimate by dead reckoning; keep its steps for the start-up refinement."""
+        step = self.reckoning.step(odometry, imu, scan.stamp)
+        if scan.leveled and not self.front.bootstrap.over:
             self._motion.append(self.reckoning.increment)
+        return self.front.estimate if step is None else step.after(self.front.estimate)
 
-    def observe_localizability(self, score: float | None, yaw: float, seconds: float) -> None:
-        """Update the monitor, and switch the odometry's calibration on or off."""
-        super().observe_localizability(score, yaw, seconds)
-        mature = self.reckoning.learned >= self.config.learning_steps
-        self.reckoning.calibrated = self.localizability.steady or mature
+    def _register(self, scan: LeveledScan, prior: PoseEstimate, seconds: float) -> Registered:
+        """Match a scan to the map by Gauss-Newton from coarse to fine."""
+        weights, before = self._builder.match_weights(scan, prior.pose), self.front.pose
+        estimate, match = self._registration.register(
+            self._builder.pyramid, scan.hits, weights, prior, before, self._earlier
+        )
+        self._earlier = before
+        return estimate, match
 
-    def use_match(self, match: Match | None, before: Pose2) -> bool:
-        """Calibrate the odometry by a good match; return whether it is one."""
-        c, leveled = self.config, self.localizability.scans > 0
-        needed = c.localizability.score if leveled else c.registration.search_threshold
-        good = match is not None and self.localizability.believed and match.score >= needed
+    def _calibrate(self, scan: LeveledScan, match: Match | None, before: Pose2) -> bool:
+        """Switch the odometry's calibration on or off; let it learn from a good match, and tell of one."""
+        c, reckoning, localizability = self.config, self.reckoning, self.front.localizability
+        if scan.leveled and self.front.path:
+            reckoning.calibrated = localizability.steady or reckoning.learned >= c.learning_steps
+        needed = c.localizability.score if localizability.scans > 0 else c.registration.search_threshold
+        good = match is not None and localizability.believed and match.score >= needed
         if good:
-            self.reckoning.learn(before, self.estimate.pose)
+            reckoning.learn(before, self.front.pose)
         return good
 
-    def move_base(self, scan: LeveledScan, step: Pose2, *, registered: bool) -> None:
-        """Update the height of the base by its step."""
-        self._builder.move_base(scan, step, registered=registered)
+    def _insert(self, scan: LeveledScan) -> None:
+        """Update all levels of the map by a scan; refine the start when due."""
+        pose = self.front.pose
+        min_slopes, motion = self._builder.enter(scan, pose), tuple(self._motion)
+        self._motion.clear()
+        keyframe = Keyframe(scan, pose, self.front.ground_filter.height, min_slopes, motion)
+        if self.front.enter(keyframe, self._refine):
+            self._builder.correct_pose(self.front.pose)
 
-    def refine(self, keyframes: list[HectorKeyframe]) -> list[HectorKeyframe]:
+    def _refine(self, keyframes: list[HectorKeyframe]) -> list[HectorKeyframe]:
         """Build the map again from keyframes; return them with their new poses.
 
         Forwards, since the odometry's calibration makes dead reckoning from the start as good as the walls.
@@ -181,7 +187,7 @@ class HectorMapper(ScanToMapFrontEnd[HectorKeyframe]):
         found: list[HectorKeyframe] = []
 
         def register(now: HectorKeyframe, before: HectorKeyframe | None, last: PoseEstimate) -> PoseEstimate:
-            estimate = last if before is None else self._predict(last, before, now)
+            estimate = last if before is None else self._reckon(last, before, now)
             slopes = builder.min_slopes(now.scan, estimate.pose, now.height, now.min_slopes)
             if before is not None:
                 weights = builder.weights(slopes)
@@ -200,7 +206,7 @@ class HectorMapper(ScanToMapFrontEnd[HectorKeyframe]):
         builder.pyramid = before_refinement
         return keyframes
 
-    def _predict(self, last: PoseEstimate, before: HectorKeyframe, now: HectorKeyframe) -> PoseEstimate:
+    def _reckon(self, last: PoseEstimate, before: HectorKeyframe, now: HectorKeyframe) -> PoseEstimate:
         """Predict the next keyframe by dead reckoning; without odometry, by their first poses."""
         motion, calibration = self.reckoning.config, self.reckoning.calibration
         seconds = now.scan.stamp - before.scan.stamp
@@ -208,7 +214,3 @@ class HectorMapper(ScanToMapFrontEnd[HectorKeyframe]):
             return motion.predict(last, before.pose.inverse() @ now.pose, seconds)
         steps = [(i.correct(calibration), i.tilt) for i in now.motion if i is not None]
         return motion.predict_all(last, steps, seconds / len(steps))
-
-    def correct_pose(self, pose: Pose2) -> None:
-        """Correct the pose of the last map update."""
-        self._builder.correct_pose(pose)

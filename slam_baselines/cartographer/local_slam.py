@@ -8,44 +8,78 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.geometry import Pose2, wrap_angle
-from slam_baselines.cartographer.config import LocalConfig
+from lirs_wct.geometry import Imu, LaserScan, Pose2, wrap_angle
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.node import NOWHERE, Node, compose_estimates
 from slam_baselines.cartographer.submap import Submaps
-from slam_baselines.front_end import FrontEndConfig, Registered, ScanToMapFrontEnd
+from slam_baselines.front_end import Registered, ScanToMapFrontEnd
 from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits
 from slam_baselines.mapping.bootstrap import register_backwards
 from slam_baselines.mapping.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.mapping.occupancy_map import bounding_box, union_of
 from slam_baselines.matching.registration import Registration
-from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionStep, PoseEstimate
+from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.motion.motion_filter import MotionFilter
 
 
-class LocalSlam(ScanToMapFrontEnd[Node]):
+class AddedNodes(NamedTuple):
+    """Result of a scan for the pose graph.
+
+    Attributes:
+        nodes: Nodes that were added.
+        anew: Whether they replace all nodes so far, because the start was refined.
+    """
+
+    nodes: tuple[Node, ...] = ()
+    anew: bool = False
+
+
+class LocalSlam:
     """Poses and submaps in the local frame.
 
     Attributes:
+        front: front end, with the present estimate.
+        ground_filter: separates ground from walls.
         submaps: all of them.
         registration: of scans in the matching submap.
         implausible: matches that no motion of the robot explains.
     """
 
-    def __init__(self, config: LocalConfig, front_end: FrontEndConfig) -> None:
-        super().__init__(front_end, GroundFilter(config.ground_filter), DeadReckoning(config.motion))
-        self._local = config
+    def __init__(self, parameters: CartographerConfig) -> None:
+        self._local = config = parameters.local
+        self.ground_filter = GroundFilter(config.ground_filter)
+        self.front = ScanToMapFrontEnd[Node].make(
+            self.ground_filter, config.tracking, config.localizability, parameters.bootstrap,
+            parameters.clear_range, parameters.max_range,
+        )  # fmt: skip
         self.submaps = Submaps(config.submaps)
         self.registration = Registration(config.registration)
         self.implausible = 0
+        self._reckoning = DeadReckoning(config.motion)
         self._motion = NOWHERE
-        self._drawn_at = 0.0
+        self._distance_traveled = self._drawn_at = 0.0
         self._filter = MotionFilter(config.motion_filter)
 
-    def add_motion(self, scan: LeveledScan, step: MotionStep | None) -> None:
-        """Add a step by dead reckoning to the motion since the last node."""
+    def add_scan(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> AddedNodes:
+        """Predict the pose of a scan, register it, and draw it into the submaps if due."""
+        front, before = self.front, self.front.pose
+        level = front.leveler.level(scan, imu)
+        step = self._reckoning.step(odometry, imu, scan.stamp)
         self._motion = self._motion if step is None else step.after(self._motion)
+        prior = front.estimate if step is None else step.after(front.estimate)
+        match = front.match(level, prior, self._match)
+        self._distance_traveled += before.distance(front.pose)
+        if level.leveled:
+            registered = front.localizability.localizable
+            self.ground_filter.move(before.inverse() @ front.pose, level, registered=registered)
+        added = AddedNodes()
+        if front.fits(match) and self._filter.due(level, front.pose):
+            added = self._insert(level)
+        front.note(scan.stamp)
+        return added
 
     def walls(self, scan: LeveledScan, pose: Pose2, height: float, known: ByteArray | None) -> FloatArray:
         """Return (n,) weights of hits: 1 for walls, 0 for possible ground.
@@ -59,18 +93,18 @@ class LocalSlam(ScanToMapFrontEnd[Node]):
         drawn = self.submaps.matching_submap.coarsest if known is None else None
         return self.ground_filter.match_walls(scan, pose, height, known=known, drawn=drawn)
 
-    def register(self, scan: LeveledScan, prior: PoseEstimate, seconds: float) -> Registered:
+    def _match(self, scan: LeveledScan, prior: PoseEstimate, seconds: float) -> Registered:
         """Match a scan to the matching submap; reject implausible matches on uneven ground."""
         weights = self.walls(scan, prior.pose, self.ground_filter.height, None)
         submap, wall_slope = self.submaps.matching_submap, self.ground_filter.match_wall_slope
         submap.set_wall_slope(wall_slope)
-        found = Registered(
-            *self.registration.register(submap.pyramid, scan.hits, weights, prior, self.estimate.pose)
+        estimate, match = self.registration.register(
+            submap.pyramid, scan.hits, weights, prior, self.front.pose
         )
-        if wall_slope > 0 and not self._plausible(prior, found.estimate.pose, seconds):
+        if wall_slope > 0 and not self._plausible(prior, estimate.pose, seconds):
             self.implausible += 1
-            return Registered(prior, None)
-        return found
+            return prior, None
+        return estimate, match
 
     def _plausible(self, expected: PoseEstimate, pose: Pose2, seconds: float) -> bool:
         """Return whether odometry and wheel slip allow `pose`.
@@ -84,31 +118,32 @@ class LocalSlam(ScanToMapFrontEnd[Node]):
             max(x, y)
         ) and turn <= reach + c.slip_deviations * math.sqrt(yaw)
 
-    def due(self, scan: LeveledScan) -> bool:
-        """Return whether the motion filter lets the scan become a node."""
-        return self._filter.due(scan, self.estimate.pose)
-
-    def insert(self, scan: LeveledScan, pose: Pose2) -> Node:
-        """Draw a scan into the submaps; return its node."""
+    def _insert(self, scan: LeveledScan) -> AddedNodes:
+        """Draw a scan into the submaps; refine the start when due."""
+        front, pose = self.front, self.front.pose
         height, ground_filter = self.ground_filter.height, self.ground_filter
         placed, min_slopes = ground_filter.insert(scan, pose)
         drawn = placed, min_slopes
-        if self.distance_traveled - self._drawn_at >= self._local.sparse_distance:
+        if self._distance_traveled - self._drawn_at >= self._local.sparse_distance:
             spacing = self._local.submaps.resolution
             drawn = interpolate_hits(placed, min_slopes, spacing, self._local.interpolation)
-        self._drawn_at = self.distance_traveled
+        self._drawn_at = self._distance_traveled
         entered = self.submaps.insert_range_data(
-            len(self.path) - 1, pose, *drawn, ground_filter.match_wall_slope
+            len(front.path), pose, *drawn, ground_filter.match_wall_slope
         )
         motion, self._motion = self._motion, NOWHERE
         self._filter.note(scan, pose)
-        return Node(
-            scan, pose, height, min_slopes, motion, self.estimate.covariance,
-            self.localizability.believed, entered, ground_filter.distance_traveled,
-            ground_filter.drift, ground_filter.tilt, self.distance_traveled,
+        node = Node(
+            scan, pose, height, min_slopes, motion, front.estimate.covariance,
+            front.localizability.believed, entered, ground_filter.distance_traveled,
+            ground_filter.drift, ground_filter.tilt, self._distance_traveled,
         )  # fmt: skip
+        if not front.enter(node, self._refine):
+            return AddedNodes((node,))
+        self._filter.correct_pose(front.pose)
+        return AddedNodes(tuple(front.bootstrap.keyframes), anew=True)
 
-    def refine(self, keyframes: list[Node]) -> list[Node] | None:
+    def _refine(self, keyframes: list[Node]) -> list[Node] | None:
         """Draw the submaps again from the start with the present knowledge of ground and walls.
 
         On uneven ground no wall is known at first: the robot starts on odometry alone, and the first scans
@@ -121,10 +156,10 @@ class LocalSlam(ScanToMapFrontEnd[Node]):
         Returns:
             The same nodes with new poses; None without known walls, or once a submap is finished.
         """
-        if not self.localizability.believed:
+        if not self.front.localizability.believed:
             return None
         if self.ground_filter.match_wall_slope == 0 or self.submaps.all[0].finished:
-            self.bootstrap.close()
+            self.front.bootstrap.close()
             return None
         self.submaps = self.submaps.empty_copy(
             replace(self._local.submaps, num_range_data=len(keyframes) + 1, max_distance=math.inf)
@@ -148,10 +183,6 @@ class LocalSlam(ScanToMapFrontEnd[Node]):
                 )
             )
         return again
-
-    def correct_pose(self, pose: Pose2) -> None:
-        """Correct the pose of the last node."""
-        self._filter.correct_pose(pose)
 
     def _register(self, final: Node, node: Node, later: Node | None, last: PoseEstimate) -> PoseEstimate:
         """Return a node's estimate in the submap; draw it unless it is the final one."""

@@ -18,9 +18,8 @@ from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.local_slam import LocalSlam
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
 from slam_baselines.cartographer.loop_closure import LoopEvent
-from slam_baselines.cartographer.node import Node, NodeMap
-from slam_baselines.front_end import FrontEndConfig
-from slam_baselines.leveling import LeveledScan
+from slam_baselines.cartographer.node import NodeMap
+from slam_baselines.front_end import PlanarMapper
 from slam_baselines.mapper import Mapper, MapperStats
 
 WARM_UP = {
@@ -43,20 +42,22 @@ def make_cartographer(config: CartographerConfig) -> Mapper:
     return CartographerLocalizer(c, KnownMap.load(c.map))
 
 
-class CartographerMapper(LocalSlam):
-    """Local SLAM on submaps; a pose graph corrects their drift at loops."""
+class CartographerMapper(PlanarMapper):
+    """Local SLAM on submaps; a pose graph corrects their drift at loops.
+
+    Attributes:
+        config: its parameters.
+        local: local SLAM.
+    """
 
     name = "cartographer"
     requires_odometry = True
 
     def __init__(self, config: CartographerConfig | None = None) -> None:
         self.config = c = config or CartographerConfig()
-        front_end = FrontEndConfig(
-            tracking=c.local.tracking, localizability=c.local.localizability, bootstrap=c.bootstrap,
-            clear_range=c.clear_range, max_range=c.max_range,
-        )  # fmt: skip
-        super().__init__(c.local, front_end)
-        self._graph = GlobalSlam(c.graph, self)
+        self.local = LocalSlam(c)
+        super().__init__(self.local.front.tracking)
+        self._graph = GlobalSlam(c.graph, self.local)
         self._map = NodeMap(c.map_resolution, c.update, c.local.ground_filter)
 
     @property
@@ -66,34 +67,23 @@ class CartographerMapper(LocalSlam):
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan to its submap and work on the graph; return `T_map_base`."""
-        T_local_base = super().process(scan, odometry, imu)
+        added = self.local.add_scan(scan, odometry, imu)
+        if added.anew:
+            self._graph = GlobalSlam(self.config.graph, self.local)
+        for node in added.nodes:
+            self._graph.add_node(node)
         self._graph.run_work_share()
-        return self._graph.T_map_local @ T_local_base
-
-    def insert(self, scan: LeveledScan, pose: Pose2) -> Node:
-        """Draw a scan into the submaps, and add its node to the graph."""
-        node = super().insert(scan, pose)
-        self._graph.add_node(node)
-        return node
-
-    def refine(self, keyframes: list[Node]) -> list[Node] | None:
-        """Rebuild submaps and graph with the present knowledge of the ground, if possible."""
-        refined = super().refine(keyframes)
-        if refined is not None:
-            self._graph = GlobalSlam(self.config.graph, self)
-            for node in refined:
-                self._graph.add_node(node)
-        return refined
+        return self._graph.T_map_local @ self.local.front.pose
 
     def map(self) -> OccupancyGrid:
         """Return the map of all nodes at their optimized poses (see LocalizabilityMonitor.draws)."""
         poses, _ = self._graph.optimized_poses()
-        return self._map.render(self._graph.nodes, poses, walls=self.draws_walls)
+        return self._map.render(self._graph.nodes, poses, walls=self.local.front.draws_walls)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
-        poses, T_map_local = self._graph.optimized_poses()
-        return self.scans.trajectory(poses, self.path, None if self.path else T_map_local)
+        (poses, T_map_local), front = self._graph.optimized_poses(), self.local.front
+        return front.scans.trajectory(poses, front.path, None if front.path else T_map_local)
 
     @property
     def loops(self) -> list[LoopEvent]:
@@ -102,13 +92,13 @@ class CartographerMapper(LocalSlam):
 
     def counts(self) -> MapperStats:
         """Return used scans, memory and other counts."""
-        graph, submaps = self._graph, self.submaps.all
+        graph, submaps, front = self._graph, self.local.submaps.all, self.local.front
         counts = graph.builder.counts
         return MapperStats(
-            used=self.matched,
+            used=front.matched,
             memory=sum(submap.nbytes for submap in submaps)
             + sum(node.nbytes for node in graph.nodes)
-            + self.ground_filter.grid.nbytes
+            + front.ground_filter.grid.nbytes
             + graph.trimmer.nbytes
             + self._map.nbytes,
             counts={
@@ -122,8 +112,8 @@ class CartographerMapper(LocalSlam):
                 "loop_searches_waiting": len(graph.candidates),
                 "loop_searches_dropped": graph.candidates.dropped,
                 "optimizations": graph.optimizations,
-                "second_looks": self.bootstrap.refinements,
-                "searches": self.registration.searches,
-                "matches_implausible": self.implausible,
+                "second_looks": front.bootstrap.refinements,
+                "searches": self.local.registration.searches,
+                "matches_implausible": self.local.implausible,
             },
         )

@@ -17,7 +17,7 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
-from slam_baselines.front_end import FrontEnd, FrontEndConfig
+from slam_baselines.front_end import FrontEnd, PlanarMapper
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.particles import Particles, normalize
@@ -204,7 +204,7 @@ WARM_UP = {"sparse_distance": 0.1}
 """Configuration with which a short drive reaches every kernel: the scans are sparse."""
 
 
-class GmappingMapper(FrontEnd[GmappingKeyframe]):
+class GmappingMapper(PlanarMapper):
     """Particle filter over paths; a loop closes when the fitting particles survive."""
 
     name = "gmapping"
@@ -212,11 +212,12 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
 
     def __init__(self, config: GmappingConfig | None = None) -> None:
         self.config = c = config or GmappingConfig()
-        front_end = FrontEndConfig(
-            tracking=c.tracking, localizability=c.localizability, bootstrap=c.bootstrap,
-            clear_range=c.maxUrange if math.isfinite(c.maxUrange) else 0.0, max_range=c.maxUrange,
-        )  # fmt: skip
-        super().__init__(front_end, GroundFilter(c.ground_filter))
+        self.ground_filter = GroundFilter(c.ground_filter)
+        clear_range = c.maxUrange if math.isfinite(c.maxUrange) else 0.0
+        self._front = FrontEnd[GmappingKeyframe].make(
+            self.ground_filter, c.tracking, c.localizability, c.bootstrap, clear_range, c.maxUrange
+        )
+        super().__init__(self._front.tracking)
         self._filter = ParticleFilter(c)
         self._increment = MotionIncrement(c.motion)
         self._registration = BiasedRegistration(self._filter.proposer, self.ground_filter, c.gyro_bias)
@@ -230,7 +231,7 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Follow the odometry; process the scan after enough motion. Return `T_map_base`."""
-        level = self.leveler.level(scan, imu)
+        level = self._front.leveler.level(scan, imu)
         self._follow(level, odometry, imu)
         if self._filter.tree.generations:
             self._track(level)
@@ -241,7 +242,7 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
 
     def map(self) -> OccupancyGrid:
         """Return the best particle's map; without walls if dead reckoning placed most of them."""
-        wall_slope = self.ground_filter.wall_slope if self.draws_walls else NO_WALL
+        wall_slope = self.ground_filter.wall_slope if self._front.draws_walls else NO_WALL
         return self._filter.maps.occupancy_grid(self._filter.best, wall_slope)
 
     def trajectory(self) -> Trajectory:
@@ -294,7 +295,7 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
 
         A sparse scan that is processed at once is matched there, with dead reckoning as its prior.
         """
-        if (self._sparse and self._due) or (scan.leveled and not self.localizability.localizable):
+        if (self._sparse and self._due) or (scan.leveled and not self._front.localizability.localizable):
             return
         beams, wall_slope = self._beams(scan), self.ground_filter.match_wall_slope
         found = self._filter.match_best(beams, self._increment, wall_slope, wide=self._sparse)
@@ -310,7 +311,7 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
         come = GyroIncrement(motion.reckoned, motion.seconds)
         motion.begin()
         # Until the start-up refinement is over, every scan is a link of the trajectory.
-        if self.tracking.fits or (scan.leveled and not self.bootstrap.over):
+        if self._front.tracking.fits or (scan.leveled and not self._front.bootstrap.over):
             self._enter(scan, come)
         particles.resample_if_due()
 
@@ -323,16 +324,16 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
         hit, known = (float(ratio[particles.best]) for ratio in (proposal.hit_ratio, proposal.known_ratio))
         informative = self._is_informative(beams, known)
         if scan.leveled:
-            self.reckoned_yaw += motion.reckoned.pose.yaw
+            self._front.reckoned_yaw += motion.reckoned.pose.yaw
             yaw = float(proposal.means[particles.best, 2])
-            self.observe_localizability(hit if informative else None, yaw, motion.seconds)
+            self._front.observe_localizability(hit if informative else None, yaw, motion.seconds)
         if not scan.leveled or (
-            self.localizability.localizable and (informative or self.localizability.steady)
+            self._front.localizability.localizable and (informative or self._front.localizability.steady)
         ):
             particles.adopt(proposal)
         else:
             particles.follow(motion)
-        self.observe_fit(hit, known)
+        self._front.observe_fit(hit, known)
         self._learn_bias(motion)
 
     def _is_informative(self, beams: ScanBeams, known_ratio: float) -> bool:
@@ -342,8 +343,8 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
 
     def _learn_bias(self, motion: MotionIncrement) -> None:
         """Update the gyro's bias once the start is refined; before, too few walls are known."""
-        fits = self.tracking.fits and self.localizability.believed
-        if self.bootstrap.refinements and fits and motion.seconds > 0:
+        fits = self._front.tracking.fits and self._front.localizability.believed
+        if self._front.bootstrap.refinements and fits and motion.seconds > 0:
             turned = self._filter.turned - motion.reckoned.pose.yaw
             self._bias = self._bias.learned(wrap_angle(turned), motion.seconds)
             motion.bias = self._bias.value
@@ -363,9 +364,10 @@ class GmappingMapper(FrontEnd[GmappingKeyframe]):
         if self._sparse:
             drawn = interpolate_hits(*drawn, self.config.delta, self.config.interpolation)
         self._filter.insert_scan(*drawn, ground.match_wall_slope)
-        self.refine_start(Keyframe(scan, self._pose, ground.height, min_slopes, motion))
+        keyframe = Keyframe(scan, self._pose, ground.height, min_slopes, motion)
+        self._front.refine_start(keyframe, self._refine)
 
-    def refine(self, keyframes: list[GmappingKeyframe]) -> list[GmappingKeyframe] | None:
+    def _refine(self, keyframes: list[GmappingKeyframe]) -> list[GmappingKeyframe] | None:
         """Register the start again with the gyro's bias; None on a floor.
 
         All particles are replaced by one.

@@ -92,7 +92,7 @@ def test_one_loop_that_moves_far_waits_for_a_second():
 def test_the_same_nodes_added_again_are_constrained_alike():
     """Also where the newest submap holds a single node: each submap hangs on the one before, once."""
     rng, mapper, truth = np.random.default_rng(2), make_mapper("cartographer"), ring(1)
-    local = mapper
+    local = mapper.local
     for i, pose in enumerate(truth):
         mapper.update(corridor_scan(pose, 0.2 * i, rng), truth[0].inverse() @ pose, None)
         if len(local.submaps.all) == 2 and len(local.submaps.all[-1].nodes) == 1:
