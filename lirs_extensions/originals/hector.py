@@ -18,8 +18,9 @@ from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from lirs_wct.kernels import njit
+from slam_baselines.front_end import PlanarMapper
 from slam_baselines.linalg import solve3
-from slam_baselines.mapper import MapperStats, Stopwatch, check_motion
+from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.ray_tracing import line_cells
 
 ITERATIONS = (6, 4, 4)
@@ -67,18 +68,16 @@ class HectorOriginalConfig(Checked):
             )
 
 
-class HectorOriginalMapper:
+class HectorOriginalMapper(PlanarMapper):
     """Scan-to-map matching, coarse to fine; the map is drawn after 0.4 m or 0.9 rad.
 
-    Attributes:
-        lost: always False: the original has no monitor.
-        requires_odometry: False; without odometry the last pose is the start of the match.
+    Without odometry the last pose is the start of the match.
     """
 
-    lost = False
-    requires_odometry = False
+    name = "hector_original"
 
     def __init__(self, config: HectorOriginalConfig | None = None) -> None:
+        super().__init__()
         self.config = c = config or HectorOriginalConfig()
         odds = [math.log(p / (1 - p)) for p in (c.update_factor_free, c.update_factor_occupied)]
         self._levels = [
@@ -89,19 +88,15 @@ class HectorOriginalMapper:
         self._drawn_at: Pose2 | None = None
         self._odometry: Pose2 | None = None
         self._poses: dict[float, Pose2] = {}
-        self._received = self._updates = 0
-        self._stopwatch = Stopwatch()
+        self._updates = 0
 
     @property
     def resolution(self) -> float:
         """Edge of a cell of the map, meters."""
         return self.config.map_resolution
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan from the pose by odometry, draw it if due; return `T_map_base`."""
-        check_motion(odometry, imu)
-        started = self._stopwatch.start()
-        self._received += 1
         laser, ends = self._points(scan)
         self._pose = self._match(ends, self._start(odometry))
         if self._update_due():
@@ -110,7 +105,6 @@ class HectorOriginalMapper:
             self._drawn_at = self._pose
             self._updates += 1
         self._poses[scan.stamp] = self._pose
-        self._stopwatch.stop(started)
         return self._pose
 
     def map(self) -> OccupancyGrid:
@@ -122,15 +116,12 @@ class HectorOriginalMapper:
         stamps = sorted(self._poses)
         return Trajectory.from_poses(stamps, [self._poses[t] for t in stamps])
 
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far."""
+    def counts(self) -> MapperStats:
+        """Return used scans, memory and other counts."""
         return MapperStats(
-            received=self._received,
-            used=self._received,
+            used=self.received,
             memory=sum(level.nbytes for level in self._levels),
             counts={"map_updates": self._updates},
-            **self._stopwatch.summary(),
         )
 
     def _points(self, scan: LaserScan) -> tuple[FloatArray, FloatArray]:

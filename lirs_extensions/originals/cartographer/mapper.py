@@ -18,8 +18,9 @@ from lirs_extensions.originals.cartographer.local_slam import TrajectoryBuilder
 from lirs_extensions.originals.cartographer.pose_graph import OriginalPoseGraph
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.cartographer.loop_closure import LoopEvent
+from slam_baselines.front_end import PlanarMapper
 from slam_baselines.leveling import LeveledScan, ScanLeveler
-from slam_baselines.mapper import MapperStats, Stopwatch, check_motion
+from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.keyframe import KeyframeTrajectory
 from slam_baselines.mapping.occupancy_map import OccupancyMap, bounding_box
 
@@ -35,38 +36,32 @@ WARM_UP = {
 """Configuration with which a short drive reaches every kernel: small submaps, often optimized."""
 
 
-class CartographerOriginalMapper:
+class CartographerOriginalMapper(PlanarMapper):
     """Local SLAM on submaps and a pose graph, as published by its authors.
 
-    Attributes:
-        lost: always False: the original has no monitor.
-        requires_odometry: False; without odometry the velocity of the last poses predicts the next.
+    Without odometry the velocity of the last poses predicts the next.
     """
 
-    lost = False
-    requires_odometry = False
+    name = "cartographer_original"
 
     def __init__(self, config: CartographerOriginalConfig | None = None) -> None:
+        super().__init__()
         self.config = c = config or CartographerOriginalConfig()
         self._local = TrajectoryBuilder(c)
         self._graph = OriginalPoseGraph(c.pose_graph, self._local.submaps)
         self._leveler = ScanLeveler(c.missing_data_ray_length, c.max_range)
         self._scans = KeyframeTrajectory()
         self._kept: list[LeveledScan] = []
-        self._received = self._used = 0
-        self._stopwatch = Stopwatch()
+        self._used = 0
 
     @property
     def resolution(self) -> float:
         """Edge of a cell of the map, meters."""
         return self.config.resolution
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan, add a node if due, search loops; return `T_map_base`."""
-        check_motion(odometry, imu)
-        started = self._stopwatch.start()
         result = self._local.add_scan(scan, odometry)
-        self._received += 1
         self._used += result.matched
         nodes = self._graph.nodes
         if result.node is not None:
@@ -74,9 +69,7 @@ class CartographerOriginalMapper:
             self._kept.append(self._leveler.level(scan, None))
         since = nodes[-1].T_local_base.inverse() @ result.pose if nodes else result.pose
         self._scans.add(scan.stamp, len(nodes) - 1, since)
-        pose = self._graph.T_map_local @ result.pose
-        self._stopwatch.stop(started)
-        return pose
+        return self._graph.T_map_local @ result.pose
 
     def map(self) -> OccupancyGrid:
         """Return the map of all nodes at their final poses (see OccupancyMap)."""
@@ -95,14 +88,12 @@ class CartographerOriginalMapper:
         """Loops closed so far."""
         return list(self._graph.events)
 
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far."""
+    def counts(self) -> MapperStats:
+        """Return used and skipped scans, memory and other counts."""
         graph, submaps = self._graph, self._local.submaps
         return MapperStats(
-            received=self._received,
             used=self._used,
-            skipped={"no return": self._received - self._used},
+            skipped={"no return": self.received - self._used},
             memory=sum(submap.grid.cells.nbytes for submap in submaps) + graph.nbytes,
             counts={
                 "nodes": len(graph.nodes),
@@ -111,5 +102,4 @@ class CartographerOriginalMapper:
                 "loop_searches": graph.loop_searches,
                 "optimizations": graph.optimizations,
             },
-            **self._stopwatch.summary(),
         )

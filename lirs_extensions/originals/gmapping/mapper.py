@@ -20,9 +20,10 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from lirs_wct.kernels import njit
+from slam_baselines.front_end import PlanarMapper
 from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.linalg import compose_poses
-from slam_baselines.mapper import MapperStats, Stopwatch, check_motion, required_odometry
+from slam_baselines.mapper import MapperStats
 from slam_baselines.mapping.keyframe import KeyframeTrajectory
 from slam_baselines.mapping.occupancy_map import GrowingGrid
 from slam_baselines.mapping.ray_tracing import line_cells
@@ -94,18 +95,14 @@ class GmappingOriginalConfig(Checked):
         )
 
 
-class GmappingOriginalMapper:
-    """Particle filter over paths, as published by its authors.
+class GmappingOriginalMapper(PlanarMapper):
+    """Particle filter over paths, as published by its authors."""
 
-    Attributes:
-        lost: always False: the original has no monitor.
-        requires_odometry: True.
-    """
-
-    lost = False
+    name = "gmapping_original"
     requires_odometry = True
 
     def __init__(self, config: GmappingOriginalConfig | None = None) -> None:
+        super().__init__()
         self.config = config or GmappingOriginalConfig()
         self._particles = OriginalParticles(self.config)
         self._scans = KeyframeTrajectory()
@@ -113,30 +110,21 @@ class GmappingOriginalMapper:
         self._odometry: Pose2 | None = None
         self._processed_at = self._best = Pose2()
         self._distance = self._turn = 0.0
-        self._received = 0
-        self._stopwatch = Stopwatch()
 
     @property
     def resolution(self) -> float:
         """Edge of a cell of the map, meters."""
         return self.config.delta
 
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Move the particles by the odometry, process the scan if due; return `T_map_base`.
-
-        Raises:
-            ConfigError: there is no odometry, or it is not finite.
-        """
-        check_motion(odometry, imu)
-        started = self._stopwatch.start()
-        now = _logged_pose(required_odometry("gmapping_original", odometry, scan.stamp))
-        self._received += 1
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Move the particles by the odometry, process the scan if due; return `T_map_base`."""
+        assert odometry is not None, "it is required"
+        now = _logged_pose(odometry)
         self._move(now)
         if self._due:
             self._process(scan, now)
         increment = self._processed_at.inverse() @ now
         self._scans.add(scan.stamp, len(self._kept) - 1, increment)
-        self._stopwatch.stop(started)
         return self._best @ increment
 
     def map(self) -> OccupancyGrid:
@@ -148,21 +136,18 @@ class GmappingOriginalMapper:
         """Return the pose of every scan: the best particle's path, and the odometry in between."""
         return self._scans.trajectory([Pose2(*pose) for pose in self._particles.path.tolist()])
 
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far."""
+    def counts(self) -> MapperStats:
+        """Return used and skipped scans, memory and other counts."""
         particles, processed = self._particles, len(self._kept)
         return MapperStats(
-            received=self._received,
             used=processed,
-            skipped={"not moved": self._received - processed},
+            skipped={"not moved": self.received - processed},
             memory=particles.maps.nbytes + sum(s.ends.nbytes + s.hits.nbytes for s in self._kept),
             counts={
                 "particles": self.config.particles,
                 "resamplings": particles.resamplings,
                 "patches": particles.maps.in_use,
             },
-            **self._stopwatch.summary(),
         )
 
     @property
