@@ -114,7 +114,7 @@ class HectorMapper(PlanarMapper):
         match = front.match(level, prior, self._register)
         registered = self._calibrate(level, match, before)
         builder.move_base(level, before.inverse() @ front.pose, registered=registered)
-        if front.fits(match) and builder.due(level, front.pose):
+        if front.fits(match) and builder.motion_filter.due(level, front.pose):
             self._insert(level)
         return front.note(scan.stamp)
 
@@ -174,7 +174,7 @@ class HectorMapper(PlanarMapper):
         self._motion.clear()
         keyframe = Keyframe(scan, pose, self.front.ground_filter.height, min_slopes, motion)
         if self.front.enter(keyframe, self._refine):
-            self._builder.correct_pose(self.front.pose)
+            self._builder.motion_filter.correct_pose(self.front.pose)
 
     def _refine(self, keyframes: list[HectorKeyframe]) -> list[HectorKeyframe]:
         """Build the map again from keyframes; return them with their new poses.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, wrap_angle
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2
 from slam_baselines.leveling import (
     InterpolationConfig,
     LeveledScan,
@@ -17,6 +17,7 @@ from slam_baselines.leveling import (
 )
 from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.mapping.occupancy_map import NO_WALL, MapPyramid, OccupancyMap, UpdateConfig, bounding_box
+from slam_baselines.motion.motion_filter import MotionFilter, MotionFilterConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,14 +49,24 @@ class BuilderConfig(Checked):
 
 
 class MapBuilder:
-    """Pyramid of occupancy maps, with a ground filter where the attitude is known."""
+    """Pyramid of occupancy maps, with a ground filter where the attitude is known.
+
+    Attributes:
+        motion_filter: tells when the next map update is due.
+    """
 
     def __init__(self, config: BuilderConfig) -> None:
         self._config = config
         self.ground_filter = GroundFilter(config.ground_filter)
         self.updates = 0
         self._sparse = False
-        self._entered: tuple[Pose2, tuple[float, float]] | None = None
+        self.motion_filter = MotionFilter(
+            MotionFilterConfig(
+                max_distance_meters=config.map_update_distance_thresh,
+                max_angle_radians=config.map_update_angle_thresh,
+                max_tilt_radians=config.map_update_tilt_thresh,
+            )
+        )
         self.pyramid = _pyramid(config)
         self._wall_slope = 0
 
@@ -89,18 +100,6 @@ class MapBuilder:
             return None
         return self.ground_filter.match_weights(scan, pose, self.pyramid.maps[-1], self._wall_slope)
 
-    def due(self, scan: LeveledScan, pose: Pose2) -> bool:
-        """Whether the robot has moved or tilted enough since the last update."""
-        if self._entered is None:
-            return True
-        c = self._config
-        before, slope = self._entered
-        if pose.distance(before) > c.map_update_distance_thresh:
-            return True
-        tilt = math.hypot(scan.ground_slope[0] - slope[0], scan.ground_slope[1] - slope[1])
-        turn = abs(wrap_angle(pose.yaw - before.yaw))
-        return turn > c.map_update_angle_thresh or tilt > c.map_update_tilt_thresh
-
     def enter(self, scan: LeveledScan, pose: Pose2) -> ByteArray:
         """Update the map by a scan at `pose`; return the minimum slopes of its hits."""
         placed, min_slopes = self.ground_filter.insert(scan, pose)
@@ -113,7 +112,7 @@ class MapBuilder:
             drawn = interpolate_hits(*drawn, self._config.map_resolution, self._config.interpolation)
         self._draw(*drawn)
         self.updates += 1
-        self._entered = pose, scan.ground_slope
+        self.motion_filter.note(scan, pose)
         return min_slopes
 
     def enter_again(self, scan: LeveledScan, pose: Pose2, height: float, min_slopes: ByteArray) -> None:
@@ -125,11 +124,6 @@ class MapBuilder:
         grew = [level.update(scan, min_slopes, self._wall_slope, box) for level in self.pyramid.maps]
         if any(grew):
             self.pyramid.refresh()
-
-    def correct_pose(self, pose: Pose2) -> None:
-        """Correct the last keyframe's pose without a motion of the base."""
-        if self._entered is not None:
-            self._entered = pose, self._entered[1]
 
     @property
     def flat(self) -> bool:
@@ -165,7 +159,7 @@ class KnownPoseMapper:
         level = self._leveler.level(scan, imu)
         self._builder.move_base(level, Pose2() if self._last is None else self._last.inverse() @ T_map_base)
         self._last = T_map_base
-        if self._builder.due(level, T_map_base):
+        if self._builder.motion_filter.due(level, T_map_base):
             self._builder.enter(level, T_map_base)
 
     def map(self) -> OccupancyGrid:
