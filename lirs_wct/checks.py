@@ -86,11 +86,10 @@ def within(legal: str, unit: str = "", *, whole: bool = False) -> Check:
     return check
 
 
-def positive(value: float | Iterable[float], label: str) -> None:
+def positive(value: Any, label: str) -> None:
     """Check that a number, or each of several numbers, is finite and above 0."""
     for number in value if isinstance(value, Iterable) else (value,):
-        if not 0 < number < math.inf:
-            raise ConfigError(f"{label} must be a finite number above 0, got {number}")
+        within("(0, inf)")(number, label)
 
 
 def check_seed(seed: Any, label: str = "seed") -> None:

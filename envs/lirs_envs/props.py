@@ -10,8 +10,8 @@ from typing import Literal
 import mujoco
 
 from lirs_envs.robots.robot import Robot
-from lirs_wct import ConfigError, Pose2, Pose3, World, unknown_name
-from lirs_wct.checks import is_finite
+from lirs_wct import ConfigError, Pose2, Pose3, World
+from lirs_wct.checks import Checked, check_field, is_finite, limited, one_of
 
 PROP_GROUP = 1
 """Geom group of props, which the lidar sees through MuJoCo's rays; no robot uses it."""
@@ -27,7 +27,7 @@ DROP = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prop:
+class Prop(Checked, of="a prop"):
     """A body that stands on the ground.
 
     Attributes:
@@ -40,19 +40,16 @@ class Prop:
         ConfigError: a value is not legal.
     """
 
-    shape: Literal["box", "cylinder", "sphere"]
+    shape: Literal["box", "cylinder", "sphere"] = check_field(one_of(SHAPES))
     size: tuple[float, ...]
     place: Pose2
-    mass: float = 0.0
+    mass: float = limited(0.0, "[0, inf)", "kg")
 
     def __post_init__(self) -> None:
-        if self.shape not in SHAPES:
-            raise unknown_name("shape of a prop", self.shape, SHAPES)
+        super().__post_init__()
         count = SHAPES[self.shape][1]
         if len(self.size) != count or not all(0 < s < math.inf for s in self.size):
             raise ConfigError(f"a {self.shape} needs {count} finite sizes above 0 m, got {self.size}")
-        if not 0 <= self.mass < math.inf:
-            raise ConfigError(f"a prop's mass must be a finite number of at least 0 kg, got {self.mass}")
         _check(self.place)
 
     @property

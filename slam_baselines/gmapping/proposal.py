@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import Checked, limited
-from lirs_wct.errors import ConfigError
+from lirs_wct.checks import Checked, limited, require_within
 from lirs_wct.geometry import Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps, PatchMapView
@@ -61,7 +60,7 @@ class ProposalConfig(Checked):
         min_beams: fewest beams at walls for a match.
 
     Raises:
-        ConfigError: a value that is not above 0, or minimumScore above search_threshold.
+        ConfigError: minimumScore is above search_threshold, or a value is not above 0.
     """
 
     sigma: float = limited(0.05, "(0, inf]")
@@ -80,11 +79,7 @@ class ProposalConfig(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.minimumScore > self.search_threshold:
-            raise ConfigError(
-                f"minimumScore must be at most search_threshold = {self.search_threshold}, "
-                f"got {self.minimumScore}"
-            )
+        require_within(self, f"(0, {self.search_threshold}]", "minimumScore")
 
 
 class Proposal(NamedTuple):

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.checks import Checked, limited
-from lirs_wct.errors import ConfigError
+from lirs_wct.checks import Checked, limited, within
 from lirs_wct.geometry import Pose2, wrap_angle
 from lirs_wct.kernels import njit
 from slam_baselines.linalg import invert3, solve3
@@ -39,9 +38,6 @@ class MatchConfig(Checked, of="the scan matcher"):
         lever: distance at which an error of yaw is felt, meters.
         exact: whether score and information are those of the final pose; else of a pose one last, tiny step
             away, which saves a pass over the scan.
-
-    Raises:
-        ConfigError: a value that is not above 0.
     """
 
     iterations: tuple[int, ...] = (5, 3, 3)
@@ -52,8 +48,7 @@ class MatchConfig(Checked, of="the scan matcher"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if min(self.iterations) < 1:
-            raise ConfigError(f"iterations must be at least 1 on every level, got {self.iterations}")
+        within("[1, inf]")(min(self.iterations), "iterations of the scan matcher on each level")
 
 
 class Match(NamedTuple):

@@ -196,7 +196,7 @@ def test_wrong_actions(plane: World, action: Any) -> None:
         ("mapping", {"strat": 1}, "unknown option of reset 'strat'; legal: start"),
         ("mapping", {"start": [0, 0]}, r"options\['start'\] must be 3 finite numbers"),
         ("navigation", {"goal": [0, float("nan")]}, r"options\['goal'\] must be 2 finite numbers"),
-        ("navigation", {"difficulty": 1.5}, "a difficulty must be 0 to 1, got 1.5"),
+        ("navigation", {"difficulty": 1.5}, r"a difficulty must be within \[0, 1\], got 1.5"),
         ("traverse", {"kind": "lava"}, "unknown kind of terrain 'lava'; legal: craters"),
     ],
 )

@@ -73,7 +73,7 @@ def test_options_of_reset_and_actions(plane: World) -> None:
     for env in (one, two):
         with pytest.raises(ConfigError, match="options of reset must be a mapping or None, got 5"):
             env.reset(seed=0, options=5)  # type: ignore[arg-type]
-        with pytest.raises(ConfigError, match="a difficulty must be 0 to 1, got True"):
+        with pytest.raises(ConfigError, match=r"a difficulty must be within \[0, 1\], got True"):
             env.reset(seed=0, options={"difficulty": True})
         env.reset(seed=0)
     wrong: list[tuple[Any, str]] = [

@@ -84,7 +84,7 @@ def test_a_fixed_prop_stops_and_a_light_one_yields(plane: World, husky: Robot) -
         ({"shape": "cone"}, "unknown shape of a prop 'cone'; legal: box, cylinder, sphere"),
         ({"size": (1.0,)}, "a box needs 3 finite sizes"),
         ({"size": (1.0, 1.0, math.nan)}, "finite sizes above 0 m"),
-        ({"mass": -1.0}, "mass must be"),
+        ({"mass": -1.0}, "mass of a prop must be"),
         ({"place": Pose2(math.nan, 0.0)}, "place must be finite"),
     ],
 )

@@ -25,7 +25,7 @@ from lirs_envs.tasks.task import DRAWS, Stage, Task
 from lirs_envs.tasks.traverse import MIXED, CourseScale, TraverseTask, course_scale
 from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.checks import is_finite
+from lirs_wct.checks import within
 from lirs_wct.kernels import njit
 
 TASKS: dict[str, type[Task]] = {
@@ -213,8 +213,7 @@ class Episodes:
         Raises:
             ConfigError: it is not 0 to 1.
         """
-        if not (is_finite(difficulty) and 0 <= difficulty <= 1):
-            raise ConfigError(f"a difficulty must be 0 to 1, got {difficulty!r}")
+        within("[0, 1]")(difficulty, "a difficulty")
         self.stage.difficulty[i] = difficulty
 
     def step(self, ids: IntArray, actions: Any) -> FloatArray:

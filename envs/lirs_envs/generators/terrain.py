@@ -12,9 +12,9 @@ from lirs_envs.generators.maze import maze
 from lirs_envs.generators.natural import NODES, fractal
 from lirs_envs.generators.obstacles import OBSTACLES, X, Y, at_difficulty, nodes_within
 from lirs_envs.generators.route import CELL, distance_to_route, winding_route
-from lirs_wct import ConfigError, HeightField, Pose2, World, unknown_name
+from lirs_wct import HeightField, Pose2, World, unknown_name
 from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.checks import is_finite
+from lirs_wct.checks import positive, within
 from lirs_wct.ground import Terrain
 
 KINDS = (*OBSTACLES, "mazes")
@@ -89,11 +89,9 @@ def generate(
     """
     if kind not in KINDS:
         raise unknown_name("kind of terrain", kind, KINDS)
-    if not (is_finite(difficulty) and 0 <= difficulty <= 1):
-        raise ConfigError(f"difficulty of a terrain must be 0 to 1, got {difficulty}")
-    for name, factor in (("scale", scale), ("steepness", steepness)):
-        if not (is_finite(factor) and factor > 0):
-            raise ConfigError(f"{name} of a terrain must be a finite number above 0, got {factor}")
+    within("[0, 1]")(difficulty, "difficulty of a terrain")
+    positive(scale, "scale of a terrain")
+    positive(steepness, "steepness of a terrain")
     ground = _undulation(at_difficulty(difficulty, 0.05, 0.15, 0.3), rng)
     if kind == "mazes":
         rooms, open_share = at_difficulty(difficulty, 5, 7, 9), at_difficulty(difficulty, 0.6, 0.1, 0.0)

@@ -116,8 +116,8 @@ def test_courses_of_any_scale_fit_their_height_range(kind: str, scale: float, st
     ("kind", "difficulty", "scale", "message"),
     [
         ("hill", 0.5, 1.0, "unknown kind of terrain 'hill'"),
-        ("waves", 1.5, 1.0, "difficulty of a terrain must be 0 to 1, got 1.5"),
-        ("waves", math.nan, 1.0, "difficulty of a terrain must be 0 to 1, got nan"),
+        ("waves", 1.5, 1.0, r"difficulty of a terrain must be within \[0, 1\], got 1.5"),
+        ("waves", math.nan, 1.0, r"difficulty of a terrain must be within \[0, 1\], got nan"),
         ("waves", 0.5, 0.0, "scale of a terrain must be a finite number above 0, got 0"),
     ],
 )
