@@ -39,8 +39,7 @@ class SimulationConfig(Checked):
         inertial: noise of inertial readings near 200 Hz, which observations then hold; None = none.
 
     Raises:
-        ConfigError: a value is of the wrong type or not legal, or no lidar, rays or contact geometry has the
-            name.
+        ConfigError: a value is of the wrong type or not legal.
     """
 
     robot: Robot = check_field(of_type(Robot))

@@ -45,8 +45,7 @@ class HectorOriginalConfig(Checked):
         laser_max_dist: farther hits are not used, meters.
 
     Raises:
-        ConfigError: a length that is not above 0, a map size that cannot be halved for each level, or a
-            probability on the wrong side of 0.5.
+        ConfigError: a value is not legal, or the map size cannot be halved for each level.
     """
 
     map_resolution: float = limited(0.05, "(0, inf]", "m")

@@ -192,8 +192,7 @@ class LocalConfig(Checked, of="local SLAM"):
         tracking: mean occupancy at the ends of the beams below which a scan enters no submap.
 
     Raises:
-        ConfigError: the tracking's lost_score above the registration's search_threshold, or a
-            sparse_distance that is not above 0.
+        ConfigError: a value is not legal, or lost_score is above the registration's search_threshold.
     """
 
     submaps: SubmapConfig = field(default_factory=SubmapConfig)

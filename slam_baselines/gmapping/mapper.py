@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.front_end import FrontEnd, PlanarMapper
 from slam_baselines.gmapping.config import GmappingConfig
@@ -51,15 +51,6 @@ class ParticleFilter(Particles[PatchMaps]):
         self._rng = np.random.default_rng(config.seed)
         self.proposer = Proposer(config)
         self.turned = 0.0
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Pose of every scan on the path of the best particle."""
-        return self.tree.trajectory(self.best_leaf)
-
-    def known_slopes(self, points: FloatArray) -> ByteArray:
-        """Return (n,) minimum slopes of the best map's cells at points (n, 2 or more)."""
-        return self.maps.min_slope(self.best, points)
 
     def match_best(
         self, beams: ScanBeams, increment: MotionIncrement, wall_slope: int, *, wide: bool = False
@@ -247,7 +238,7 @@ class GmappingMapper(PlanarMapper):
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan on the path of the best particle."""
-        return self._filter.trajectory
+        return self._filter.tree.trajectory(self._filter.best_leaf)
 
     def counts(self) -> MapperStats:
         """Return used and skipped scans, memory and other counts."""
@@ -353,7 +344,7 @@ class GmappingMapper(PlanarMapper):
         """Return the scan's hits, with weight 1 for known walls and 0 for possible ground."""
         ground, pose = self.ground_filter, self._pose
         placed = None if ground.flat else scan.transformed(pose, ground.height).hits
-        known = None if placed is None else self._filter.known_slopes(placed)
+        known = None if placed is None else self._filter.maps.min_slope(self._filter.best, placed)
         return ScanBeams(scan.hits, ground.match_walls(scan, pose, known=known))
 
     def _enter(self, scan: LeveledScan, motion: GyroIncrement) -> None:

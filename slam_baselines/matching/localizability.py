@@ -34,8 +34,7 @@ class LocalizabilityConfig(Checked, of="localizability"):
             fitted.
 
     Raises:
-        ConfigError: a score or share outside (0, 1), a least_share above the share, a memory below 1, or
-            another value that is not above 0.
+        ConfigError: a value is not legal, or least_share is above share.
     """
 
     score: float = limited(0.6, "(0, 1)")
