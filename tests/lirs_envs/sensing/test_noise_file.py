@@ -39,7 +39,7 @@ def test_omitted_sections_and_fields_keep_their_defaults(tmp_path: Path) -> None
         ("lidra: {}", "unknown section 'lidra'"),
         ("lidar: 3", "section lidar must hold fields, got 3; legal: sigma,"),
         ("lidar: {sigmo: 1}", "unknown field of lidar 'sigmo'"),
-        ("lidar: {sigma: thick}", "sigma of lidar must be a number, got 'thick'"),
+        ("lidar: {sigma: thick}", "sigma of the lidar noise must be a finite number at least 0, got 'thick'"),
         ("lidar: {sigma: -1}", "sigma of the lidar noise must be"),
         ("lidar: {sigma: 1", "line 1"),
     ],
