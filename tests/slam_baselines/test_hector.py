@@ -91,9 +91,6 @@ def test_unknown_names_list_the_legal_ones() -> None:
 @pytest.mark.parametrize(
     "bad",
     [
-        {"map_resolution": 0.0},
-        {"map_multi_res_levels": 0},
-        {"map_update_distance_thresh": -1.0},
         {"tracking": TrackingConfig(lost_score=0.9)},
         {"registration": RegistrationConfig(match=MatchConfig(iterations=(3,)))},
     ],

@@ -3,9 +3,7 @@
 import math
 
 import numpy as np
-import pytest
 
-from lirs_wct.errors import ConfigError
 from slam_baselines.leveling import InterpolationConfig, ScanPoints, interpolate_hits, voxel_filter
 
 SPACING = 0.05
@@ -52,13 +50,6 @@ def test_no_wall_is_drawn_across_a_doorway_a_step_or_between_two_things():
 def test_few_hits_are_no_surface():
     assert len(interpolated([])[0]) == 0
     assert len(interpolated(wall((0, 1)))[0]) == 2
-
-
-def test_illegal_settings_are_named():
-    with pytest.raises(ConfigError, match="max_gap"):
-        InterpolationConfig(max_gap=0.0)
-    with pytest.raises(ConfigError, match="max_obliqueness"):
-        InterpolationConfig(max_obliqueness=0.5)
 
 
 def test_the_voxel_filter_keeps_one_point_a_square() -> None:

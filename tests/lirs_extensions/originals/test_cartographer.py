@@ -15,7 +15,6 @@ from lirs_extensions.originals.cartographer.mapper import (
     CartographerOriginalMapper,
 )
 from lirs_wct import Imu, Pose2
-from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.linalg import wrap
@@ -117,14 +116,6 @@ def test_a_scan_without_returns_follows_the_odometry() -> None:
     empty = replace(room_scan(Pose2(), 0.3, rng), ranges=np.full(361, np.inf, np.float32))
     assert mapper.update(empty, Pose2(0.2, 0.0), None).x == pytest.approx(0.2, abs=0.02)
     assert mapper.stats.skipped == {"no return": 1}
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"resolution": 0.0}, {"hit_probability": 0.5}, {"miss_probability": 0.6}, {"num_range_data": 0}]
-)
-def test_wrong_parameters_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ConfigError, match=next(iter(wrong))):
-        make_mapper("cartographer_original", **wrong)
 
 
 def test_the_published_defaults_are_set() -> None:

@@ -3,7 +3,6 @@
 import ctypes
 import ctypes.util
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from lirs_extensions.originals.gmapping.mapper import (
     path_map,
 )
 from lirs_wct import Imu, Pose2
-from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.geometry.scan import LaserScan
@@ -154,14 +152,6 @@ def test_a_cell_of_the_map_is_occupied_above_a_quarter_of_hits() -> None:
     grid = path_map(np.zeros((2, 3)), [near, far], 0.5, 0.25)
     assert grid.occupied_points()[:, 0].round(3).tolist() == [2.0]
     assert grid.free.sum() == 4
-
-
-@pytest.mark.parametrize(
-    "bad", [{"delta": 0.0}, {"particles": 0}, {"iterations": 0}, {"resampleThreshold": 1.5}, {"srr": -0.1}]
-)
-def test_illegal_config(bad: dict[str, float]) -> None:
-    with pytest.raises(ConfigError):
-        replace(GmappingOriginalConfig(), **bad)  # type: ignore[arg-type]
 
 
 def test_srt_and_str_are_the_same_errors_in_both_configs() -> None:

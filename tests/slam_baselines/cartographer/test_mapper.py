@@ -10,7 +10,7 @@ from lirs_validation.metrics.relative_pose_error import constraint_errors, read_
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
-from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig, GlobalConfig, SubmapConfig
+from slam_baselines.cartographer.config import ConstraintConfig, GlobalConfig, SubmapConfig
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.cartographer.corridor import CORRIDOR, corridor_scan, ring
 
@@ -124,9 +124,7 @@ def test_the_map_grows_as_if_drawn_at_once():
     ("make", "message"),
     [
         (lambda: SubmapConfig(search_level=3), "search_level"),
-        (lambda: CandidateConfig(sampling_ratio=1.5), "sampling_ratio"),
         (lambda: ConstraintConfig(min_score=0.9), "global_min_score"),
-        (lambda: make_mapper("cartographer", map_resolution=0.0), "map_resolution"),
         (lambda: make_mapper("cartographer", nonsense=1), "nonsense"),
     ],
 )

@@ -5,7 +5,6 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import (
     CartographerConfig,
@@ -252,11 +251,6 @@ def test_loops_are_reported(ten_laps: tuple[CartographerMapper, list[Pose2], lis
         assert event.distance == event.before.distance(event.after)
     with pytest.raises(FrozenInstanceError):
         events[0].score = 1.0  # type: ignore[misc]
-
-
-def test_illegal_trimming_is_named() -> None:
-    with pytest.raises(ConfigError, match="fresh_submaps_count"):
-        TrimmingConfig(fresh_submaps_count=0)
 
 
 @pytest.mark.slow

@@ -151,14 +151,6 @@ def test_lost_after_being_carried_away_and_not_before() -> None:
     assert mapper.stats.lost > 0
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("particles", 0), ("resampleThreshold", 1.5), ("linearUpdate", -1)]
-)
-def test_illegal_configuration_is_named(name: str, value: float) -> None:
-    with pytest.raises(ConfigError, match=name):
-        make_mapper("gmapping", **{name: value})
-
-
 def test_the_tree_follows_the_survivors_and_forgets_the_dead() -> None:
     rng = np.random.default_rng(4)
     tree, plain = TrajectoryTree(), []

@@ -115,8 +115,6 @@ def test_same_seed_same_draw() -> None:
 
 
 def test_illegal_numbers_are_named() -> None:
-    with pytest.raises(ConfigError, match="lsigma"):
-        ProposalConfig(lsigma=0)
     with pytest.raises(ConfigError, match="minimumScore"):
         ProposalConfig(minimumScore=0.9)
 

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.leveling import ScanPoints
 from slam_baselines.mapping.keyframe import KeyframeTrajectory
@@ -135,14 +134,6 @@ def test_beams_without_return_clear_to_their_end() -> None:
 
 def test_a_map_that_saw_nothing_is_unknown() -> None:
     assert not OccupancyMap(0.05).occupancy_grid(0).known.any()
-
-
-@pytest.mark.parametrize(
-    "bad", [{"update_factor_free": 0.5}, {"update_factor_occupied": 0.5}, {"limit": 0.0}, {"limit": 13.0}]
-)
-def test_illegal_config(bad: dict[str, float]) -> None:
-    with pytest.raises(ConfigError, match=next(iter(bad))):
-        UpdateConfig(**bad)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 120), st.integers(0, 120))

@@ -3,11 +3,9 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lirs_wct.errors import ConfigError
 from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
 
 CONFIG = GyroBiasConfig()
@@ -67,9 +65,3 @@ def test_a_map_that_was_turned_is_no_bias() -> None:
     for _ in range(100):
         on = on.learned(0.0, 1.5)
     assert abs(on.value - known.value) < CONFIG.prior / 4
-
-
-@pytest.mark.parametrize("name", ["prior", "drift", "walk", "heading", "gate"])
-def test_illegal_config(name: str) -> None:
-    with pytest.raises(ConfigError, match=name):
-        GyroBiasConfig(**{name: 0.0})
