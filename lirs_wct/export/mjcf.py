@@ -38,11 +38,8 @@ def world_spec(
     *,
     contact: ContactGrid | None = None,
     robot: mujoco.MjSpec | None = None,
-    group: int = TERRAIN_GROUP,
     contact_geometry: ContactGeometry = "hfield",
     ray_surface: bool = False,
-    seen: bool = True,
-    heights: bool = True,
     height_range: tuple[float, float] | None = None,
 ) -> mujoco.MjSpec:
     """Return the world as an MjSpec to compile.
@@ -51,11 +48,8 @@ def world_spec(
         world: ground and walls.
         contact: contact grid; default: the surface itself.
         robot: specification to which the world is added; its options and defaults stay unchanged.
-        group: geom group of ground and walls.
         contact_geometry: geometry of contacts (see `CONTACT_GEOMETRIES`).
         ray_surface: whether to add the surface itself for MuJoCo's own rays if contacts use another geometry.
-        seen: whether to add the visible mesh of a world with overhangs.
-        heights: whether the height field contains its heights; otherwise a file supplies them.
         height_range: lowest and highest height of the height field, meters; `write_heights` fills it in the
             compiled model. Default: the range of the ground.
 
@@ -66,24 +60,42 @@ def world_spec(
     spec = robot if robot is not None else mujoco.MjSpec()
     spec.modelname = world.name
     surface = world.surface if contact is None else contact.heights(world.surface)
-    if contact_geometry in ("prisms", "convex"):
-        _add_parts(spec, world, contact_geometry, group)
-    elif world.walls is None or world.walls.hole is None:
-        _add_ground(spec, surface, group, heights=heights, height_range=height_range)
-    else:
-        _add_boxes(spec, world.walls, world.walls.floor, (-BASE, 0.0), group, GROUND_COLOR)
-    if world.walls is not None:
-        _add_boxes(spec, world.walls, world.walls.solid, (0.0, world.walls.height), group, WALL_COLOR)
-    if contact_geometry == "mesh" or (world.overhangs and seen):
-        _add_tiles(spec, world, RAY_GROUP if world.overhangs else group)
+    _add_contact_geoms(spec, world, surface, contact_geometry, height_range)
+    if contact_geometry == "mesh" or world.overhangs:
+        _add_tiles(spec, world, RAY_GROUP if world.overhangs else TERRAIN_GROUP)
     elif ray_surface and (contact_geometry != "hfield" or surface.shape != world.surface.shape):
-        _hide(spec, group)
-        _add_ground(spec, world.surface, group, name="seen", contype=0, conaffinity=0)
+        _hide(spec)
+        _add_ground(spec, world.surface, name="seen", contype=0, conaffinity=0)
     for geom in spec.worldbody.geoms:
         # The robot's defaults also apply here: equal priorities would mix the contact parameters of both.
         geom.priority = 0
     spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     return spec
+
+
+def contact_spec(world: World, contact_geometry: ContactGeometry) -> mujoco.MjSpec:
+    """Return only the geoms of a world that are touched."""
+    spec = mujoco.MjSpec()
+    _add_contact_geoms(spec, world, world.surface, contact_geometry)
+    return spec
+
+
+def _add_contact_geoms(
+    spec: mujoco.MjSpec,
+    world: World,
+    surface: HeightField,
+    contact_geometry: ContactGeometry,
+    height_range: tuple[float, float] | None = None,
+) -> None:
+    walls = world.walls
+    if contact_geometry in ("prisms", "convex"):
+        _add_parts(spec, world, contact_geometry)
+    elif walls is None or walls.hole is None:
+        _add_ground(spec, surface, height_range=height_range)
+    else:
+        _add_boxes(spec, walls, walls.floor, (-BASE, 0.0), GROUND_COLOR)
+    if walls is not None:
+        _add_boxes(spec, walls, walls.solid, (0.0, walls.height), WALL_COLOR)
 
 
 def _boxes(walls: WallGrid, rectangles: IntArray) -> FloatArray:
@@ -97,9 +109,7 @@ def _boxes(walls: WallGrid, rectangles: IntArray) -> FloatArray:
 def _add_ground(
     spec: mujoco.MjSpec,
     surface: HeightField,
-    group: int,
     name: str = "ground",
-    heights: bool = True,
     height_range: tuple[float, float] | None = None,
     **options: int,
 ) -> None:
@@ -111,7 +121,7 @@ def _add_ground(
     common = {
         "name": name,
         "pos": ((west + east) / 2, (south + north) / 2, low),
-        "group": group,
+        "group": TERRAIN_GROUP,
         "rgba": GROUND_COLOR,
         **options,
     }
@@ -119,10 +129,9 @@ def _add_ground(
         # A plane costs a contact test, a flat height field all the prisms under a wheel.
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(*half, 1.0), **common)
         return
-    data = {}
-    if heights:
-        data = dict(zip(("nrow", "ncol"), surface.shape, strict=True), userdata=surface.south_up.ravel())
-    spec.add_hfield(name=name, size=(*half, relief, BASE), **data)
+    rows, cols = surface.shape
+    heights = surface.south_up.ravel()
+    spec.add_hfield(name=name, size=(*half, relief, BASE), nrow=rows, ncol=cols, userdata=heights)
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, **common)
 
 
@@ -155,7 +164,6 @@ def _add_boxes(
     walls: WallGrid,
     cells: BoolArray,
     span: tuple[float, float],
-    group: int,
     color: tuple[float, ...],
 ) -> None:
     """Add boxes to the world body; MuJoCo would update a separate body at every step."""
@@ -168,34 +176,34 @@ def _add_boxes(
             pos=(x, y, (low + high) / 2),
             size=(hx, hy, (high - low) / 2),
             quat=quat,
-            group=group,
+            group=TERRAIN_GROUP,
             rgba=color,
         )
     # With sleeping enabled MuJoCo skips static geoms: 2,372 boxes cost 5 us a step instead of 19.
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
-def _add_parts(spec: mujoco.MjSpec, world: World, contact_geometry: ContactGeometry, group: int) -> None:
+def _add_parts(spec: mujoco.MjSpec, world: World, contact_geometry: ContactGeometry) -> None:
     """Add each convex part as a mesh; MuJoCo's contact uses its hull, which equals the part."""
     for k, corners in enumerate(contact_parts(world, contact_geometry)):
         name = f"ground{k}"
         spec.add_mesh(name=name, uservert=corners.ravel())
         spec.worldbody.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=group, rgba=GROUND_COLOR
+            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=TERRAIN_GROUP, rgba=GROUND_COLOR
         )
     spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 
-def _hide(spec: mujoco.MjSpec, group: int) -> None:
+def _hide(spec: mujoco.MjSpec) -> None:
     """Make the contact geoms invisible to cameras and to MuJoCo's rays."""
     for geom in spec.worldbody.geoms:
-        if geom.group == TERRAIN_GROUP or geom.group == group:
+        if geom.group == TERRAIN_GROUP:
             geom.rgba = (*geom.rgba[:3], 0.0)
 
 
 def _add_tiles(spec: mujoco.MjSpec, world: World, group: int) -> None:
     """Add the world's mesh as visible geoms without contact; contact geoms become invisible."""
-    _hide(spec, group)
+    _hide(spec)
     for k, tile in enumerate(split_tiles(world.mesh, aim=MUJOCO_FACES // 2)):
         name = f"seen{k}"
         spec.add_mesh(
