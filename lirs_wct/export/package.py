@@ -198,7 +198,7 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
         write_heightmap(folder / picture, world.surface)
         model = heightmap_sdf(name, world.surface, picture.as_posix(), _heightmap_layer(world, folder))
     else:
-        model = model_sdf(name, mesh=f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
+        model = model_sdf(name, f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
     view, starts = overview(*world_extent(world), GAZEBO_FOVY), _starts(world)
     classic = world_sdf(name, view=view, place=world.place, starts=starts)
     albedo = _albedo(world, folder) if terrain == "solid" and "dae" in formats else None

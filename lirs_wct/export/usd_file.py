@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.gazebo import FRICTION
+from lirs_wct.formats.gazebo import FRICTION, GRAVITY
 from lirs_wct.formats.meshes.collada import MeshPart
 from lirs_wct.world import World
 
-GRAVITY = 9.80665
 SUN = 3000.0
 """Intensity of the distant light."""
 

@@ -14,7 +14,6 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from lirs_wct.arrays import ByteArray
-from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.images.picture import write_image
 from lirs_wct.geometry.geodesy import Place
@@ -24,26 +23,12 @@ from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import Viewpoint
 
 VERSION = "1.6"
+GRAVITY = 9.80665
 FRICTION = 0.9
 """Coulomb's coefficient of the ground."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Physics(Checked):
-    """Settings of Gazebo's physics engine.
-
-    Attributes:
-        timestep: seconds.
-        real_time_factor: target of simulated seconds per wall second; 0 = as fast as possible.
-        gravity: m/s^2 along x, y, z.
-    """
-
-    timestep: float = limited(0.001, "(0, inf]", "s")
-    real_time_factor: float = limited(1.0, "[0, inf]")
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.80665)
-
-
-def model_config(name: str, *, author: str = "LIRS-WCT", description: str = "") -> str:
+def model_config(name: str) -> str:
     """Return `model.config`, which makes a folder a Gazebo model package."""
     return f"""<?xml version="1.0"?>
 <model>
@@ -51,29 +36,25 @@ def model_config(name: str, *, author: str = "LIRS-WCT", description: str = "") 
   <version>1.0</version>
   <sdf version="{VERSION}">model.sdf</sdf>
   <author>
-    <name>{escape(author)}</name>
+    <name>LIRS-WCT</name>
     <email></email>
   </author>
-  <description>{escape(description or "Static world built by LIRS-WCT.")}</description>
+  <description>Static world built by LIRS-WCT.</description>
 </model>
 """
 
 
-def model_sdf(name: str, *, mesh: str | None = None, friction: float = FRICTION) -> str:
+def model_sdf(name: str, mesh: str) -> str:
     """Return `model.sdf`: one static link whose visual and collision geometry is the same mesh.
 
     Args:
-        name: of the model and of its folder.
-        mesh: path of the mesh inside the package; default `meshes/NAME.dae`.
-        friction: Coulomb's coefficient of the surface.
+        name: name of the model and of its folder.
+        mesh: path of the mesh inside the package.
 
     Raises:
-        ConfigError: the name holds spaces, or friction is not above 0.
+        ConfigError: the name holds spaces.
     """
-    if not 0 < friction < float("inf"):
-        raise ConfigError(f"friction must be a finite number above 0, got {friction}")
-    uri = model_uri(name, mesh or f"meshes/{name}.dae")
-    geometry = f"<geometry><mesh><uri>{escape(uri)}</uri></mesh></geometry>"
+    geometry = f"<geometry><mesh><uri>{escape(model_uri(name, mesh))}</uri></mesh></geometry>"
     return f"""<?xml version="1.0"?>
 <sdf version="{VERSION}">
   <model name={quoteattr(name)}>
@@ -86,7 +67,7 @@ def model_sdf(name: str, *, mesh: str | None = None, friction: float = FRICTION)
         {geometry}
         <surface>
           <friction>
-            <ode><mu>{friction:g}</mu><mu2>{friction:g}</mu2></ode>
+            <ode><mu>{FRICTION}</mu><mu2>{FRICTION}</mu2></ode>
           </friction>
         </surface>
       </collision>
@@ -142,40 +123,28 @@ _DAYLIGHT = """    <scene>
 
 
 def world_sdf(
-    name: str,
-    *,
-    model: str | None = None,
-    physics: Physics | None = None,
-    view: Viewpoint | None = None,
-    place: Place | None = None,
-    starts: Sequence[Pose3] = (),
+    name: str, *, view: Viewpoint | None = None, place: Place | None = None, starts: Sequence[Pose3] = ()
 ) -> str:
     """Return a world file with a sun and the model, which is its only ground.
 
     Args:
-        name: of the world.
-        model: name of the included model; default = name.
-        physics: timestep, pace, gravity.
+        name: name of the world and of the included model.
         view: of the user's camera as the window opens; None = Gazebo's, near the origin.
         place: of the world on the earth.
         starts: start poses of robots on the ground. Gazebo classic stores no such poses; a comment holds the
             commands.
     """
-    step = physics or Physics()
-    # Without a target update rate Gazebo runs as fast as it can.
-    rate = step.real_time_factor / step.timestep
-    x, y, z = step.gravity
     return f"""<?xml version="1.0"?>
 <sdf version="{VERSION}">
   <world name={quoteattr(name)}>
-    <gravity>{x:g} {y:g} {z:g}</gravity>
+    <gravity>0 0 {-GRAVITY}</gravity>
     <physics name="default" type="ode">
-      <max_step_size>{step.timestep:g}</max_step_size>
-      <real_time_factor>{step.real_time_factor:g}</real_time_factor>
-      <real_time_update_rate>{rate:g}</real_time_update_rate>
+      <max_step_size>0.001</max_step_size>
+      <real_time_factor>1</real_time_factor>
+      <real_time_update_rate>1000</real_time_update_rate>
     </physics>{spherical_coordinates(place)}
 {_spawning(starts)}{_gui(view)}{_DAYLIGHT}    <include>
-      <uri>{escape(model_uri(model or name))}</uri>
+      <uri>{escape(model_uri(name))}</uri>
     </include>
   </world>
 </sdf>
@@ -285,37 +254,19 @@ SIDES = tuple(2**n + 1 for n in range(4, 13))
 """Legal pixels per side: 17 to 4097."""
 
 
-def heightmap_side(surface: HeightField) -> int:
-    """Return the smallest legal side that is not coarser than the surface, at most 4097."""
-    side: int = next((side for side in SIDES if side >= max(surface.shape)), SIDES[-1])
-    return side
+def write_heightmap(path: Path, surface: HeightField) -> None:
+    """Write gray levels as PNG: 0 is the lowest point, 255 the highest.
 
-
-def heightmap_pixels(surface: HeightField, side: int | None = None) -> ByteArray:
-    """Return (side, side) gray levels: 0 is the lowest point, 255 the highest.
-
-    The picture has 8 bits, since Gazebo reads 16 bits as infinite heights.
+    The picture has the smallest legal side that is not coarser than the surface, at most 4097. It has 8 bits,
+    since Gazebo reads 16 bits as infinite heights.
 
     Raises:
-        ConfigError: side is not 2^n + 1.
-    """
-    side = side or heightmap_side(surface)
-    if side not in SIDES:
-        raise ConfigError(f"a heightmap has 2^n + 1 pixels a side, got {side}; legal: {SIDES}")
-    above = surface.z - surface.z.min()
-    levels = resample(above, side, side) * np.float32(255 / max(surface.relief, 1e-9))
-    pixels: ByteArray = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-    return pixels
-
-
-def write_heightmap(path: Path, surface: HeightField, side: int | None = None) -> None:
-    """Write the picture as PNG.
-
-    Raises:
-        ConfigError: side is not 2^n + 1.
         OutputError: the file cannot be written.
     """
-    write_image(path, heightmap_pixels(surface, side))
+    side = next((side for side in SIDES if side >= max(surface.shape)), SIDES[-1])
+    above = surface.z - surface.z.min()
+    levels = resample(above, side, side) * np.float32(255 / max(surface.relief, 1e-9))
+    write_image(path, np.clip(np.rint(levels), 0, 255).astype(np.uint8))
 
 
 @dataclass(frozen=True)

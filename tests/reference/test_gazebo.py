@@ -43,7 +43,7 @@ def package(tmp_path: Path) -> Path:
     dae = model / "meshes/dune.dae"
     write_collada(dae, solid_mesh(hills()), "../materials/textures/sand.png")
     (model / "model.config").write_text(model_config("dune"))
-    (model / "model.sdf").write_text(model_sdf("dune"))
+    (model / "model.sdf").write_text(model_sdf("dune", "meshes/dune.dae"))
     (model / "dune.world").write_text(world_sdf("dune"))
     return model
 

@@ -5,15 +5,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.errors import ConfigError
-from lirs_wct.formats.gazebo import (
-    Layer,
-    flat_normals,
-    heightmap_pixels,
-    heightmap_sdf,
-    heightmap_side,
-    write_heightmap,
-)
+from lirs_wct.formats.gazebo import Layer, flat_normals, heightmap_sdf, write_heightmap
 from lirs_wct.geometry.heightfield import HeightField
 
 
@@ -22,29 +14,26 @@ def hills(rows: int, cols: int) -> HeightField:
     return HeightField.centered(z - z.min(), (0.5, 0.25))
 
 
+def picture(folder: Path, surface: HeightField) -> np.ndarray:
+    write_heightmap(folder / "a.png", surface)
+    return cv2.imread(str(folder / "a.png"), cv2.IMREAD_UNCHANGED)
+
+
 @pytest.mark.parametrize(("longest", "side"), [(2, 17), (129, 129), (130, 257), (5000, 4097)])
-def test_side(longest: int, side: int) -> None:
-    assert heightmap_side(HeightField.centered(np.zeros((2, longest), np.float32), (1, 1))) == side
+def test_level_ground(longest: int, side: int, tmp_path: Path) -> None:
+    pixels = picture(tmp_path, HeightField.centered(np.zeros((2, longest), np.float32), (1, 1)))
+    assert pixels.shape == (side, side)
+    assert not pixels.any()
 
 
 def test_pixels_are_the_surface(tmp_path: Path) -> None:
     surface = hills(60, 100)
-    write_heightmap(tmp_path / "a.png", surface)
-    pixels = cv2.imread(str(tmp_path / "a.png"), cv2.IMREAD_UNCHANGED)
+    pixels = picture(tmp_path, surface)
     assert pixels.shape == (129, 129)
     assert pixels.dtype == np.uint8
     w, s, e, n = surface.bounds
     x, y = np.meshgrid(np.linspace(w, e, 129), np.linspace(n, s, 129))
     assert np.abs(pixels / 255 * surface.relief - surface.height_at(x, y)).max() < surface.relief / 100
-
-
-def test_level_ground() -> None:
-    assert not heightmap_pixels(HeightField.centered(np.zeros((3, 3), np.float32), (1, 1))).any()
-
-
-def test_an_impossible_side_is_refused() -> None:
-    with pytest.raises(ConfigError, match="got 128; legal"):
-        heightmap_pixels(hills(60, 100), 128)
 
 
 def test_sdf_has_the_meters() -> None:
