@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -16,8 +17,36 @@ from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.wall_solid import wall_mesh
 
 
+class Ground(ABC):
+    """Ground of a world.
+
+    Attributes:
+        kind: type of the ground.
+        surface: heights from above.
+        no_ground: (rows, cols) whether a node of the surface has no ground; None = every node has.
+        sample_spacing: of a terrain's source, meters, where the surface was resampled.
+        walls: walls of a laser map.
+        truth: input map of these walls; None = not known.
+        solid: mesh of a mesh ground.
+        overhangs: whether that mesh has more than one surface on a vertical line.
+    """
+
+    kind: ClassVar[Literal["terrain", "map", "mesh"]]
+    surface: HeightField
+    no_ground: BoolArray | None = None
+    sample_spacing: float | None = None
+    walls: WallGrid | None = None
+    truth: OccupancyGrid | None = None
+    solid: TriangleMesh | None = None
+    overhangs: bool = False
+
+    @abstractmethod
+    def mesh(self, settings: ExportOptions) -> TriangleMesh:
+        """Return the ground as a closed solid within the settings' budget."""
+
+
 @dataclass(frozen=True)
-class Terrain:
+class Terrain(Ground):
     """Ground given by its heights: from a picture, or from an open mesh seen from above.
 
     Attributes:
@@ -37,7 +66,7 @@ class Terrain:
 
 
 @dataclass(frozen=True)
-class LaserMap:
+class LaserMap(Ground):
     """Walls on a level floor.
 
     Attributes:
@@ -57,7 +86,7 @@ class LaserMap:
 
 
 @dataclass(frozen=True)
-class MeshGround:
+class MeshGround(Ground):
     """A mesh and its heights from above.
 
     Contact with an open mesh is on the front of its faces.
@@ -78,9 +107,6 @@ class MeshGround:
     def mesh(self, settings: ExportOptions) -> TriangleMesh:
         """Return the mesh; with a budget and without overhangs, its simplified heights."""
         return _simplify(self.surface, settings) if settings.limited and not self.overhangs else self.solid
-
-
-Ground = Terrain | LaserMap | MeshGround
 
 
 def _simplify(surface: HeightField, settings: ExportOptions) -> TriangleMesh:

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.world_json import WorldFile, checked_content, read_world, write_world
+from lirs_wct.formats.world_json import (
+    ARRAYS,
+    SCHEMA,
+    checked_content,
+    find_textures,
+    keep_textures,
+    read_world,
+    write_world,
+)
 from lirs_wct.geometry import OccupancyGrid, Pose2
-from lirs_wct.geometry.geodesy import Place
+from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid
@@ -27,9 +35,11 @@ from lirs_wct.navigation.traversability import (
     cause_of_refusal,
     nearest_place,
     overlaid,
-    traversable,
     traversable_by,
 )
+
+CELLS = (1e-5, 1e6)
+"""Smallest and largest distance of two nodes of a stored surface, meters."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +89,12 @@ class World(ShownAsPicture):
     @property
     def sample_spacing(self) -> float | None:
         """Distance between the source's height samples, meters; None of a laser map or a mesh."""
-        if not isinstance(self.ground, Terrain):
-            return None
-        return self.ground.sample_spacing or max(self.surface.cell)
+        return self.ground.sample_spacing or (max(self.surface.cell) if self.kind == "terrain" else None)
 
     @property
     def walls(self) -> WallGrid | None:
         """Walls of a laser map."""
-        return self.ground.walls if isinstance(self.ground, LaserMap) else None
+        return self.ground.walls
 
     def enclose(self) -> World:
         """Return a laser map's world with a wall along the border of the map; other worlds unchanged."""
@@ -98,22 +106,22 @@ class World(ShownAsPicture):
     @property
     def truth(self) -> OccupancyGrid | None:
         """The input laser map."""
-        return self.ground.truth if isinstance(self.ground, LaserMap) else None
+        return self.ground.truth
 
     @property
     def solid(self) -> TriangleMesh | None:
         """The mesh of a world of kind `mesh`."""
-        return self.ground.solid if isinstance(self.ground, MeshGround) else None
+        return self.ground.solid
 
     @property
     def overhangs(self) -> bool:
         """Whether the world is a mesh with more than one surface on a vertical line."""
-        return isinstance(self.ground, MeshGround) and self.ground.overhangs
+        return self.ground.overhangs
 
     @property
     def no_ground(self) -> BoolArray | None:
         """(rows, cols) whether a node of the surface has no ground; None = every node has."""
-        return None if isinstance(self.ground, LaserMap) else self.ground.no_ground
+        return self.ground.no_ground
 
     @cached_property
     def mesh(self) -> TriangleMesh:
@@ -153,24 +161,23 @@ class World(ShownAsPicture):
         return mesh
 
     def traversable(self, *, clearance: float, max_slope: float, resolution: float = 0.1) -> OccupancyGrid:
-        """Return a grid whose free cells are legal positions of a robot's center (see `traversable`)."""
-        return traversable(
-            self.surface,
-            self.walls,
-            self.truth,
-            self.no_ground,
-            clearance=clearance,
-            max_slope=max_slope,
-            resolution=resolution,
-        )
+        """Return a grid whose free cells are legal positions of a robot's center; others are occupied.
+
+        Args:
+            clearance: distance that the center keeps from steep ground, walls and the border, meters.
+            max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
+            resolution: cell size, meters.
+
+        Raises:
+            SourceError: the world is too large for a grid of this resolution.
+        """
+        return next(self.traversable_by([(clearance, max_slope)], resolution))
 
     def traversable_by(
         self, limits: Iterable[tuple[float, float]], resolution: float
     ) -> Iterator[OccupancyGrid]:
         """Yield the grid of each pair of clearance, meters, and slope, radians (see `traversable`)."""
-        return traversable_by(
-            limits, self.surface, self.walls, self.truth, self.no_ground, resolution=resolution
-        )
+        return traversable_by(self.ground, limits, resolution)
 
     def refusal(
         self, place: tuple[float, float], *, clearance: float, max_slope: float, resolution: float = 0.1
@@ -184,9 +191,7 @@ class World(ShownAsPicture):
             resolution: as in `traversable`.
         """
         free = self.traversable(clearance=clearance, max_slope=max_slope, resolution=resolution)
-        blocked = blocked_ground(
-            self.surface, self.walls, self.truth, self.no_ground, max_slope=max_slope, grid=free
-        )
+        blocked = blocked_ground(self.ground, max_slope, free)
         cause = cause_of_refusal(self.surface, blocked, free, place, clearance=clearance, max_slope=max_slope)
         return cause, nearest_place(self.driven(free), place)
 
@@ -229,26 +234,33 @@ class World(ShownAsPicture):
         return replace(self, export_options=self.export_options.updated(given))
 
     def save(self, folder: str | Path) -> Path:
-        """Write `world.json` and its arrays; `World.load` returns exactly the same world."""
-        content = WorldFile(
-            name=self.name,
-            kind=self.kind,
-            scale=self.scale,
-            surface=self.surface,
-            spawn_poses=self.spawn_poses,
-            spawn_for=self.spawn_for,
-            start=self.start,
-            walls=self.walls,
-            truth=self.truth,
-            solid=self.solid,
-            overhangs=self.overhangs,
-            no_ground=self.no_ground,
-            sample_spacing=self.ground.sample_spacing if isinstance(self.ground, Terrain) else None,
-            export_options=asdict(self.export_options),
-            source=self.source,
-            place=self.place,
-        )
-        return write_world(content, Path(folder))
+        """Write `world.json` and its arrays; `World.load` returns exactly the same world.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        surface, folder = self.surface, Path(folder)
+        entry: dict[str, Any] = {
+            "schema": SCHEMA,
+            "name": self.name,
+            "kind": self.kind,
+            "scale": self.scale,
+            "source": self.source,
+            "surface": {"cell": surface.cell, "origin": surface.origin},
+            "starts": [astuple(pose) for pose in self.spawn_poses],
+            "starts_for": self.spawn_for,
+            "arrays": ARRAYS,
+        }
+        if self.start is not None:
+            entry["start"] = astuple(self.start)
+        if self.ground.sample_spacing is not None:
+            entry["sample_spacing"] = self.ground.sample_spacing
+        if self.place is not None:
+            entry["place"] = asdict(self.place)
+        arrays = {"surface": surface.z}
+        _store_ground(self.ground, entry, arrays)
+        entry["finish"] = keep_textures(self.name, asdict(self.export_options), folder)
+        return write_world(folder, entry, arrays)
 
     @staticmethod
     def load(folder: str | Path) -> World:
@@ -257,25 +269,68 @@ class World(ShownAsPicture):
         Raises:
             SourceError: the folder is not a built world, or is damaged.
         """
-        content = read_world(Path(folder))
-        with checked_content(Path(folder)):
-            settings = ExportOptions(**content.export_options)
-        return World(
-            content.name,
-            _ground(content),
-            content.spawn_poses,
-            content.scale,
-            settings,
-            source=content.source,
-            spawn_for=content.spawn_for,
-            start=content.start,
-            place=content.place,
-        )
+        folder = Path(folder)
+        with checked_content(folder):
+            entry, arrays = read_world(folder)
+            return World(
+                entry["name"],
+                _load_ground(entry, arrays),
+                tuple(Pose2(*pose) for pose in entry["starts"]),
+                entry["scale"],
+                ExportOptions(**find_textures(entry.get("finish", {}), folder)),
+                source=entry.get("source"),
+                spawn_for=str(entry.get("starts_for", "")),
+                start=Pose2(*entry["start"]) if "start" in entry else None,
+                place=_load_place(entry["place"]) if "place" in entry else None,
+            )
 
 
-def _ground(content: WorldFile) -> Ground:
-    if content.walls is not None:
-        return LaserMap(content.surface, content.walls, content.truth)
-    if content.solid is not None:
-        return MeshGround(content.surface, content.solid, content.overhangs, content.no_ground)
-    return Terrain(content.surface, content.no_ground, content.sample_spacing)
+def _store_ground(ground: Ground, entry: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    """Add the content of a ground to the entry and the arrays of a world's files."""
+    if ground.walls is not None:
+        arrays["walls"] = ground.walls.solid
+        entry["walls"] = _grid_entry(ground.walls) | {"height": ground.walls.height}
+        if ground.walls.hole is not None:
+            arrays["hole"] = ground.walls.hole
+    if ground.truth is not None:
+        arrays["truth"] = ground.truth.log_odds
+        entry["truth"] = _grid_entry(ground.truth)
+    if ground.no_ground is not None:
+        arrays["bare"] = ground.no_ground
+    if ground.solid is not None:
+        arrays |= {"vertices": ground.solid.vertices, "faces": ground.solid.faces}
+        entry["overhangs"] = ground.overhangs
+
+
+def _load_ground(entry: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Ground:
+    cell = _pair(entry["surface"]["cell"])
+    if not CELLS[0] <= min(cell) <= max(cell) <= CELLS[1]:
+        raise ValueError(f"cell must be {CELLS[0]:g} to {CELLS[1]:g} m, got {cell}")
+    surface = HeightField(arrays["surface"], cell, _pair(entry["surface"]["origin"]))
+    if (walls := entry.get("walls")) is not None:
+        grid = WallGrid(arrays["walls"], *_grid_placement(walls), walls["height"], arrays.get("hole"))
+        truth = entry.get("truth")
+        return LaserMap(surface, grid, truth and OccupancyGrid(arrays["truth"], *_grid_placement(truth)))
+    if "faces" in arrays:
+        solid = TriangleMesh(arrays["vertices"], arrays["faces"])
+        return MeshGround(surface, solid, bool(entry.get("overhangs", False)), arrays.get("bare"))
+    spacing = float(entry["sample_spacing"]) if "sample_spacing" in entry else None
+    return Terrain(surface, arrays.get("bare"), spacing)
+
+
+def _load_place(entry: dict[str, Any]) -> Place:
+    system = entry["system"] | {"ellipsoid": _pair(entry["system"]["ellipsoid"])}
+    a, b, c, d, e, f = map(float, entry["affine"])
+    return Place(CoordinateSystem(**system), (a, b, c, d, e, f), entry["height"])
+
+
+def _grid_entry(grid: WallGrid | OccupancyGrid) -> dict[str, Any]:
+    return {"resolution": grid.resolution, "origin": astuple(grid.origin)}
+
+
+def _grid_placement(entry: dict[str, Any]) -> tuple[float, Pose2]:
+    return entry["resolution"], Pose2(*entry["origin"])
+
+
+def _pair(values: list[float]) -> tuple[float, float]:
+    return float(values[0]), float(values[1])

@@ -15,6 +15,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import Ground
 from lirs_wct.kernels import njit
 
 BASELINE = 0.3
@@ -33,47 +34,17 @@ _STRIP = 512
 EDGE = "the border of the world"
 
 
-def traversable(
-    surface: HeightField,
-    walls: WallGrid | None = None,
-    truth: OccupancyGrid | None = None,
-    no_ground: BoolArray | None = None,
-    *,
-    clearance: float,
-    max_slope: float,
-    resolution: float = 0.1,
-) -> OccupancyGrid:
-    """Return a grid whose free cells are legal positions of a robot's center; others are occupied.
+def traversable_by(
+    ground: Ground, limits: Iterable[tuple[float, float]], resolution: float
+) -> Iterator[OccupancyGrid]:
+    """Yield a grid of legal positions for each pair of clearance, meters, and slope, radians.
 
-    Args:
-        surface: the ground.
-        walls: walls on the ground.
-        truth: the input laser map; if given, only its free cells can be driven.
-        no_ground: (rows, cols) whether a node of the surface has no ground.
-        clearance: distance that the center keeps from steep ground, walls and the border, meters.
-        max_slope: steepest ground that the robot drives, radians, over a baseline of 0.3 m.
-        resolution: cell size, meters.
+    The grids share the filters of the ground. See `World.traversable`.
 
     Raises:
         SourceError: the surface is too large for a grid of this resolution.
     """
-    limits = [(clearance, max_slope)]
-    return next(traversable_by(limits, surface, walls, truth, no_ground, resolution=resolution))
-
-
-def traversable_by(
-    limits: Iterable[tuple[float, float]],
-    surface: HeightField,
-    walls: WallGrid | None = None,
-    truth: OccupancyGrid | None = None,
-    no_ground: BoolArray | None = None,
-    *,
-    resolution: float = 0.1,
-) -> Iterator[OccupancyGrid]:
-    """Yield the grid of each pair of clearance and slope; they share the filters of the ground.
-
-    Arguments and errors: see `traversable`.
-    """
+    surface = ground.surface
     west, south, east, north = surface.bounds
     shape = (max(1, math.ceil((north - south) / resolution)), max(1, math.ceil((east - west) / resolution)))
     if math.prod(shape) > MOST_CELLS:
@@ -84,36 +55,21 @@ def traversable_by(
         )
     grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
     gradient = _gradient(surface, grid)
-    found = np.logical_or.reduce(
-        [np.zeros(shape, np.bool_), *_obstacles(surface, walls, truth, no_ground, grid).values()]
-    )
+    found = np.logical_or.reduce([np.zeros(shape, np.bool_), *_obstacles(ground, grid).values()])
     for clearance, max_slope in limits:
         distance = distance_to(found | (gradient > math.tan(max_slope)), resolution)
         yield OccupancyGrid.from_mask(distance <= clearance, resolution, grid.origin)
 
 
-def blocked_ground(
-    surface: HeightField,
-    walls: WallGrid | None,
-    truth: OccupancyGrid | None,
-    no_ground: BoolArray | None,
-    *,
-    max_slope: float,
-    grid: OccupancyGrid,
-) -> dict[str, BoolArray]:
-    """Return the blocked cells of a grid by cause (arguments: see `traversable`)."""
-    steep: BoolArray = _gradient(surface, grid) > math.tan(max_slope)
-    return {STEEP: steep} | _obstacles(surface, walls, truth, no_ground, grid)
+def blocked_ground(ground: Ground, max_slope: float, grid: OccupancyGrid) -> dict[str, BoolArray]:
+    """Return the blocked cells of a grid by cause; slopes in radians."""
+    steep: BoolArray = _gradient(ground.surface, grid) > math.tan(max_slope)
+    return {STEEP: steep} | _obstacles(ground, grid)
 
 
-def _obstacles(
-    surface: HeightField,
-    walls: WallGrid | None,
-    truth: OccupancyGrid | None,
-    no_ground: BoolArray | None,
-    grid: OccupancyGrid,
-) -> dict[str, BoolArray]:
+def _obstacles(ground: Ground, grid: OccupancyGrid) -> dict[str, BoolArray]:
     """Return the blocked cells of a grid by cause, steep ground left out."""
+    surface, walls, truth, no_ground = ground.surface, ground.walls, ground.truth, ground.no_ground
     found: dict[str, BoolArray] = {}
     if no_ground is not None:
         found["a place without ground"] = _nodes_cells(surface, no_ground, grid) | _without_ground(
@@ -129,7 +85,7 @@ def _obstacles(
 
 
 def steepness(surface: HeightField, place: FloatArray, resolution: float) -> float:
-    """Return the slope of the cell around a position, radians, measured as in `traversable`.
+    """Return the slope of the cell around a position, radians, measured as in `World.traversable`.
 
     Args:
         surface: the ground.

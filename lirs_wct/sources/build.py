@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
+from lirs_wct.ground import Ground, LaserMap, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation.spawn_poses import FOOTPRINTS
 from lirs_wct.sources.clouds.source import read_point_cloud
@@ -81,7 +81,7 @@ def _load_world(source: Source, options: BuildOptions) -> World:
     return _with_spawn_poses(replace(world, ground=ground, place=world.place and world.place.raised(lift)))
 
 
-def _cut(ground: Terrain | MeshGround, window: Window) -> tuple[Terrain, float]:
+def _cut(ground: Ground, window: Window) -> tuple[Terrain, float]:
     """Return a square of a ground with its lowest point at z = 0, and the height subtracted, meters."""
     surface, lift = leveled(cut_surface(ground.surface, window, level=False))
     spacing = sample_spacing(ground.surface, surface)

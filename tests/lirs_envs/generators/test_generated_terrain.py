@@ -12,7 +12,8 @@ from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, 
 from lirs_envs.placement import standing_pose
 from lirs_envs.robots.robot import make_robot
 from lirs_wct.errors import ConfigError
-from lirs_wct.navigation.traversability import traversable
+from lirs_wct.ground import LaserMap
+from lirs_wct.world import World
 
 EVERY = [(kind, difficulty, seed) for kind in KINDS for difficulty in (0.0, 0.5, 1.0) for seed in (1, 2)]
 
@@ -139,7 +140,8 @@ def test_natural_terrains_are_seeded_and_rocks_stand_on_them() -> None:
 @pytest.mark.parametrize("seed", range(8))
 def test_a_robot_can_reach_nearly_all_of_the_floor(seed: int) -> None:
     plan = floor_plan(np.random.default_rng(seed))
-    free = traversable(plan.surface, plan.walls, clearance=0.31 + 0.15, max_slope=0.3)
+    world = World("plan", LaserMap(plan.surface, plan.walls))
+    free = world.traversable(clearance=0.31 + 0.15, max_slope=0.3)
     _, _, stats, _ = cv2.connectedComponentsWithStats(free.free.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
     assert areas.max() >= 0.97 * areas.sum()

@@ -10,8 +10,9 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.navigation.spawn_poses import spawn_poses
-from lirs_wct.navigation.traversability import traversable, traversable_by
+from lirs_wct.world import World
 
 SLOPE = math.radians(20)
 
@@ -19,6 +20,10 @@ SLOPE = math.radians(20)
 def at(grid: OccupancyGrid, x: float, y: float) -> bool:
     row, col = grid.cells((x, y))
     return bool(grid.free[row, col])
+
+
+def traversable(surface: HeightField, *, clearance: float, max_slope: float) -> OccupancyGrid:
+    return World("ground", Terrain(surface)).traversable(clearance=clearance, max_slope=max_slope)
 
 
 def flat(side: float = 10.0, cell: float = 0.1) -> np.ndarray:
@@ -63,7 +68,8 @@ def test_walls_and_unknown_cells_of_a_turned_map_block() -> None:
     walls = WallGrid(solid, 0.1, origin)
     low, high = walls.corners.min(axis=0), walls.corners.max(axis=0)
     floor = HeightField(np.zeros((2, 2), np.float32), tuple(high - low), tuple(low))
-    grid = traversable(floor, walls, truth, clearance=0.4, max_slope=SLOPE)
+    world = World("map", LaserMap(floor, walls, truth))
+    grid = world.traversable(clearance=0.4, max_slope=SLOPE)
     for local, drivable in (((2.0, 4.0), True), ((3.7, 4.0), False), ((2.0, 1.0), False), ((6.0, 4.0), True)):
         assert at(grid, *origin.apply(local)) is drivable
 
@@ -97,7 +103,8 @@ def test_grids_of_several_limits_are_those_of_each() -> None:
     z = np.random.default_rng(1).normal(0, 0.02, (40, 50)).astype(np.float32)
     surface = HeightField.centered(z, (0.1, 0.1))
     limits = [(0.1, 0.2), (0.2, 0.4), (0.1, 0.1)]
-    for (clearance, slope), grid in zip(limits, traversable_by(limits, surface), strict=True):
+    grids = World("ground", Terrain(surface)).traversable_by(limits, 0.1)
+    for (clearance, slope), grid in zip(limits, grids, strict=True):
         alone = traversable(surface, clearance=clearance, max_slope=slope)
         np.testing.assert_array_equal(grid.free, alone.free)
 
