@@ -17,7 +17,7 @@ from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_validation import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.arrays import ByteArray
-from lirs_wct.drawing.canvas import Canvas, new_figure, title
+from lirs_wct.drawing.canvas import new_figure, title
 from lirs_wct.drawing.world_view import block_picture
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
@@ -49,7 +49,7 @@ def draw_worlds(path: Path) -> None:
     for axes in panels:
         axes.set_axis_off()
     for axes, (name, world) in zip(panels, worlds.items(), strict=False):
-        axes.imshow(block_picture(world, Canvas.over(world.surface.bounds)), interpolation="antialiased")
+        axes.imshow(block_picture(world), interpolation="antialiased")
         title(axes, name)
     figure.savefig(path, dpi=68)
 

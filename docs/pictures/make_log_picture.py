@@ -35,7 +35,7 @@ def main() -> None:
     mapped.imshow(canvas.grid_picture(grid), extent=canvas.extent, interpolation="antialiased")
     mapped.plot(*path.xy.T, color=VERMILLION, linewidth=0.6)
     title(mapped, "A real log is mapped ...")
-    world.imshow(block_picture(run.world, canvas), interpolation="antialiased")
+    world.imshow(block_picture(run.world), interpolation="antialiased")
     title(world, "... its map becomes a world ...")
     built.imshow(canvas.grid_picture(run.maps.built), extent=canvas.extent, interpolation="antialiased")
     built.plot(*truth.xy.T, color=BLUE, linewidth=1.8)

@@ -29,7 +29,7 @@ def main() -> None:
     image, world, built = figure.subplots(1, 3, gridspec_kw={"width_ratios": (1, 1.45, 1)})
     image.imshow(bundled_picture(WORLD).pixels, cmap="gray")
     title(image, "A 16-bit picture ...")
-    world.imshow(block_picture(run.world, canvas), interpolation="antialiased")
+    world.imshow(block_picture(run.world), interpolation="antialiased")
     title(world, "... becomes a world ...")
     built.imshow(canvas.grid_picture(run.maps.built), extent=canvas.extent, interpolation="antialiased")
     built.plot(*truth.xy.T, color=BLUE, linewidth=2.2)

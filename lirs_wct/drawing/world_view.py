@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
-from lirs_wct.arrays import FloatArray, Int32Array
+from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import (
     BELOW,
     BLACK,
@@ -49,8 +49,9 @@ from lirs_wct.drawing.canvas import (
 from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.kernels import njit
+from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, camera_axes
 from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 
 WIDTH, HALF, TALL = 12.0, 4.9, 9.0
@@ -62,6 +63,12 @@ WIDE = 2.5
 BLOCK_NODES = 700
 """Limit of nodes along each side of the terrain in the oblique view."""
 WALL_TOP, WALL_SIDE = (0.53, 0.56, 0.62), (0.44, 0.46, 0.53)
+MAP_TILT = math.radians(50)
+"""Angle by which the viewer looks down on a laser map, radians."""
+LIGHT = np.array((-0.62, -0.34, 0.71))
+"""Unit vector towards the light, which comes from the viewer's left."""
+MOST_ROWS = 1600
+"""Limit of a picture's height, pixels; the picture of a taller mesh is narrower."""
 
 
 def view_figure(world: World) -> Drawing:
@@ -89,15 +96,11 @@ def view_figure(world: World) -> Drawing:
     fewer_ticks(axes, above)
     title(axes, titles[0], above_legend=_starts(axes, world, above))
     axes = add_axes(figure, left, top, oblique)
-    _show_block(axes, block)
+    axes.imshow(block, interpolation="antialiased")
+    axes.set_axis_off()
     title(axes, titles[1], above_legend=not stacked)
     _height_scale_beside(figure, world.surface, left + oblique.width, top, oblique.height)
     return figure
-
-
-def _show_block(axes: Axes, block: FloatArray) -> None:
-    axes.imshow(block, interpolation="antialiased")
-    axes.set_axis_off()
 
 
 def _height_scale_beside(figure: Figure, surface: HeightField, x: float, top: float, height: float) -> None:
@@ -130,22 +133,9 @@ def block_picture(world: World, width: int = 1100) -> FloatArray:
 
     A mesh is drawn with its overhangs and in its own proportions, a laser map with its walls.
     """
-    if world.solid is not None:
-        return mesh_view(world.solid, width=width)
-    if world.walls is None:
-        return mesh_view(_block(world), width=width)
-    mesh, tints = _standing(world.mesh, world.walls.height)
-    return mesh_view(mesh, tints, tilt=math.radians(50), width=width)
-
-
-def _standing(mesh: TriangleMesh, height: float) -> tuple[TriangleMesh, Tints]:
-    """Return floor and walls of a height with one color per face, by its direction and height."""
-    corners = mesh.vertices[mesh.faces]
-    level = mesh.face_normals[:, 2] > 0.5
-    kind = np.where(level, corners[:, :, 2].max(axis=1) > height / 2, 2)
-    faces = np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3)
-    tints = Tints(np.array((FLOOR, WALL_TOP, WALL_SIDE)), np.repeat(kind, 3))
-    return TriangleMesh(corners.reshape(-1, 3), faces), tints
+    if world.walls is not None:
+        return mesh_view(world.mesh, world.walls.height, tilt=MAP_TILT, width=width)
+    return mesh_view(world.solid or _block(world), width=width)
 
 
 def _block(world: World) -> TriangleMesh:
@@ -204,84 +194,45 @@ def height_scale(figure: Figure, surface: HeightField, **where: Any) -> None:
     bar.outline.set_visible(False)
 
 
-TURN, TILT = math.radians(-28), math.radians(35)
-"""Azimuth of the viewer, south and slightly west, and angle by which the viewer looks down, radians."""
-LIGHT = np.array((-0.62, -0.34, 0.71))
-"""Unit vector towards the light, which comes from the viewer's left."""
-TINTS = 256
-MOST_ROWS = 1600
-"""Limit of a picture's height, pixels; the picture of a taller mesh is narrower."""
-
-
-class Tints(NamedTuple):
-    """Colors of a mesh: (n, 3) `table`, and the row of the table of each vertex."""
-
-    table: FloatArray
-    rows: FloatArray
-
-
 def mesh_view(
-    mesh: TriangleMesh, tints: Tints | None = None, *, tilt: float = TILT, width: int = 1100
+    mesh: TriangleMesh, wall_height: float | None = None, *, tilt: float = -ELEVATION, width: int = 1100
 ) -> FloatArray:
     """Return a (rows, <= width, 4) orthographic view in true proportions, transparent outside.
 
     Args:
         mesh: drawn mesh.
-        tints: its colors; None = those of terrain, by height.
+        wall_height: height of the walls of a laser map, meters; None = terrain, colored by height.
         tilt: angle by which the viewer looks down, radians.
         width: largest width of the picture, pixels.
     """
-    x, y = (mesh.vertices[:, :2] - mesh.bounds[:, :2].mean(axis=0)).T
-    z, c, s = mesh.vertices[:, 2], math.cos(TURN), math.sin(TURN)
-    right, depth = c * x + s * y, c * y - s * x
-    up, away = depth * math.sin(tilt) + z * math.cos(tilt), depth * math.cos(tilt) - z * math.sin(tilt)
-    unit = max(float(np.ptp(right)) / (width - 1), float(np.ptp(up)) / MOST_ROWS)
-    points = np.column_stack(((right - right.min()) / unit, (up.max() - up) / unit, away))
-    cols, rows = (math.ceil(float(points[:, k].max())) + 1 for k in (0, 1))
-    table, row = tints or _by_height(mesh)
-    light = 0.5 + 0.55 * np.clip(mesh.face_normals @ LIGHT, 0, 1)
-    picture = np.zeros((rows, cols, 4))
-    _draw(picture, np.full((rows, cols), np.inf), np.column_stack((points, row)), mesh.faces, light, table)
-    return np.clip(picture, 0, 1)
+    forward, right_axis, up_axis = camera_axes(AZIMUTH, tilt)
+    axes = np.stack((right_axis, up_axis, -forward))
+    seen = TriangleMesh(mesh.vertices @ axes.T, mesh.faces)
+    (left, low, _), (right, high, _) = seen.bounds
+    unit = max((right - left) / (width - 1), (high - low) / MOST_ROWS)
+    cols, rows = math.ceil((right - left) / unit) + 1, math.ceil((high - low) / unit) + 1
+    nearest = rasterize_heights(seen, (left, low, unit, unit), (rows, cols))
+    up, across = np.gradient(nearest, unit)
+    normals = np.dstack((-across, -up, np.ones_like(nearest))) @ axes
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    z = (low + unit * np.arange(rows))[:, None] * axes[1, 2] + nearest * axes[2, 2]
+    colors = _relief_colors(mesh, z) if wall_height is None else _map_colors(z, normals, wall_height)
+    light = 0.5 + 0.55 * np.clip(np.nan_to_num(normals) @ LIGHT, 0, 1)
+    picture = np.dstack((colors * light[..., None], np.ones_like(nearest)))
+    picture[np.isnan(nearest)] = 0.0
+    shown: FloatArray = np.clip(picture[::-1], 0, 1)
+    return shown
 
 
-def _by_height(mesh: TriangleMesh) -> Tints:
+def _relief_colors(mesh: TriangleMesh, z: FloatArray) -> FloatArray:
+    """Return (rows, cols, 3) colors of heights."""
     (_, _, low), (_, _, high) = mesh.bounds
-    rows = (mesh.vertices[:, 2] - low) / max(high - low, 1e-9) * (TINTS - 1)
-    return Tints(height_colors()(np.linspace(0, 1, TINTS))[:, :3], rows)
+    colors: FloatArray = height_colors()((z - low) / max(high - low, 1e-9))[..., :3]
+    return colors
 
 
-@njit
-def _draw(
-    picture: FloatArray,
-    nearest: FloatArray,
-    points: FloatArray,
-    faces: Int32Array,
-    light: FloatArray,
-    table: FloatArray,
-) -> None:
-    """Paint the pixels where each triangle is nearer than the earlier ones.
-
-    Points are column, row, depth and row of the color table; `light` has one value per triangle.
-    """
-    rows, cols = nearest.shape
-    for k in range(len(faces)):
-        ax, ay, az, at = points[faces[k, 0]]
-        bx, by, bz, bt = points[faces[k, 1]]
-        cx, cy, cz, ct = points[faces[k, 2]]
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area == 0.0:
-            continue
-        for row in range(max(0, math.ceil(min(ay, by, cy))), min(rows - 1, math.floor(max(ay, by, cy))) + 1):
-            first, last = math.ceil(min(ax, bx, cx)), math.floor(max(ax, bx, cx))
-            for col in range(max(0, first), min(cols - 1, last) + 1):
-                b = ((col - ax) * (cy - ay) - (row - ay) * (cx - ax)) / area
-                c = ((bx - ax) * (row - ay) - (by - ay) * (col - ax)) / area
-                if b < 0 or c < 0 or b + c > 1:
-                    continue
-                depth = az + b * (bz - az) + c * (cz - az)
-                if depth < nearest[row, col]:
-                    nearest[row, col] = depth
-                    tint = int(at + b * (bt - at) + c * (ct - at))
-                    picture[row, col, :3] = table[tint] * light[k]
-                    picture[row, col, 3] = 1.0
+def _map_colors(z: FloatArray, normals: FloatArray, wall_height: float) -> FloatArray:
+    """Return (rows, cols, 3) colors of floor, tops and sides of walls."""
+    side = np.where(normals[..., 2] > 0.5, z > wall_height / 2, 2)
+    colors: FloatArray = np.array((FLOOR, WALL_TOP, WALL_SIDE))[side]
+    return colors

@@ -13,11 +13,12 @@ from lirs_validation.config import RunConfig
 from lirs_validation.drawing.run_overview import overview_figure, shown_bounds
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.drawing.canvas import Canvas, Drawing, bounds_of, shaded_heights, shading
-from lirs_wct.drawing.world_view import TILT, TURN, block_picture, mesh_view, view_figure
+from lirs_wct.drawing.world_view import block_picture, mesh_view, view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2, Trajectory
+from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, camera_axes
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World
@@ -92,7 +93,7 @@ def test_walls_of_a_map_stand_out_in_the_oblique_view() -> None:
     floor, walls = (seen.min(axis=1) > 0.8), (seen.max(axis=1) < 0.6)
     assert floor.mean() > 0.2
     assert walls.mean() > 0.2
-    assert (floor | walls).all()
+    assert (floor | walls).mean() > 0.97  # the rest is outlines
 
 
 @pytest.mark.parametrize("kind", [pytest.param("terrain", marks=pytest.mark.slow), "map"])
@@ -140,9 +141,7 @@ def test_a_mesh_is_seen_with_its_holes() -> None:
 def test_a_mesh_is_seen_in_its_own_proportions(height: float) -> None:
     mesh = ring(height)
     image = mesh_view(mesh, width=300)
-    right = mesh.vertices[:, 0] * math.cos(TURN) + mesh.vertices[:, 1] * math.sin(TURN)
-    away = -mesh.vertices[:, 0] * math.sin(TURN) + mesh.vertices[:, 1] * math.cos(TURN)
-    up = away * math.sin(TILT) + mesh.vertices[:, 2] * math.cos(TILT)
+    _, right, up = camera_axes(AZIMUTH, -ELEVATION) @ mesh.vertices.T
     seen = np.nonzero(image[..., 3])
     tall, wide = (float(np.ptp(at)) + 1 for at in seen)
     assert tall / wide == pytest.approx(float(np.ptp(up) / np.ptp(right)), rel=0.05)
