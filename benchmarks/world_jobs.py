@@ -16,12 +16,14 @@ import cv2
 import numpy as np
 
 from lirs_wct.export.package import write_package
+from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import read_height_field
+from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.rasterize import rasterize_heights
+from lirs_wct.sources.source import find_source
 from lirs_wct.world import World
 
 BUNDLED = ("simple", "medium", "advanced")
@@ -109,9 +111,13 @@ def pose_error(path: Path, world: World) -> float:
     return float(np.abs(np.array((local.min(axis=0), local.max(axis=0) - extent))).max())
 
 
+def heights_of(path: Path, options: BuildOptions) -> HeightField:
+    return read_terrain(find_source(path, options), options)[0].surface
+
+
 def triangulation(path: Path, _: Path, share: float) -> Figures:
     """Both triangulations by turns, CPU seconds, the best of each: little of what else runs shows."""
-    surface = read_height_field(path, BuildOptions())
+    surface = heights_of(path, BuildOptions())
     jobs: dict[str, Callable[[], int]] = {
         "ours": lambda: len(triangulate(surface, max_error=share * RELIEF)[1])
     }
@@ -159,7 +165,7 @@ def cut_to_8_bits(path: Path, _: Path, share: float, *, deterrace: bool = False)
     cv2.imwrite(str(cut), (wide / 257).round().astype(np.uint8))
 
     def count(source: Path, options: BuildOptions) -> int:
-        return len(triangulate(read_height_field(source, options), max_error=share * RELIEF)[1])
+        return len(triangulate(heights_of(source, options), max_error=share * RELIEF)[1])
 
     found, fine = count(cut, BuildOptions(deterrace=deterrace)), count(path, BuildOptions())
     return {"triangles": found, "triangle_ratio": found / fine, "note": f"16 bit {fine:,}"}
@@ -172,7 +178,7 @@ def deterraced(path: Path, out: Path, share: float) -> Figures:
 def trimesh_dae(path: Path, out: Path, _: float) -> Figures:
     import trimesh
 
-    mesh = solid_mesh(read_height_field(path, BuildOptions()))
+    mesh = solid_mesh(heights_of(path, BuildOptions()))
     start = time.perf_counter()
     trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(out / "peer.dae")
     seconds = time.perf_counter() - start

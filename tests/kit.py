@@ -1,11 +1,15 @@
 """What tests of several packages share."""
 
+from pathlib import Path
+
 import numpy as np
 
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.options import BuildOptions, SourceKind
+from lirs_wct.sources.pictures.picture import read_terrain
+from lirs_wct.sources.source import Source
 
 SMALL = BuildOptions(size=(20.0, 20.0), height=2.0, resize=(129, 129))
 """Options that make of a bundled world one of 20 m and 129 x 129 pixels, which is built at once."""
@@ -15,3 +19,9 @@ def hills(rows: int = 40, cols: int = 60) -> TriangleMesh:
     """Return a closed mesh over rough heights of up to 1 m."""
     z = np.random.default_rng(5).random((rows, cols)).astype(np.float32)
     return solid_mesh(HeightField.centered(z - z.min(), (1.0, 0.8)))
+
+
+def read_heights(path: Path, **options: object) -> HeightField:
+    """Return the heights of a picture file."""
+    source = Source(SourceKind.PICTURE, path, "picture")
+    return read_terrain(source, BuildOptions(**options))[0].surface  # type: ignore[arg-type]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ from lirs_wct.drawing.canvas import (
     shaded_heights,
     title,
 )
-from lirs_wct.geometry.grid_sampling import resample
+from lirs_wct.geometry.grid_sampling import fewer_nodes
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, camera_axes
@@ -140,11 +141,8 @@ def block_picture(world: World, width: int = 1100) -> FloatArray:
 
 def _block(world: World) -> TriangleMesh:
     """Return the terrain as a solid with exaggerated heights, on a grid of pixel resolution."""
-    surface = world.surface
-    rows, cols = (min(n, BLOCK_NODES) for n in surface.shape)
-    width, depth = surface.size
-    z = resample(surface.z, cols, rows) * np.float32(_exaggeration(world))
-    return solid_mesh(HeightField(z, (width / (cols - 1), depth / (rows - 1)), surface.origin))
+    surface = fewer_nodes(world.surface, BLOCK_NODES)
+    return solid_mesh(replace(surface, z=surface.z * np.float32(_exaggeration(world))))
 
 
 def _starts(axes: Axes, world: World, size: Size) -> bool:

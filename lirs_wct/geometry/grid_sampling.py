@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import Float32Array
+from lirs_wct.geometry.heightfield import HeightField
 
 
 def resample(values: Float32Array, width: int, height: int) -> Float32Array:
@@ -23,6 +24,14 @@ def resample(values: Float32Array, width: int, height: int) -> Float32Array:
         )
     # One axis after the other: the maps stay small whatever the size.
     return _sample_columns(_sample_columns(values, width).T, height).T.copy()
+
+
+def fewer_nodes(surface: HeightField, most: int) -> HeightField:
+    """Return a surface on the same ground with at most `most` nodes along each side."""
+    rows, cols = (min(n, most) for n in surface.shape)
+    width, depth = surface.size
+    z = resample(surface.z, cols, rows)
+    return HeightField(z, (width / (cols - 1), depth / (rows - 1)), surface.origin)
 
 
 def _sample_columns(values: Float32Array, n: int) -> Float32Array:

@@ -12,6 +12,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.map_log import resolve_source
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
+from lirs_wct.geometry.grid_sampling import fewer_nodes
 from lirs_wct.ground import Ground, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.progress import Progress, no_progress
@@ -20,10 +21,9 @@ from lirs_wct.sources.clouds.source import read_point_cloud
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions, SourceKind
-from lirs_wct.sources.pictures.picture import TerrainPicture, decimate, height_field, open_picture
+from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.result_check import warn_of_result
 from lirs_wct.sources.source import Source, find_source
-from lirs_wct.sources.window import cut_surface
 from lirs_wct.world import World
 
 Facts = tuple[tuple[str, str], ...]
@@ -99,7 +99,6 @@ class Construction:
     ) -> None:
         self._folder, self._nodes = folder, nodes
         self._scenarios = scenarios or ScenarioCache()
-        self._opened: tuple[Source, TerrainPicture] | None = None
 
     def kind(self, source: str, options: BuildOptions) -> SourceKind:
         """Return the kind of a source.
@@ -160,24 +159,11 @@ class Construction:
             return read_point_cloud(found.path, options)[:2]
         if found.kind is SourceKind.MESH:
             return read_mesh_source(found.path, options)[:2]
-        return self._coarse_terrain(found, options), "preview"
-
-    def _coarse_terrain(self, found: Source, options: BuildOptions) -> Terrain:
-        picture = self._picture(found, options)
-        own = picture.with_own_meters(options)
-        small, fitting = decimate(found.path, picture.raster, own, self._nodes)
-        surface = height_field(found.path, small, fitting)
-        return Terrain(surface if options.window is None else cut_surface(surface, options.window))
-
-    def _picture(self, found: Source, options: BuildOptions) -> TerrainPicture:
-        """Return the source's picture, decoded once."""
-        if self._opened is None or self._opened[0].path != found.path:
-            self._opened = found, open_picture(found, options)
-        return self._opened[1]
+        terrain, _, _ = read_terrain(found, options)
+        return Terrain(fewer_nodes(terrain.surface, self._nodes)), "preview"
 
     def forget(self) -> None:
         """Drop all cached files; a new file may have the name of an old one."""
-        self._opened = None
         self._scenarios.clear()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -139,12 +139,20 @@ LUMA = (0.114, 0.587, 0.299)
 def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, Place | None]:
     """Return a picture or a bundled world as ground, the origin of its meters, its georeference.
 
+    Bright is high, the lowest point is z = 0 unless `zero` is given, and the center is the origin.
+
+    A GeoTIFF keeps its own pixel size and heights unless the options change them; any other picture is scaled
+    to the options or their defaults. The pixels are the nodes. Options act in this order: crop, nodata,
+    invert, dequantize, denoise, smoothing, sharpness, resize, meters, scale, window.
+
     Raises:
-        SourceError: the picture cannot be used.
+        SourceError: the file is unusable, is in color without `grayscale`, or is more than half nodata.
         ConfigError: the window lies outside the terrain, or an option does not fit the picture.
     """
-    found = open_picture(source, options)
-    surface, scale, place = _to_terrain(source.path, found, options)
+    if source.kind is SourceKind.BUNDLED:
+        (surface, scale), place = _read_bundled(source.path, options), None
+    else:
+        surface, scale, place = _read_picture(source.path, options)
     spacing = None
     if options.window is not None:
         whole, surface = surface, cut_surface(surface, options.window, level=False)
@@ -155,72 +163,22 @@ def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, P
     return Terrain(surface, sample_spacing=spacing), scale, place
 
 
-@dataclass(frozen=True)
-class TerrainPicture:
-    """A picture of a terrain and its own scale.
-
-    Attributes:
-        raster: decoded pixels.
-        size: longer side, meters; None = by the picture's tags, else the default.
-        height: height between darkest and brightest pixel, meters; None = by the tags, else the default.
-    """
-
-    raster: Raster
-    size: float | None = None
-    height: float | None = None
-
-    def with_own_meters(self, options: BuildOptions) -> BuildOptions:
-        """Return the options with the picture's own meters where the options have none."""
-        size = options.size if options.size or options.resolution else self.size
-        return replace(options, size=size, height=options.height or self.height)
-
-
-def open_picture(source: Source, options: BuildOptions) -> TerrainPicture:
-    """Decode the picture of a terrain, or make that of a bundled world.
-
-    Raises:
-        SourceError: the picture cannot be used.
-    """
-    if source.kind is not SourceKind.BUNDLED:
-        return TerrainPicture(_read(source.path, options))
-    bundled = bundled_picture(source.path.name)
+def _read_bundled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
+    """Make the terrain of a bundled world, which has meters of its own."""
+    bundled = bundled_picture(path.name)
     rows, cols = bundled.pixels.shape
-    check_size(source.path, cols, rows, options.max_pixels)
-    return TerrainPicture(Raster(bundled.pixels), SIZE, bundled.height)
+    check_size(path, cols, rows, options.max_pixels)
+    size = options.size if options.size or options.resolution else SIZE
+    own = replace(options, size=size, height=options.height or bundled.height)
+    surface, _ = _heights(path, decode_heights(path, Raster(bundled.pixels), options), own)
+    resized = options.size or options.resolution or options.height
+    return surface, "as given" if resized else "as bundled"
 
 
-def read_height_field(path: Path, options: BuildOptions) -> HeightField:
-    """Read a picture as a terrain (see `read_scaled`)."""
-    return read_scaled(path, options)[0]
-
-
-def read_scaled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
-    """Read a picture as a terrain, and the origin of its meters as text.
-
-    Bright is high, the lowest point is z = 0 unless `zero` is given, and the center is the origin.
-
-    A GeoTIFF keeps its own pixel size and heights unless the options change them; any other picture is scaled
-    to the options or their defaults. The pixels are the nodes. Options act in this order: crop, nodata,
-    invert, dequantize, denoise, smoothing, sharpness, resize, meters, scale.
-
-    Raises:
-        SourceError: the file is unusable, is in color without `grayscale`, or is more than half nodata.
-    """
-    return _to_terrain(path, TerrainPicture(_read(path, options)), options)[:2]
-
-
-def _read(path: Path, options: BuildOptions) -> Raster:
-    return read_raster(path, options.max_pixels, sized=bool(options.size or options.resolution))
-
-
-def _to_terrain(
-    path: Path, found: TerrainPicture, options: BuildOptions
-) -> tuple[HeightField, str, Place | None]:
-    raster = decode_heights(path, found.raster, options)
-    surface, height = _heights(path, raster, found.with_own_meters(options))
-    if found.size is not None:
-        resized = options.size or options.resolution or options.height
-        return surface, "as given" if resized else "as bundled", None
+def _read_picture(path: Path, options: BuildOptions) -> tuple[HeightField, str, Place | None]:
+    sized = bool(options.size or options.resolution)
+    raster = decode_heights(path, read_raster(path, options.max_pixels, sized=sized), options)
+    surface, height = _heights(path, raster, options)
     warn_slope_change(path, raster, surface, options)
     if options.kind is None and looks_like_map(raster.pixels):
         warnings.warn(
@@ -245,42 +203,6 @@ def looks_like_map(pixels: NDArray[Any]) -> bool:
         if any(counts[gray] and abs(gray - level) <= GRAY_TOLERANCE for gray in common for level in grays)
     }
     return len(meanings) > 1 and bool(counts[common].sum() >= MAP_SHARE * pixels.size)
-
-
-def decimate(path: Path, raster: Raster, options: BuildOptions, nodes: int) -> tuple[Raster, BuildOptions]:
-    """Return a smaller picture for a preview, and options that make nearly the same terrain of it.
-
-    Pixels are omitted and never averaged, so gray levels and "no data" stay unchanged.
-
-    Args:
-        path: path of the picture, for errors.
-        raster: whole raster.
-        options: options for the whole raster.
-        nodes: limit of nodes along the longer side.
-
-    Raises:
-        SourceError: the crop lies outside the picture, or its scale cannot be used.
-    """
-    raster = decode_heights(path, raster, options)
-    pixels = _crop(path, raster.pixels, options.crop)
-    size = _extent(pixels.shape, pixel_of(raster.info), options)
-    rows, cols = pixels.shape[:2]
-    share = min(1.0, nodes / max(rows, cols))
-    at = [np.linspace(0, n - 1, max(2, round(n * share))).round().astype(int) for n in (rows, cols)]
-    small = Raster(np.ascontiguousarray(pixels[np.ix_(*at)]), raster.info)
-    resize = options.resize and (min(options.resize[0], nodes), min(options.resize[1], nodes))
-    smoothing = options.smoothing and options.smoothing * share
-    whole = replace(options, crop=None, size=size, resolution=None, encoding="gray")
-    return small, replace(whole, smoothing=smoothing, resize=resize)
-
-
-def height_field(path: Path, raster: Raster, options: BuildOptions) -> HeightField:
-    """Return a decoded raster as a terrain (see `read_scaled`).
-
-    Raises:
-        SourceError: see `read_scaled`.
-    """
-    return _heights(path, decode_heights(path, raster, options), options)[0]
 
 
 def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightField, float | None]:

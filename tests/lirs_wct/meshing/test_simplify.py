@@ -19,10 +19,9 @@ from lirs_wct.ground import Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.simplify import simplified_solid, triangulate
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import read_height_field
 from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
+from tests.kit import read_heights
 
 
 def hills(rows: int, cols: int, seed: int = 0, blur: float = 3.0) -> HeightField:
@@ -117,7 +116,7 @@ def test_a_mesh_of_all_pixels_is_the_height_field() -> None:
     ],
 )
 def test_the_default_budget_holds_between_pixels_of_real_pictures(shared_data: Path, name: str) -> None:
-    surface = read_height_field(shared_data / "height" / name, BuildOptions(grayscale=True))
+    surface = read_heights(shared_data / "height" / name, grayscale=True)
     budget = ExportOptions().with_default(surface).max_error
     assert budget is not None
     mesh = simplified_solid(surface, max_error=budget)
@@ -132,7 +131,7 @@ def test_the_default_budget_holds_between_pixels_of_real_pictures(shared_data: P
 @pytest.mark.parametrize("share", [5e-4, 2e-2])
 def test_the_budget_holds_on_real_pictures(shared_data: Path, name: str, share: float) -> None:
     (path,) = (shared_data / "height").glob(name)
-    surface = read_height_field(path, BuildOptions(grayscale=True))
+    surface = read_heights(path, grayscale=True)
     points, faces = triangulate(surface, max_error=share * surface.relief)
     rows, cols = surface.shape
     north_up = TriangleMesh(

@@ -14,7 +14,7 @@ from lirs_wct.formats.images.elevation import decode, guess, read_raster
 from lirs_wct.geometry.geodesy import Georeference
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import read_height_field
+from tests.kit import read_heights
 
 HEADER = "ncols 4\nNROWS 3\nxllcorner 500000\nyllcorner 4000000\ncellsize 10\nNODATA_value -1\n"
 HEIGHTS = "1 2 3 4\n5 6 -1 8\n9 10 11 12.5\n"
@@ -40,7 +40,7 @@ def test_an_ascii_grid(tmp_path: Path) -> None:
     assert raster.info.nodata == -1
     assert georeference(path).affine == (10, 0, 500005, 0, -10, 4000025)
     with pytest.warns(UserWarning, match="1 of 12 pixels have no height"):
-        surface = read_height_field(path, BuildOptions())
+        surface = read_heights(path)
     assert surface.cell == (10, 10)
     np.testing.assert_array_equal(surface.z[[0, 2]], [[0, 1, 2, 3], [8, 9, 10, 11.5]])
 

@@ -11,7 +11,8 @@ from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import denoise, read_height_field, sharpen, smooth
+from lirs_wct.sources.pictures.picture import denoise, sharpen, smooth
+from tests.kit import read_heights as read
 
 RAMP = np.tile(np.arange(40, dtype=np.float32), (30, 1))
 
@@ -20,10 +21,6 @@ def png(folder: Path, pixels: np.ndarray) -> Path:
     path = folder / "a.png"
     assert cv2.imwrite(str(path), pixels)
     return path
-
-
-def read(path: Path, **options: object) -> HeightField:
-    return read_height_field(path, BuildOptions(**options))  # type: ignore[arg-type]
 
 
 def noise(rows: int = 60, cols: int = 80) -> np.ndarray:

@@ -14,7 +14,8 @@ from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.elevation import warn_nodata_border
-from lirs_wct.sources.pictures.picture import dequantize, looks_like_map, read_height_field
+from lirs_wct.sources.pictures.picture import dequantize, looks_like_map
+from tests.kit import read_heights
 
 HEADER = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n"
 
@@ -82,13 +83,13 @@ def test_a_border_of_zeros_beside_mountains_is_told_in_one_line(tmp_path: Path) 
     path = asc(tmp_path / "a.asc", framed(3))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        surface = read_height_field(path, BuildOptions())
+        surface = read_heights(path)
     (line,) = (str(each.message) for each in told)
     assert line.startswith(f"{path}: 261 pixels of 0 along the border stand beside heights 30")
     assert line.endswith("say --option nodata=0")
     assert surface.relief > 2900
     with pytest.warns(UserWarning, match=r"a\.asc: 261 of 2000 pixels have no height"):
-        assert read_height_field(path, BuildOptions(nodata=0.0)).relief < 150
+        assert read_heights(path, nodata=0.0).relief < 150
 
 
 @pytest.mark.parametrize(
@@ -103,7 +104,7 @@ def test_a_border_of_zeros_beside_mountains_is_told_in_one_line(tmp_path: Path) 
 def test_seas_and_plains_are_ground(heights: np.ndarray, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        read_height_field(asc(tmp_path / "a.asc", heights), BuildOptions())
+        read_heights(asc(tmp_path / "a.asc", heights))
 
 
 def test_zeros_inside_or_declared_are_no_question() -> None:

@@ -14,18 +14,14 @@ from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import BundledPicture
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import read_height_field, read_terrain
+from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import find_source
+from tests.kit import read_heights as read
 
 RAMP = np.arange(12, dtype=np.uint16).reshape(3, 4)
-
-
-def read(path: Path, **options: object) -> HeightField:
-    return read_height_field(path, BuildOptions(**options))  # type: ignore[arg-type]
 
 
 def png(path: Path, pixels: np.ndarray) -> Path:
@@ -379,9 +375,9 @@ def test_a_large_picture_stands_in_memory_twice_at_most(tmp_path: Path) -> None:
     levels = np.random.default_rng(4).integers(0, 1 << 16, (side, side)).astype(np.uint16)
     path = tmp_path / "large.png"
     cv2.imwrite(str(path), levels)
-    read_height_field(path, BuildOptions())
+    read(path)
     tracemalloc.start()
-    read_height_field(path, BuildOptions())
+    read(path)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 9 * side**2

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import read_height_field
+from tests.kit import read_heights
 
 COLOR = "is in color"
 LIKE_MAP = "looks like a laser map"
@@ -93,13 +92,13 @@ def test_outcome(shared_data: Path, name: str, capfd: pytest.CaptureFixture[str]
         warnings.simplefilter("always")
         if isinstance(outcome, str):
             with pytest.raises(SourceError) as refused:
-                read_height_field(path, BuildOptions())
+                read_heights(path)
             message = str(refused.value)
             assert message.startswith(f"{path}: ")
             assert outcome in message
             assert "\n" not in message
             return
-        surface = read_height_field(path, BuildOptions())
+        surface = read_heights(path)
     shape, warning = outcome
     assert surface.shape == shape
     assert surface.z.min() == 0
@@ -110,7 +109,7 @@ def test_outcome(shared_data: Path, name: str, capfd: pytest.CaptureFixture[str]
 @pytest.mark.shared
 @pytest.mark.parametrize("name", [name for name, outcome in OUTCOMES.items() if outcome == COLOR])
 def test_color_builds_with_grayscale(shared_data: Path, name: str) -> None:
-    relief = read_height_field(shared_data / name, BuildOptions(grayscale=True)).relief
+    relief = read_heights(shared_data / name, grayscale=True).relief
     one_color = name == "broken/Pillow__broken_exif_dpi.jpg"
     assert relief == pytest.approx(0 if one_color else 6)
 
@@ -119,5 +118,5 @@ def test_color_builds_with_grayscale(shared_data: Path, name: str) -> None:
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("name", SIZES)
 def test_geotiffs_keep_their_own_scale(shared_data: Path, name: str) -> None:
-    surface = read_height_field(shared_data / "height" / name, BuildOptions())
+    surface = read_heights(shared_data / "height" / name)
     assert (*surface.size, surface.relief) == pytest.approx(SIZES[name], rel=1e-4)
