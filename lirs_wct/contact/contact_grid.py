@@ -13,29 +13,18 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, Float32Array
-from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.kernels import njit
 
-
-@dataclass(frozen=True, kw_only=True)
-class ContactBudget(Checked, of="the contact budget"):
-    """Limits on the deviation of a contact grid from the surface.
-
-    Attributes:
-        vertical: largest vertical deviation at nodes that touch no triangle as steep as `steep`, meters.
-        horizontal: distance, contact cells along each axis, within which the contact grid must reach the
-            height of a steep node.
-        match: tolerance of that height, meters; at the foot of a wall the ground itself rises by so much.
-        steep: slope from which a triangle counts as steep, radians.
-        max_cell: largest contact cell, meters; larger cells save no time.
-    """
-
-    vertical: float = limited(0.01, "(0, inf)")
-    horizontal: float = limited(0.5, "(0, inf)")
-    match: float = limited(0.02, "(0, inf)")
-    steep: float = limited(math.radians(45), "(0, inf)")
-    max_cell: float = limited(0.5, "(0, inf)")
+VERTICAL = 0.01
+"""Largest vertical deviation at nodes that touch no steep triangle, meters."""
+HORIZONTAL, MATCH = 0.5, 0.02
+"""Distance, contact cells along each axis, within which the contact grid must reach the height of a steep
+node, and tolerance of that height, meters; at the foot of a wall the ground itself rises by so much."""
+STEEP = math.radians(45)
+"""Slope from which a triangle counts as steep, radians."""
+MAX_CELL = 0.5
+"""Largest contact cell, meters; larger cells save no time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +36,7 @@ class ContactGrid:
     Attributes:
         stride: cells of the surface in a contact cell, along each axis; 1 = the surface itself.
         cell: spacing of the contact grid's nodes, meters.
-        vertical_budget: meters (see `ContactBudget`).
+        vertical_budget: meters (see `VERTICAL`).
         horizontal_budget: meters, half a contact cell.
         match_budget: meters, the height's tolerance at the horizontal deviation.
         vertical: largest vertical deviation where the slope is under 45 deg, meters.
@@ -75,22 +64,21 @@ class ContactGrid:
         )
 
 
-def contact_grid(surface: HeightField, budget: ContactBudget | None = None) -> ContactGrid:
-    """Return the coarsest grid within the budget, by whole cells of the surface."""
-    budget = budget or ContactBudget()
+def contact_grid(surface: HeightField) -> ContactGrid:
+    """Return the coarsest grid within the limits of deviation, by whole cells of the surface."""
     z = surface.south_up
-    steep = steep_nodes(z, surface.cell, budget.steep)
-    largest = min(int(budget.max_cell / max(surface.cell)), min(z.shape) - 1)
+    steep = steep_nodes(z, surface.cell, STEEP)
+    largest = min(int(MAX_CELL / max(surface.cell)), min(z.shape) - 1)
     for stride in range(max(largest, 1), 1, -1):
-        found = _measure_deviation(z, steep, stride, budget)
+        found = _measure_deviation(z, steep, stride)
         if found is not None:
-            return _figures(surface, stride, budget, *found)
+            return _figures(surface, stride, *found)
     return surface_itself(surface)
 
 
 def surface_itself(surface: HeightField) -> ContactGrid:
     """Return the contact grid that equals the surface, node by node."""
-    return _figures(surface, 1, ContactBudget(), 0.0, 0.0)
+    return _figures(surface, 1, 0.0, 0.0)
 
 
 def steep_nodes(z: Float32Array, cell: tuple[float, float], steep: float) -> BoolArray:
@@ -110,37 +98,33 @@ def steep_nodes(z: Float32Array, cell: tuple[float, float], steep: float) -> Boo
     return mask
 
 
-def _figures(
-    surface: HeightField, stride: int, budget: ContactBudget, vertical: float, cells: float
-) -> ContactGrid:
+def _figures(surface: HeightField, stride: int, vertical: float, cells: float) -> ContactGrid:
     cell = (stride * surface.cell[0], stride * surface.cell[1])
     return ContactGrid(
         stride=stride,
         cell=cell,
-        vertical_budget=budget.vertical,
-        horizontal_budget=budget.horizontal * max(cell),
-        match_budget=budget.match,
+        vertical_budget=VERTICAL,
+        horizontal_budget=HORIZONTAL * max(cell),
+        match_budget=MATCH,
         vertical=vertical,
         horizontal=cells * max(surface.cell),
         nodes=surface.z.size,
     )
 
 
-def _measure_deviation(
-    z: Float32Array, steep: BoolArray, stride: int, budget: ContactBudget
-) -> tuple[float, float] | None:
-    """Return the vertical (meters) and horizontal (cells) deviation; None if above the budget."""
+def _measure_deviation(z: Float32Array, steep: BoolArray, stride: int) -> tuple[float, float] | None:
+    """Return the vertical (meters) and horizontal (cells) deviation; None if above the limits."""
     contact = np.empty_like(z)
-    vertical = float(_resample(_coarse(z, stride), stride, z, steep, budget.vertical, contact))
-    if vertical > budget.vertical:
+    vertical = float(_resample(_coarse(z, stride), stride, z, steep, VERTICAL, contact))
+    if vertical > VERTICAL:
         return None
     # On a path between two nodes a continuous surface has every height between theirs. Thus it reaches the
     # node's height in its window if that lies between the window's lowest and highest height.
-    far = (np.abs(contact - z) > budget.vertical).astype(np.uint8)
-    for cells in range(int(budget.horizontal * stride) + 1):
+    far = (np.abs(contact - z) > VERTICAL).astype(np.uint8)
+    for cells in range(int(HORIZONTAL * stride) + 1):
         window = np.ones((2 * cells + 1, 2 * cells + 1), np.uint8)
         low, high = cv2.erode(contact, window), cv2.dilate(contact, window)
-        far &= (z < low - budget.match) | (z > high + budget.match)
+        far &= (z < low - MATCH) | (z > high + MATCH)
         if not far.any():
             return vertical, float(cells)
     return None

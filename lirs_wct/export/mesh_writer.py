@@ -52,23 +52,20 @@ def _write_ply(path: Path, mesh: TriangleMesh) -> None:
         trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
 
 
-def write_collada(
-    path: Path, mesh: TriangleMesh, texture: str | None = None, *, progress: Progress = no_progress
-) -> None:
+def write_collada(path: Path, mesh: TriangleMesh, texture: str | None = None) -> None:
     """Write a mesh with texture coordinates; missing ones are made by cube projection.
 
     Args:
         path: output file.
         mesh: mesh in the world frame.
         texture: path of the picture relative to the file, or None for a plain color.
-        progress: progress of the file.
 
     Raises:
         ConfigError: the texture's path has spaces, which Gazebo does not support.
         OutputError: the file cannot be written.
     """
     whole = mesh if mesh.uv is not None and mesh.normals is not None else cube_uv(mesh)
-    write_parts(path, (MeshPart("ground", whole, texture),), progress)
+    write_parts(path, (MeshPart("ground", whole, texture),))
 
 
 def write_parts(path: Path, parts: Sequence[MeshPart], progress: Progress = no_progress) -> None:

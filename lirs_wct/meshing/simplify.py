@@ -34,11 +34,7 @@ _ROUNDING = 1e-6
 
 
 def simplified_solid(
-    surface: HeightField,
-    *,
-    max_error: float | None = None,
-    max_triangles: int | None = None,
-    thickness: float | None = None,
+    surface: HeightField, *, max_error: float | None = None, max_triangles: int | None = None
 ) -> TriangleMesh:
     """Return a closed mesh whose top deviates vertically by at most `max_error` anywhere.
 
@@ -49,7 +45,6 @@ def simplified_solid(
         surface: the ground.
         max_error: meters, above 0.
         max_triangles: limit of the whole solid's triangles; the error is as small as they allow.
-        thickness: meters from the lowest point down to the base (see `solid_mesh`).
 
     Raises:
         ConfigError: neither or both budgets are given, or one is not legal.
@@ -61,7 +56,7 @@ def simplified_solid(
     x, y = node_axes(surface)
     row, col = points.T
     vertices = np.column_stack((x[col], y[row], surface.z[row, col].astype(np.float64)))
-    return close_solid(vertices, faces, _border(points, surface.shape), base_height(surface, thickness))
+    return close_solid(vertices, faces, _border(points, surface.shape), base_height(surface))
 
 
 def triangulate(

@@ -17,37 +17,28 @@ _BLOCK = 1 << 13
 """Nodes per step of triangle generation."""
 
 
-def solid_mesh(surface: HeightField, *, thickness: float | None = None) -> TriangleMesh:
+def solid_mesh(surface: HeightField) -> TriangleMesh:
     """Return the full grid as a closed mesh: two triangles per cell, skirt, base.
 
     The order of vertices: the surface's nodes row by row from the north-west, then the base's border. Cells
     are split from south-west to north-east, as in `HeightField`.
-
-    Args:
-        surface: the ground.
-        thickness: meters from the lowest point down to the base; default a tenth of the relief and at
-            least 0.1 m.
     """
     rows, cols = surface.shape
     vertices = np.empty((rows * cols, 3))
     grid = vertices.reshape(rows, cols, 3)
     x, y = node_axes(surface)
     grid[..., 0], grid[..., 1], grid[..., 2] = x, y[:, None], surface.z
-    return close_solid(
-        vertices, _grid_faces(rows, cols), _border(rows, cols), base_height(surface, thickness)
-    )
+    return close_solid(vertices, _grid_faces(rows, cols), _border(rows, cols), base_height(surface))
 
 
-def solid_triangles(
-    surface: HeightField, *, thickness: float | None = None
-) -> tuple[int, Iterator[FloatArray]]:
+def solid_triangles(surface: HeightField) -> tuple[int, Iterator[FloatArray]]:
     """Return the number of triangles of `solid_mesh`, and an iterator of their corners (n, 3, 3).
 
     It yields a few rows at a time, for surfaces whose mesh would fill the memory.
     """
     rows, cols = surface.shape
     count = 2 * (rows - 1) * (cols - 1) + 6 * (rows + cols - 2)
-    return count, _rows_and_rim(surface, base_height(surface, thickness))
+    return count, _rows_and_rim(surface, base_height(surface))
 
 
 def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[FloatArray]:
@@ -66,11 +57,9 @@ def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[FloatArray]:
     yield rest.vertices[rest.faces]
 
 
-def base_height(surface: HeightField, thickness: float | None = None) -> float:
-    """Return z of the base, meters (see `solid_mesh`)."""
-    if thickness is None:
-        thickness = max(MIN_THICKNESS, surface.relief / 10)
-    return float(surface.z.min()) - thickness
+def base_height(surface: HeightField) -> float:
+    """Return z of the base, meters: below the lowest point by a tenth of the relief."""
+    return float(surface.z.min()) - max(MIN_THICKNESS, surface.relief / 10)
 
 
 def node_axes(surface: HeightField) -> tuple[FloatArray, FloatArray]:

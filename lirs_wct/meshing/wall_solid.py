@@ -30,13 +30,8 @@ GAP = 0.001
 """Distance along both axes between vertices of two bodies touching at a corner, meters; at most 0.1 cell."""
 
 
-def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
-    """Return walls, floor and slab as one watertight solid in the world frame.
-
-    Args:
-        walls: wall cells from z = 0 to their height, and holes through the slab.
-        slab: thickness of the floor below z = 0, meters.
-    """
+def wall_mesh(walls: WallGrid) -> TriangleMesh:
+    """Return walls, floor and slab as one watertight solid in the world frame; z = 0 is the floor."""
     boxes = [merged_rectangles(walls.solid), merged_rectangles(walls.floor)]
     # One layout: otherwise numba would compile the kernel again for Fortran order.
     rectangles = np.ascontiguousarray(np.concatenate(boxes))
@@ -49,7 +44,7 @@ def wall_mesh(walls: WallGrid, slab: float = SLAB) -> TriangleMesh:
     kind = np.pad(kind, 1)
     codes = _triangles(rectangles, is_wall, kind, marked, len(holes) > 0)
     used, faces = np.unique(codes, return_inverse=True)
-    vertices = _decode(used, rectangles, is_wall, kind, walls, slab)
+    vertices = _decode(used, rectangles, is_wall, kind, walls)
     return TriangleMesh(vertices, faces.reshape(-1, 3).astype(np.int32))
 
 
@@ -62,18 +57,18 @@ def _corners(rectangles: IntArray, shape: tuple[int, int]) -> BoolArray:
 
 
 def _decode(
-    used: IntArray, rectangles: IntArray, is_wall: BoolArray, kind: CellKinds, walls: WallGrid, slab: float
+    used: IntArray, rectangles: IntArray, is_wall: BoolArray, kind: CellKinds, walls: WallGrid
 ) -> FloatArray:
     """Return the (n, 3) positions of codes: lattice points at a level, then rectangle centers."""
     rows, cols = walls.shape
     lattice = (rows + 1) * (cols + 1) * LEVELS
-    heights = np.array((-slab, -slab, 0.0, 0.0, walls.height, walls.height))
+    heights = np.array((-SLAB, -SLAB, 0.0, 0.0, walls.height, walls.height))
     corner, middle = used[used < lattice], used[used >= lattice] - lattice
     point, level = np.divmod(corner, LEVELS)
     row, col = np.divmod(point, cols + 1)
     # Middles of the upper sides, of the whole underside, of each underside.
     boxes = np.concatenate((rectangles, [[0, 0, rows, cols]], rectangles))[middle]
-    upper, lower = np.where(is_wall, walls.height, 0.0), np.full(len(rectangles) + 1, -slab)
+    upper, lower = np.where(is_wall, walls.height, 0.0), np.full(len(rectangles) + 1, -SLAB)
     lattice_plan = np.stack((col, row), axis=-1) + _apart(row, col, level, kind, walls.resolution)
     plan = np.concatenate((lattice_plan, (boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2))
     xy = walls.origin.apply(plan * walls.resolution)

@@ -22,7 +22,7 @@ from lirs_wct.files import first_bytes
 from lirs_wct.formats.images.gdal import GdalRaster, read_gdal
 from lirs_wct.formats.images.nodata import missing_heights
 from lirs_wct.formats.images.picture import MAX_PIXELS, check_size, pixels_of, read_picture, without_alpha
-from lirs_wct.formats.suffixes import ENCODINGS, Encoding
+from lirs_wct.formats.suffixes import Encoding
 from lirs_wct.geometry.geodesy import (
     TURNED,
     WGS84,
@@ -381,9 +381,6 @@ def _affine(path: Path, header: dict[str, float], rows: int) -> Affine:
     return dx, 0.0, west, 0.0, -dy, south + dy * (rows - 1)
 
 
-LOWEST, LAND, HIGHEST = -11_500.0, -500.0, 9_000.0
-"""Heights of the deepest sea, the lowest land and the highest land, meters; colors that encode others belong
-to a photo."""
 _TILE = re.compile(r"(\d{1,2})/(\d+)/(\d+)(@2x)?")
 _WORLD = 2 * math.pi * WGS84[0]
 """Meters of web Mercator around the world."""
@@ -399,34 +396,6 @@ def decode(pixels: NDArray[Any], encoding: Encoding) -> FloatArray:
     if encoding == "terrain-rgb":
         return np.asarray(-10000.0 + 0.1 * (65536.0 * red + 256.0 * green + blue))
     return np.asarray(256.0 * red + green + blue / 256.0 - 32768.0)
-
-
-def guess(pixels: NDArray[Any]) -> Encoding | None:
-    """Guess the encoding of heights in the colors of a picture; None for plain colors.
-
-    Heights of the earth fill a hundredth of either encoding's range. Red, the largest digit, then hardly
-    changes, and green jumps where red changes. Blue, the smallest digit, seldom stays the same; on flat
-    ground it jumps where green changes, or changes alone.
-    """
-    if pixels.ndim != 3 or pixels.dtype != np.uint8:
-        return None
-    blue, green, red = (np.abs(np.diff(pixels[..., k].astype(np.int16), axis=1)) for k in range(3))
-    if (red > 0).mean() > 0.2 or not _carries(green, red):
-        return None
-    alone = not (green.any() or red.any()) and blue.any()
-    if not (alone or np.median(blue) >= 3 or (green.any() and _carries(blue, green))):
-        return None
-    for encoding in ENCODINGS[1:]:
-        meters = decode(pixels, encoding)
-        if (LAND if alone else LOWEST) <= meters.min() < meters.max() <= HIGHEST:
-            return encoding
-    return None
-
-
-def _carries(digit: NDArray[np.int16], larger: NDArray[np.int16]) -> bool:
-    """Whether a digit mostly jumps where the next larger digit changes."""
-    jumps = digit[larger > 0]
-    return not jumps.size or bool(np.median(jumps) >= 128)
 
 
 def tile_georeference(path: Path, shape: tuple[int, int]) -> Georeference | None:

@@ -11,7 +11,7 @@ import scipy  # its modules load on first use
 from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.images.elevation import Raster, RasterInfo, decode, guess, tile_georeference
+from lirs_wct.formats.images.elevation import Raster, RasterInfo, decode, tile_georeference
 from lirs_wct.formats.images.nodata import missing_heights
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
@@ -44,18 +44,6 @@ def decode_heights(path: Path, raster: Raster, options: BuildOptions) -> Raster:
             f"{path}: its heights are in meters, its extent is not known: give --resolution or --size"
         )
     return Raster(decode(raster.pixels, options.encoding), RasterInfo(georeference, unit=1.0))
-
-
-def suggest_encoding(pixels: NDArray[Any]) -> str:
-    """Return the advice for a picture in color."""
-    encoding = guess(pixels)
-    if encoding is None:
-        return "--grayscale makes it gray"
-    meters = decode(pixels, encoding)
-    return (
-        f"its colors look like heights of {meters.min():.0f} to {meters.max():.0f} m: give "
-        f"--option encoding={encoding} (--grayscale would make it gray)"
-    )
 
 
 def pixel_of(info: RasterInfo) -> tuple[float, float] | None:

@@ -15,6 +15,7 @@ from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images.elevation import Raster, RasterInfo, read_raster
 from lirs_wct.formats.images.picture import check_size
+from lirs_wct.formats.suffixes import ENCODINGS
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.grid_sampling import resample
 from lirs_wct.geometry.heightfield import HeightField
@@ -27,7 +28,6 @@ from lirs_wct.sources.pictures.elevation import (
     fill_nodata,
     pixel_of,
     place_of,
-    suggest_encoding,
     warn_nodata_border,
     warn_slope_change,
 )
@@ -332,7 +332,10 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
                 f"{path}: has {pixels.shape[2]} different bands of {pixels.dtype}, a terrain needs one band "
                 "of heights: cut that out (gdal_translate -b 1 IN OUT), or mix them with --grayscale"
             )
-        raise SourceError(f"{path}: is in color, a terrain needs a gray picture; {suggest_encoding(pixels)}")
+        raise SourceError(
+            f"{path}: is in color, a terrain needs a gray picture; --grayscale makes it gray, "
+            f"--option encoding reads the colors of elevation tiles ({' or '.join(ENCODINGS[1:])})"
+        )
     if not span.any():
         gray = pixels[..., 0].astype(kind)
         return gray

@@ -34,8 +34,8 @@ def test_volume_is_the_integral_of_the_heights() -> None:
     nw, ne, sw, se = z[:-1, :-1], z[:-1, 1:], z[1:, :-1], z[1:, 1:]
     triangle = 0.5 * 0.25 / 2
     above = ((nw + sw + ne) / 3 + (sw + se + ne) / 3).sum() * triangle
-    below = surface.size[0] * surface.size[1] * -base_height(surface, 0.7)
-    assert solid_mesh(surface, thickness=0.7).volume == pytest.approx(above + below, rel=1e-12)
+    below = surface.size[0] * surface.size[1] * -base_height(surface)
+    assert solid_mesh(surface).volume == pytest.approx(above + below, rel=1e-12)
 
 
 def test_upright_and_where_the_field_is() -> None:

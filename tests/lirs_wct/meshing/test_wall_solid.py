@@ -44,12 +44,12 @@ def test_every_point_is_inside_where_its_cell_says_so(kind: np.ndarray, yaw: flo
     """Points in the slab, in the walls and above them, by the winding number of the mesh about each."""
     kind[0, 0] = 1
     walls = WallGrid(kind == 2, 0.5, Pose2(-8, 3, yaw), 2.0, kind == 0)
-    mesh = wall_mesh(walls, slab=0.25)
-    assert mesh.bounds[:, 2].tolist() == [-0.25, 2.0 if (kind == 2).any() else 0.0]
+    mesh = wall_mesh(walls)
+    assert mesh.bounds[:, 2].tolist() == [-0.1, 2.0 if (kind == 2).any() else 0.0]
     triangles = mesh.vertices[mesh.faces]
     cells = np.argwhere(kind >= 0)
     plan = walls.origin.apply((cells[:, ::-1] + (0.3, 0.7)) * 0.5)
-    for z, least in ((-0.2, 1), (0.4, 2), (1.9, 2), (2.1, 3), (-0.3, 3)):
+    for z, least in ((-0.05, 1), (0.4, 2), (1.9, 2), (2.1, 3), (-0.3, 3)):
         points = np.column_stack((plan, np.full(len(plan), z)))
         inside = kind[tuple(cells.T)] >= least
         np.testing.assert_allclose(winding(triangles, points), inside, atol=1e-6)
