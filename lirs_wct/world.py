@@ -30,13 +30,7 @@ from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.navigation.spawn_poses import FOOTPRINTS, mapped_area, spawn_poses
-from lirs_wct.navigation.traversability import (
-    blocked_ground,
-    cause_of_refusal,
-    nearest_place,
-    overlaid,
-    traversable_by,
-)
+from lirs_wct.navigation.traversability import cause_of_refusal, nearest_place, overlaid, traversable_by
 
 CELLS = (1e-5, 1e6)
 """Smallest and largest distance of two nodes of a stored surface, meters."""
@@ -191,8 +185,7 @@ class World(ShownAsPicture):
             resolution: as in `traversable`.
         """
         free = self.traversable(clearance=clearance, max_slope=max_slope, resolution=resolution)
-        blocked = blocked_ground(self.ground, max_slope, free)
-        cause = cause_of_refusal(self.surface, blocked, free, place, clearance=clearance, max_slope=max_slope)
+        cause = cause_of_refusal(self.ground, free, place, clearance=clearance, max_slope=max_slope)
         return cause, nearest_place(self.driven(free), place)
 
     def starts(self, free: OccupancyGrid, count: int = 8) -> tuple[Pose2, ...]:

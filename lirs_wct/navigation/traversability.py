@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import cv2
@@ -28,7 +28,7 @@ MOST_CELLS = 400_000_000
 COARSE = 1.0
 """Node spacing above which the slope of each triangle counts, meters: short steps cannot be found."""
 STEEP, WALLS = "steep ground", "a wall or a hole"
-"""Causes of blocked cells (see `blocked_ground`)."""
+"""Causes of blocked cells."""
 _STRIP = 512
 """Rows of nodes per step; without strips, a large surface would need four times its memory."""
 EDGE = "the border of the world"
@@ -61,12 +61,6 @@ def traversable_by(
         yield OccupancyGrid.from_mask(distance <= clearance, resolution, grid.origin)
 
 
-def blocked_ground(ground: Ground, max_slope: float, grid: OccupancyGrid) -> dict[str, BoolArray]:
-    """Return the blocked cells of a grid by cause; slopes in radians."""
-    steep: BoolArray = _gradient(ground.surface, grid) > math.tan(max_slope)
-    return {STEEP: steep} | _obstacles(ground, grid)
-
-
 def _obstacles(ground: Ground, grid: OccupancyGrid) -> dict[str, BoolArray]:
     """Return the blocked cells of a grid by cause, steep ground left out."""
     surface, walls, truth, no_ground = ground.surface, ground.walls, ground.truth, ground.no_ground
@@ -82,33 +76,6 @@ def _obstacles(ground: Ground, grid: OccupancyGrid) -> dict[str, BoolArray]:
             truth.free, truth.resolution, truth.origin, grid
         )
     return found
-
-
-def steepness(surface: HeightField, place: FloatArray, resolution: float) -> float:
-    """Return the slope of the cell around a position, radians, measured as in `World.traversable`.
-
-    Args:
-        surface: the ground.
-        place: (2,) center of the cell, world frame, meters.
-        resolution: cell size, meters.
-    """
-    x, y = place.tolist()
-    half = BASELINE + 2 * max(surface.cell) + 2 * resolution
-    around, reach = _nodes_around(surface, x, y, half), math.ceil(half / resolution) + 1
-    corner = Pose2(*(place - (reach + 0.5) * resolution).tolist())
-    grid = OccupancyGrid(np.zeros((2 * reach + 1, 2 * reach + 1), np.float32), resolution, corner)
-    return math.atan(float(_gradient(around, grid)[reach, reach]))
-
-
-def _nodes_around(surface: HeightField, x: float, y: float, half: float) -> HeightField:
-    """Return the part of a surface within `half` meters of a position, rounded outward."""
-    (west, south), (dx, dy), (rows, cols) = surface.origin, surface.cell, surface.shape
-    left = min(max(math.floor((x - half - west) / dx), 0), cols - 2)
-    low = min(max(math.floor((y - half - south) / dy), 0), rows - 2)
-    right = max(left + 1, min(math.ceil((x + half - west) / dx), cols - 1))
-    high = max(low + 1, min(math.ceil((y + half - south) / dy), rows - 1))
-    z = surface.z[rows - 1 - high : rows - low, left : right + 1]
-    return HeightField(z, surface.cell, (west + left * dx, south + low * dy))
 
 
 def _gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Array:
@@ -306,40 +273,33 @@ def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:
 
 
 def cause_of_refusal(
-    surface: HeightField,
-    blocked: Mapping[str, BoolArray],
-    grid: OccupancyGrid,
-    place: tuple[float, float],
-    *,
-    clearance: float,
-    max_slope: float,
+    ground: Ground, grid: OccupancyGrid, place: tuple[float, float], *, clearance: float, max_slope: float
 ) -> str:
     """Return the cause why a robot cannot stand at a position, with amount and limit.
 
     Args:
-        surface: the ground.
-        blocked: blocked cells of the grid by cause (see `blocked_ground`).
+        ground: ground of the world.
         grid: geometry of the cells.
         place: x and y in the world frame, meters.
         clearance: distance of the robot's center from blocked cells, meters.
         max_slope: steepest ground that the robot drives, radians.
     """
     x, y = place
-    west, south, east, north = surface.bounds
-    distances = {EDGE: max(0.0, min(x - west, east - x, y - south, north - y))}
-    nearest = {}
-    for cause, mask in blocked.items():
+    west, south, east, north = ground.surface.bounds
+    away, cause, obstacle = max(0.0, min(x - west, east - x, y - south, north - y)), EDGE, EDGE
+    gradient = _gradient(ground.surface, grid)
+    for blocking, mask in ({STEEP: gradient > math.tan(max_slope)} | _obstacles(ground, grid)).items():
         cells = np.argwhere(mask)
-        if len(cells):
-            gap = np.maximum(np.abs(grid.centers(cells) - place) - grid.resolution / 2, 0.0)
-            away = np.hypot(*gap.T)
-            k = int(np.argmin(away))
-            distances[cause], nearest[cause] = float(away[k]), grid.centers(cells[k])
-    cause = min(distances, key=distances.__getitem__)
-    away, obstacle = distances[cause], cause
-    if cause == STEEP:
-        slope = math.degrees(steepness(surface, nearest[cause], grid.resolution))
-        obstacle = f"ground of {slope:.3g} deg (limit {math.degrees(max_slope):.3g})"
+        if len(cells) == 0:
+            continue
+        gap = np.maximum(np.abs(grid.centers(cells) - place) - grid.resolution / 2, 0.0)
+        distance = np.hypot(*gap.T)
+        nearest = int(np.argmin(distance))
+        if distance[nearest] < away:
+            away, cause, obstacle = float(distance[nearest]), blocking, blocking
+            if cause == STEEP:
+                slope = math.degrees(math.atan(gradient[tuple(cells[nearest])]))
+                obstacle = f"ground of {slope:.3g} deg (limit {math.degrees(max_slope):.3g})"
     if away > 0:
         return f"it is {away:.2f} m from {obstacle}, its center needs {clearance:.2f} m"
     return f"it is {'in' if cause == WALLS else 'on'} {obstacle}"
