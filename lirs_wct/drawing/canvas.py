@@ -25,6 +25,7 @@ from PIL import Image
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory
+from lirs_wct.geometry.grid import mask_at
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
@@ -305,22 +306,16 @@ class Canvas:
 
         Row 0 of `mask` is south.
         """
-        seen, to_grid = np.empty(self.shape, np.bool_), origin.inverse()
+        seen = np.empty(self.shape, np.bool_)
         for band in self._bands():
-            local = np.floor(to_grid.apply(self._centers(band)) / resolution).astype(np.int64)
-            col, row = local[..., 0], local[..., 1]
-            inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
-            seen[band] = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+            seen[band] = mask_at(mask, resolution, origin, self._centers(band))
         if resolution < self.pixel:
-            points = origin.apply((np.argwhere(mask)[:, ::-1] + 0.5) * resolution)
-            self._touch(seen, points)
+            x, y = origin.apply((np.argwhere(mask)[:, ::-1] + 0.5) * resolution).T
+            col = np.floor((x - self.bounds[0]) / self.pixel).astype(np.int64)
+            row = np.floor((self.bounds[3] - y) / self.pixel).astype(np.int64)
+            inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
+            seen[row[inside], col[inside]] = True
         return seen
-
-    def _touch(self, pixels: BoolArray, points: FloatArray) -> None:
-        col = np.floor((points[:, 0] - self.bounds[0]) / self.pixel).astype(np.int64)
-        row = np.floor((self.bounds[3] - points[:, 1]) / self.pixel).astype(np.int64)
-        inside = (row >= 0) & (row < self.shape[0]) & (col >= 0) & (col < self.shape[1])
-        pixels[row[inside], col[inside]] = True
 
     def walls(self, walls: WallGrid) -> BoolArray:
         """Return the pixels that contain a wall cell."""

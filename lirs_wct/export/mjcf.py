@@ -12,7 +12,7 @@ import math
 import mujoco
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray
 from lirs_wct.contact.contact_geometry import ContactGeometry, check_contact_geometry
 from lirs_wct.contact.contact_grid import ContactGrid
 from lirs_wct.contact.contact_parts import contact_parts
@@ -98,14 +98,6 @@ def _add_contact_geoms(
         _add_boxes(spec, walls, walls.solid, (0.0, walls.height), WALL_COLOR)
 
 
-def _boxes(walls: WallGrid, rectangles: IntArray) -> FloatArray:
-    """Return (n, 4) world x and y of the rectangles' centers, and half extents along the grid's axes."""
-    boxes = np.asarray(rectangles, dtype=np.float64).reshape(-1, 4) * walls.resolution
-    center = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
-    half = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
-    return np.concatenate((center, half), axis=1)
-
-
 def _add_ground(
     spec: mujoco.MjSpec,
     surface: HeightField,
@@ -170,7 +162,10 @@ def _add_boxes(
     half_yaw = walls.origin.yaw / 2
     quat = (math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw))
     low, high = span
-    for x, y, hx, hy in _boxes(walls, merged_rectangles(cells)).tolist():
+    boxes = merged_rectangles(cells).reshape(-1, 4) * walls.resolution
+    centers = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
+    halves = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
+    for (x, y), (hx, hy) in zip(centers.tolist(), halves.tolist(), strict=True):
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=(x, y, (low + high) / 2),

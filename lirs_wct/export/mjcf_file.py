@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 from zlib import crc32
@@ -12,6 +13,7 @@ from zlib import crc32
 import cv2
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.export.appearance import Wear, ground_wear, world_extent, world_parts
@@ -50,9 +52,8 @@ Numbers = float | Sequence[float] | FloatArray
 def write_mjcf(world: World, folder: str | Path) -> Path:
     """Write NAME.xml, the surface's exact float32 heights, and the ground's texture.
 
-    The name of the heights' file contains their checksum. MuJoCo caches assets by name and would otherwise
-    return the old ground to a program that builds a world twice. If no height field is visible (a laser map,
-    a mesh with overhangs), the world's own mesh is visible, and the contact geoms are in group 3.
+    If no height field is visible (a laser map, a mesh with overhangs), the world's own mesh is visible, and
+    the contact geoms are in group 3.
 
     Returns:
         The path of NAME.xml.
@@ -136,8 +137,10 @@ def _dress_field(assets: Element, body: Element, world: World, folder: Path) -> 
     rows, cols = wear.pixels(world).shape[:2]
     repeat = (1 - 1 / cols, 1 - 1 / rows) if wear.draped else (1.0, 1.0)
     _add_material(assets, wear.name, _picture_on_field(world, wear, folder), texrepeat=repeat)
+    heights = f"{world.name}-{_checksum(*_hfield(world.surface))}.hfield"
+    write_hfield(folder / heights, world.surface)
     for hfield in assets.iter("hfield"):
-        hfield.set("file", _write_heights(world, folder))
+        hfield.set("file", heights)
     for geom in body.iter("geom"):
         geom.set("material", wear.name)
         geom.set("rgba", "1 1 1 1")
@@ -169,11 +172,8 @@ def _add_meshes(assets: Element, body: Element, world: World, folder: Path) -> N
 
 def _write_tile(tile: TriangleMesh, stem: str, folder: Path) -> str:
     """Write a mesh and return its file name, which contains its checksum."""
-    content = (np.ascontiguousarray(a, np.float32) for a in (tile.vertices, tile.uv))
-    checksum = 0
-    for array in content:
-        checksum = crc32(array.data, checksum)
-    file = f"{stem}-{checksum:08x}.obj"
+    arrays = (np.ascontiguousarray(a, np.float32) for a in (tile.vertices, tile.uv))
+    file = f"{stem}-{_checksum(*arrays)}.obj"
     write_obj(folder / file, tile)
     return file
 
@@ -262,13 +262,6 @@ def spread(picture: ByteArray, size: tuple[float, float], span: float) -> ByteAr
     return laid
 
 
-def _write_heights(world: World, folder: Path) -> str:
-    """Write the height field's file and return its name."""
-    name = f"{world.name}-{_checksum(world.surface):08x}.hfield"
-    write_hfield(folder / name, world.surface)
-    return name
-
-
 def write_hfield(path: Path, surface: HeightField) -> None:
     """Write MuJoCo's height-field file.
 
@@ -278,13 +271,20 @@ def write_hfield(path: Path, surface: HeightField) -> None:
         OutputError: the file cannot be written.
     """
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        file.writelines(_hfield(surface))
+        file.writelines(part.data for part in _hfield(surface))
 
 
-def _checksum(surface: HeightField) -> int:
-    header, heights = _hfield(surface)
-    return crc32(heights, crc32(header))
+def _checksum(*arrays: NDArray[Any]) -> str:
+    """Return a checksum for a file's name.
+
+    MuJoCo caches assets by name: a program that builds a world twice would otherwise get the old ones.
+    """
+    checksum = 0
+    for array in arrays:
+        checksum = crc32(array.data, checksum)
+    return f"{checksum:08x}"
 
 
-def _hfield(surface: HeightField) -> tuple[memoryview, memoryview]:
-    return np.array(surface.shape, "<i4").data, surface.south_up.astype("<f4", copy=False).data
+def _hfield(surface: HeightField) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the header and the heights of the file."""
+    return np.array(surface.shape, "<i4"), surface.south_up.astype("<f4", copy=False)

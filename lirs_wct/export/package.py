@@ -201,7 +201,9 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
         model = model_sdf(name, f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
     view, starts = overview(*world_extent(world), GAZEBO_FOVY), _starts(world)
     classic = world_sdf(name, view=view, place=world.place, starts=starts)
-    albedo = _albedo(world, folder) if terrain == "solid" and "dae" in formats else None
+    albedo = None
+    if terrain == "solid" and "dae" in formats and world.walls is None:  # a laser map has two textures
+        albedo = ground_wear(world).write(world, folder).as_posix()
     for file, text in (
         ("model.config", model_config(name)),
         ("model.sdf", model),
@@ -216,11 +218,6 @@ def _starts(world: World) -> list[Pose3]:
     return [
         Pose3.from_pose2(pose, float(world.surface.height_at(pose.x, pose.y))) for pose in world.spawn_poses
     ]
-
-
-def _albedo(world: World, folder: Path) -> str | None:
-    """Return the texture of a world with a single one; a laser map has two in its mesh file."""
-    return None if world.walls is not None else ground_wear(world).write(world, folder).as_posix()
 
 
 def _heightmap_layer(world: World, folder: Path) -> Layer:

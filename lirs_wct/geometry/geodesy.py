@@ -263,11 +263,6 @@ def middle_of_pixels(corner: Affine) -> Affine:
     return a, b, c + (a + b) / 2, d, e, f + (d + e) / 2
 
 
-def matrix(affine: Affine) -> FloatArray:
-    """Return the (3, 3) matrix of an affine map."""
-    return np.array((affine[:3], affine[3:], (0.0, 0.0, 1.0)))
-
-
 @dataclass(frozen=True, slots=True)
 class Place:
     """The place of the world's frame on the earth.

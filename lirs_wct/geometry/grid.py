@@ -119,3 +119,12 @@ class OccupancyGrid(ShownAsPicture):
     def moved(self, T_new_frame: Pose2) -> OccupancyGrid:
         """Return the same cells expressed in another frame."""
         return replace(self, origin=T_new_frame @ self.origin)
+
+
+def mask_at(mask: BoolArray, resolution: float, origin: Pose2, points: ArrayLike) -> BoolArray:
+    """Return the values (...) of a grid's mask at points (..., 2); False outside."""
+    local = np.floor(origin.inverse().apply(points) / resolution).astype(np.int64)
+    col, row = local[..., 0], local[..., 1]
+    inside = (row >= 0) & (row < mask.shape[0]) & (col >= 0) & (col < mask.shape[1])
+    found: BoolArray = inside & mask[np.where(inside, row, 0), np.where(inside, col, 0)]
+    return found

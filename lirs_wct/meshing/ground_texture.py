@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import scipy  # its modules load on first use
 
-from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.geometry.grid import mask_at
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 
@@ -53,7 +54,8 @@ def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteA
     if walls is None:
         rgb = _earth(surface, x, y, (surface.size[1] / rows, surface.size[0] / cols))
     else:
-        on_wall = _on_wall(walls, *np.broadcast_arrays(x, y))
+        points = np.stack(np.broadcast_arrays(x, y), axis=-1)
+        on_wall = mask_at(walls.solid, walls.resolution, walls.origin, points)
         rgb = np.where(on_wall[..., None], WALL.astype(np.uint8), FLOOR.astype(np.uint8))
     return np.ascontiguousarray(rgb[..., ::-1])
 
@@ -108,10 +110,3 @@ def _light(z: FloatArray, pixel: tuple[float, float]) -> FloatArray:
     cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
     light: FloatArray = 0.55 + 0.6 * np.clip(cosine, 0, 1)
     return light
-
-
-def _on_wall(walls: WallGrid, x: FloatArray, y: FloatArray) -> BoolArray:
-    local = walls.origin.inverse().apply(np.stack((x, y), axis=-1)) / walls.resolution
-    col, row = np.floor(local[..., 0]).astype(int), np.floor(local[..., 1]).astype(int)
-    inside = (row >= 0) & (row < walls.shape[0]) & (col >= 0) & (col < walls.shape[1])
-    return inside & walls.solid[np.where(inside, row, 0), np.where(inside, col, 0)]

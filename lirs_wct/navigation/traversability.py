@@ -207,8 +207,10 @@ def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
     """
     barred = ~walls.floor
     local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
-    inside = _lookup(barred, walls.resolution, walls.origin, grid)
-    return inside | _scatter(walls.origin.apply(local), grid)
+    marked = _lookup(barred, walls.resolution, walls.origin, grid)
+    rows, cols = _clipped_cells(walls.origin.apply(local), grid).T
+    marked[rows, cols] = True
+    return marked
 
 
 def _centers(grid: OccupancyGrid) -> FloatArray:
@@ -246,13 +248,6 @@ def _values_at(
             if 0 <= at_row < mask.shape[0] and 0 <= at_col < mask.shape[1]:
                 found[row, col] = mask[at_row, at_col]
     return found
-
-
-def _scatter(points: FloatArray, grid: OccupancyGrid) -> BoolArray:
-    marked = np.zeros(grid.shape, np.bool_)
-    cells = _clipped_cells(points, grid)
-    marked[cells[..., 0], cells[..., 1]] = True
-    return marked
 
 
 def _clipped_cells(points: FloatArray, grid: OccupancyGrid) -> IntArray:

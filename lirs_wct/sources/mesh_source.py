@@ -192,18 +192,13 @@ def _has_thin_walls(mesh: TriangleMesh, grid: Grid, top: FloatArray) -> bool:
 
 def _is_stacked(mesh: TriangleMesh) -> bool:
     """Whether an open mesh has only tops and bottoms: adjacent bodies that share faces."""
-    f = mesh.faces
+    f, up = mesh.faces, mesh.face_normals[:, 2]
     edges = np.sort(np.concatenate((f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]])), axis=1)
     _, count = np.unique(edges[:, 0].astype(np.int64) * len(mesh.vertices) + edges[:, 1], return_counts=True)
-    up = mesh.face_normals[:, 2]
-    return not mesh.is_watertight and bool((count % 2 == 0).all()) and _tops_and_bottoms(mesh, up)
-
-
-def _tops_and_bottoms(mesh: TriangleMesh, up: FloatArray) -> bool:
-    top, bottom = mesh.faces[up > 1e-9], mesh.faces[up < -1e-9]
-    if len(top) == 0 or len(bottom) == 0:
+    tops, bottoms = (mesh.vertices[f[faces]][..., 2] for faces in (up > 1e-9, up < -1e-9))
+    if mesh.is_watertight or (count % 2).any() or not (tops.size and bottoms.size):
         return False
-    return float(mesh.vertices[bottom][..., 2].max()) <= float(mesh.vertices[top][..., 2].min())
+    return float(bottoms.max()) <= float(tops.min())
 
 
 def _extent(mesh: TriangleMesh, window: Window | None) -> tuple[tuple[float, float], tuple[float, float]]:
