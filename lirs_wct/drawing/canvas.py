@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -40,14 +40,8 @@ TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
 BLUE, VERMILLION, GREEN, BLACK, GRAY = "#0072B2", "#D55E00", "#009E73", "#1a1a1a", "#6b6b6b"
 """Okabe and Ito's colors: distinct with every kind of color blindness and in gray."""
 
-LINE = 0.19
-"""Height of a line of a panel's title, inches."""
-LETTERS = 11.0
-"""Letters per inch of a panel's title."""
 LEFT, BELOW, GAP, RIM = 0.9, 0.6, 0.35, 0.12
 """Space left of a map and below it (ticks and labels), between panels, and at the figure's rim, inches."""
-SCALE = 0.95
-"""Space right of a panel for its color scale of heights, inches."""
 NARROW = 2.6
 """Panel width below which the legend does not fit above the right end, inches."""
 
@@ -141,30 +135,9 @@ def path_ends(axes: Axes, path: Trajectory) -> list[Line2D]:
     return handles
 
 
-class Size(NamedTuple):
-    """Width and height, inches."""
-
-    width: float
-    height: float
-
-
-def fit_size(ratio: float, most: Size) -> Size:
-    """Return the largest size with a ratio of width to height that fits into another size."""
-    width = min(most.width, most.height * ratio)
-    return Size(width, width / ratio)
-
-
-def add_axes(figure: Figure, left: float, top: float, size: Size) -> Axes:
-    """Add axes of a size; `left` and `top` are distances from the figure's upper left corner, inches."""
-    width, height = figure.get_size_inches()
-    return figure.add_axes(
-        (left / width, 1 - (top + size.height) / height, size.width / width, size.height / height)
-    )
-
-
-def fewer_ticks(axes: Axes, size: Size) -> None:
-    """Limit the ticks of a map to those that fit along its sides."""
-    for axis, room in ((axes.xaxis, size.width / 0.7), (axes.yaxis, size.height / 0.4)):
+def fewer_ticks(axes: Axes, width: float, height: float) -> None:
+    """Limit the ticks of a map to those that fit along its sides, inches."""
+    for axis, room in ((axes.xaxis, width / 0.7), (axes.yaxis, height / 0.4)):
         if room < 1:
             axis.set_ticks([axis.get_view_interval()[0]])
         else:
@@ -203,12 +176,14 @@ def bare_figure(width: float, height: float, dpi: float = DPI) -> Drawing:
     return Drawing(figsize=(width, height), dpi=dpi, facecolor="white")
 
 
-def page_of_panels(text: str, heights: Sequence[float], widths: Sequence[float]) -> tuple[Drawing, GridSpec]:
+def page_of_panels(
+    text: str, heights: Sequence[float], widths: Sequence[float], dpi: float = PAGE_DPI
+) -> tuple[Drawing, GridSpec]:
     """Return a page with a headline, and the grid of its panels (sizes in inches)."""
     head = 0.5 + 0.21 * (1 + text.count("\n"))
     width = len(widths) * LEFT + sum(widths) + RIM
     height = head + sum(heights) + len(heights) * (BELOW + GAP) - GAP
-    page = bare_figure(width, height, PAGE_DPI)
+    page = bare_figure(width, height, dpi)
     headline(page, text)
     grid = page.add_gridspec(
         *(len(heights), len(widths)),

@@ -18,34 +18,25 @@ from matplotlib.patheffects import withStroke
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import (
-    BELOW,
     BLACK,
+    DPI,
     FLOOR,
-    GAP,
     LEFT,
-    LETTERS,
-    LINE,
     NARROW,
-    RIM,
-    SCALE,
     SMALL,
     TEXT,
     VERMILLION,
     WALL,
     Canvas,
     Drawing,
-    Size,
-    add_axes,
-    bare_figure,
     fewer_ticks,
-    fit_size,
     height_colors,
     legend,
     length,
     map_axes,
+    page_of_panels,
     plain_axes,
     shaded_heights,
-    title,
 )
 from lirs_wct.geometry.grid_sampling import fewer_nodes
 from lirs_wct.geometry.heightfield import HeightField
@@ -55,10 +46,12 @@ from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 
-WIDTH, HALF, TALL = 12.0, 4.9, 9.0
-"""Limits in inches: picture width, width of each of two panels side by side, panel height."""
-TITLE_WIDTH, LEAST = 3.6, 1.2
-"""Smallest width of a panel's title and smallest height of the color scale, inches."""
+WIDTH, HALF, TALL, NARROWEST = 10.0, 4.7, 9.0, 1.8
+"""Limits in inches: width of a panel, of each of two panels side by side, height of a panel, least width."""
+BAR = 0.13
+"""Width of the color scale, inches."""
+LETTERS = 8.5
+"""Letters per inch of the headline."""
 WIDE = 2.5
 """Ratio of width to depth above which the panels are stacked vertically."""
 BLOCK_NODES = 700
@@ -74,42 +67,29 @@ MOST_ROWS = 1600
 
 def view_figure(world: World) -> Drawing:
     """Draw a world from above with start poses, and at an angle, without OpenGL or pyplot."""
-    canvas = Canvas.over(world.surface.bounds)
-    block = block_picture(world)
-    rows, cols = canvas.shape
-    stacked = cols > WIDE * rows
-    above, oblique = (
-        fit_size(ratio, Size(WIDTH - LEFT - SCALE if stacked else HALF, TALL))
-        for ratio in (cols / rows, block.shape[1] / block.shape[0])
-    )
-    boxes = [max(size.width, TITLE_WIDTH) for size in (above, oblique)]
-    titles = [_wrap(world_title(world), boxes[0]), _wrap(_seen_from(world), boxes[1])]
-    head = RIM + LINE * max(text.count("\n") + 2 for text in titles) + 0.2
+    canvas, block = Canvas.over(world.surface.bounds), block_picture(world)
+    ratios = [cols / rows for rows, cols in (canvas.shape, block.shape[:2])]
+    stacked = ratios[0] > WIDE
+    fitting = [min(WIDTH if stacked else HALF, TALL * ratio) for ratio in ratios]
+    heights = [width / ratio for width, ratio in zip(fitting, ratios, strict=True)]
+    widths = [max(width, NARROWEST) for width in fitting]
     if stacked:
-        left, top = LEFT, head + above.height + BELOW + head
-        width, height = WIDTH, top + oblique.height + RIM
+        widths = [max(widths)]
     else:
-        left, top = LEFT + boxes[0] + GAP, head
-        width, height = left + boxes[1] + SCALE, head + max(above.height + BELOW, oblique.height + RIM)
-    figure = bare_figure(width, height)
-    axes = add_axes(figure, LEFT, head, above)
-    map_axes(axes, canvas, shaded_heights(world, canvas))
-    fewer_ticks(axes, above)
-    title(axes, titles[0], above_legend=_starts(axes, world, above))
-    axes = add_axes(figure, left, top, oblique)
-    axes.imshow(block, interpolation="antialiased")
-    axes.set_axis_off()
-    title(axes, titles[1], above_legend=not stacked)
-    _height_scale_beside(figure, world.surface, left + oblique.width, top, oblique.height)
-    return figure
-
-
-def _height_scale_beside(figure: Figure, surface: HeightField, x: float, top: float, height: float) -> None:
-    """Add the color scale of heights right of a panel, unless the ground is flat."""
-    if surface.relief > 0:
-        size = Size(0.13, max(2 * height / 3, LEAST))
-        bar = add_axes(figure, x + RIM, top + (height - size.height) / 2, size)
-        height_scale(figure, surface, cax=bar)
+        heights = [max(heights)]
+    letters = int(LETTERS * (sum(widths) + len(widths) * LEFT))
+    text = f"{world_title(world)}; {'below' if stacked else 'right'}: {_seen_from(world)}"
+    page, grid = page_of_panels(textwrap.fill(text, letters), heights, [*widths, BAR], DPI)
+    above = page.add_subplot(grid[0, 0], anchor="N")
+    map_axes(above, canvas, shaded_heights(world, canvas))
+    fewer_ticks(above, fitting[0], fitting[0] / ratios[0])
+    _starts(above, world, fitting[0])
+    oblique = page.add_subplot(grid[-1, -2], anchor="N")
+    oblique.imshow(block, interpolation="antialiased")
+    oblique.set_axis_off()
+    if world.surface.relief > 0:
+        height_scale(page, world.surface, cax=page.add_subplot(grid[-1, -1]), ticklocation="left")
+    return page
 
 
 def world_title(world: World) -> str:
@@ -117,10 +97,6 @@ def world_title(world: World) -> str:
     width, depth = world.surface.size
     extent = f"{world.name}, {length(width)} x {length(depth)}"
     return extent if world.walls is not None else f"{extent}, relief {length(world.surface.relief)}"
-
-
-def _wrap(text: str, width: float) -> str:
-    return "\n".join(textwrap.wrap(text, int(LETTERS * width)))
 
 
 def _seen_from(world: World) -> str:
@@ -145,11 +121,10 @@ def _block(world: World) -> TriangleMesh:
     return solid_mesh(replace(surface, z=surface.z * np.float32(_exaggeration(world))))
 
 
-def _starts(axes: Axes, world: World, size: Size) -> bool:
-    """Draw an arrow at each spawn pose, numbered as in `World.spawn_poses`.
+def _starts(axes: Axes, world: World, width: float) -> None:
+    """Draw an arrow at each spawn pose, numbered as in `World.spawn_poses`, with a legend.
 
-    Returns:
-        Whether the panel has a legend.
+    The width is that of the panel, inches.
     """
     west, _, east, _ = world.surface.bounds
     length = 0.035 * (east - west)
@@ -169,8 +144,7 @@ def _starts(axes: Axes, world: World, size: Size) -> bool:
     if world.walls is not None:
         handles.append(Patch(color=WALL, label=f"wall, {world.walls.height:g} m"))
     if handles:
-        legend(axes, handles, side="left" if size.width < NARROW else "right")
-    return bool(handles)
+        legend(axes, handles, side="left" if width < NARROW else "right")
 
 
 def _exaggeration(world: World) -> float:

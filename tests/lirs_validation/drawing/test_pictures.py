@@ -102,7 +102,7 @@ def test_a_world_becomes_a_picture(kind: str, tmp_path: Path) -> None:
     view_figure(world).savefig(tmp_path / "view.png")
     image = cv2.imread(str(tmp_path / "view.png"))
     assert image is not None
-    assert image.shape[1] == 1800
+    assert 1500 < image.shape[1] < 1950
     assert 0.05 < (image.min(axis=2) < 240).mean() < 0.95
 
 
