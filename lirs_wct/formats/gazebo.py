@@ -55,21 +55,27 @@ def model_sdf(name: str, mesh: str) -> str:
         ConfigError: the name holds spaces.
     """
     geometry = f"<geometry><mesh><uri>{escape(model_uri(name, mesh))}</uri></mesh></geometry>"
+    surface = f"""
+        <surface>
+          <friction>
+            <ode><mu>{FRICTION}</mu><mu2>{FRICTION}</mu2></ode>
+          </friction>
+        </surface>"""
+    return _static_model(name, geometry, geometry + surface)
+
+
+def _static_model(name: str, visual: str, collision: str) -> str:
+    """Return a model of one static link with the elements of its visual and of its collision."""
     return f"""<?xml version="1.0"?>
 <sdf version="{VERSION}">
   <model name={quoteattr(name)}>
     <static>true</static>
     <link name="ground">
       <visual name="visual">
-        {geometry}
+        {visual}
       </visual>
       <collision name="collision">
-        {geometry}
-        <surface>
-          <friction>
-            <ode><mu>{FRICTION}</mu><mu2>{FRICTION}</mu2></ode>
-          </friction>
-        </surface>
+        {collision}
       </collision>
     </link>
   </model>
@@ -311,18 +317,7 @@ def heightmap_sdf(name: str, surface: HeightField, picture: str, layer: Layer | 
             f"<texture><diffuse>{diffuse}</diffuse><normal>{normal}</normal>"
             f"<size>{layer.span:.9g}</size></texture>"
         )
-    return f"""<?xml version="1.0"?>
-<sdf version="{VERSION}">
-  <model name={quoteattr(name)}>
-    <static>true</static>
-    <link name="ground">
-      <visual name="visual">
-        <geometry><heightmap>{uri}{look}{size}{place}</heightmap></geometry>
-      </visual>
-      <collision name="collision">
-        <geometry><heightmap>{uri}{size}{place}</heightmap></geometry>
-      </collision>
-    </link>
-  </model>
-</sdf>
-"""
+    visual, collision = (
+        f"<geometry><heightmap>{uri}{texture}{size}{place}</heightmap></geometry>" for texture in (look, "")
+    )
+    return _static_model(name, visual, collision)
