@@ -74,9 +74,9 @@ def world_spec(
 
 
 def contact_spec(world: World, contact_geometry: ContactGeometry) -> mujoco.MjSpec:
-    """Return only the geoms of a world that are touched."""
+    """Return only the geoms of a world that are touched; its height field has no heights."""
     spec = mujoco.MjSpec()
-    _add_contact_geoms(spec, world, world.surface, contact_geometry)
+    _add_contact_geoms(spec, world, world.surface, contact_geometry, heights=False)
     return spec
 
 
@@ -86,12 +86,13 @@ def _add_contact_geoms(
     surface: HeightField,
     contact_geometry: ContactGeometry,
     height_range: tuple[float, float] | None = None,
+    heights: bool = True,
 ) -> None:
     walls = world.walls
     if contact_geometry in ("prisms", "convex"):
         _add_parts(spec, world, contact_geometry)
     elif walls is None or walls.hole is None:
-        _add_ground(spec, surface, height_range=height_range)
+        _add_ground(spec, surface, height_range=height_range, heights=heights)
     else:
         _add_boxes(spec, walls, walls.floor, (-BASE, 0.0), GROUND_COLOR)
     if walls is not None:
@@ -103,6 +104,7 @@ def _add_ground(
     surface: HeightField,
     name: str = "ground",
     height_range: tuple[float, float] | None = None,
+    heights: bool = True,
     **options: int,
 ) -> None:
     west, south, east, north = surface.bounds
@@ -121,9 +123,10 @@ def _add_ground(
         # A plane costs a contact test, a flat height field all the prisms under a wheel.
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(*half, 1.0), **common)
         return
-    rows, cols = surface.shape
-    heights = surface.south_up.ravel()
-    spec.add_hfield(name=name, size=(*half, relief, BASE), nrow=rows, ncol=cols, userdata=heights)
+    data = {}
+    if heights:  # slow with millions of them
+        data = dict(zip(("nrow", "ncol"), surface.shape, strict=True), userdata=surface.south_up.ravel())
+    spec.add_hfield(name=name, size=(*half, relief, BASE), **data)
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, **common)
 
 
