@@ -8,6 +8,9 @@ import numpy as np
 from lirs_wct.arrays import Float32Array
 from lirs_wct.geometry.heightfield import HeightField
 
+STRIP = 512
+"""Rows of nodes that are sampled together; all at once would take several times the memory."""
+
 
 def resample(values: Float32Array, width: int, height: int) -> Float32Array:
     """Resample values on another grid over the same ground; corner nodes stay corner nodes.
@@ -32,6 +35,20 @@ def fewer_nodes(surface: HeightField, most: int) -> HeightField:
     width, depth = surface.size
     z = resample(surface.z, cols, rows)
     return HeightField(z, (width / (cols - 1), depth / (rows - 1)), surface.origin)
+
+
+def sample_surface(
+    surface: HeightField, bounds: tuple[float, float, float, float], shape: tuple[int, int]
+) -> HeightField:
+    """Return a surface within west, south, east, north on nodes of its own, exact at each node."""
+    (west, south, east, north), (rows, cols) = bounds, shape
+    x, y = np.linspace(west, east, cols), np.linspace(north, south, rows)
+    x, y = np.clip(x, west, east), np.clip(y, south, north)
+    z = np.empty(shape, np.float32)
+    for start in range(0, rows, STRIP):
+        part = slice(start, start + STRIP)
+        z[part] = surface.height_at(x[None, :], y[part, None])
+    return HeightField(z, ((east - west) / (cols - 1), (north - south) / (rows - 1)), (west, south))
 
 
 def _sample_columns(values: Float32Array, n: int) -> Float32Array:

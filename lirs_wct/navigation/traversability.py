@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry.grid_sampling import sample_surface
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import Ground
@@ -190,14 +191,8 @@ def _triangle_gradients(
 def _resample(surface: HeightField, spacing: float) -> HeightField:
     """Return the same surface with nodes at most `spacing` apart."""
     west, south, east, north = surface.bounds
-    cols, rows = math.ceil((east - west) / spacing) + 1, math.ceil((north - south) / spacing) + 1
-    x, y = np.linspace(west, east, cols), np.linspace(north, south, rows)
-    z = np.empty((rows, cols), np.float32)
-    for start in range(0, rows, _STRIP):
-        part = slice(start, start + _STRIP)
-        z[part] = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y[part], south, north)[:, None])
-    cell = ((east - west) / (cols - 1), (north - south) / (rows - 1))
-    return HeightField(z, cell, surface.origin)
+    shape = math.ceil((north - south) / spacing) + 1, math.ceil((east - west) / spacing) + 1
+    return sample_surface(surface, surface.bounds, shape)
 
 
 def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:

@@ -83,7 +83,7 @@ def _load_world(source: Source, options: BuildOptions) -> World:
 
 def _cut(ground: Ground, window: Window) -> tuple[Terrain, float]:
     """Return a square of a ground with its lowest point at z = 0, and the height subtracted, meters."""
-    surface, lift = leveled(cut_surface(ground.surface, window, level=False))
+    surface, lift = leveled(cut_surface(ground.surface, window))
     spacing = sample_spacing(ground.surface, surface)
     return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface), spacing), lift
 

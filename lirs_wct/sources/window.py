@@ -10,6 +10,7 @@ import numpy as np
 from lirs_wct.arrays import BoolArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry.grid_sampling import sample_surface
 from lirs_wct.geometry.heightfield import HeightField
 
 Window = tuple[float, float, float]
@@ -38,15 +39,10 @@ def driven_window(surface: HeightField, start: Pose2 | None) -> Window | None:
     return middle.x, middle.y, DRIVEN
 
 
-def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> HeightField:
+def cut_surface(surface: HeightField, window: Window) -> HeightField:
     """Keep the nodes of a square (rounded outward), coordinates unchanged.
 
     A square of few nodes is resampled, because outward rounding could enlarge it by kilometers.
-
-    Args:
-        surface: whole surface.
-        window: square to keep.
-        level: whether the lowest point becomes z = 0.
 
     Raises:
         ConfigError: the window does not overlap the surface.
@@ -58,8 +54,16 @@ def cut_surface(surface: HeightField, window: Window, *, level: bool = True) -> 
             f"window {x:g},{y:g},{side:g} lies outside the terrain: "
             f"x {west:g} to {east:g}, y {south:g} to {north:g} m"
         )
-    part = _cut(surface, window)
-    return leveled(part)[0] if level else part
+    if side < FEW_CELLS * max(surface.cell):
+        bounds = (max(x - half, west), max(y - half, south), min(x + half, east), min(y + half, north))
+        return sample_surface(surface, bounds, (SAMPLES, SAMPLES))
+    rows, cols = surface.shape
+    c0, c1 = _span(x - half - west, x + half - west, surface.cell[0], cols)
+    r0, r1 = _span(y - half - south, y + half - south, surface.cell[1], rows)
+    z = surface.z[rows - 1 - r1 : rows - r0, c0 : c1 + 1]
+    return HeightField(
+        np.ascontiguousarray(z), surface.cell, (west + c0 * surface.cell[0], south + r0 * surface.cell[1])
+    )
 
 
 def sample_spacing(whole: HeightField, part: HeightField) -> float | None:
@@ -71,22 +75,6 @@ def leveled(surface: HeightField) -> tuple[HeightField, float]:
     """Return a surface with its lowest point at z = 0, and the subtracted height, meters."""
     lowest = surface.z.min()
     return replace(surface, z=surface.z - lowest), float(lowest)
-
-
-def _cut(surface: HeightField, window: Window) -> HeightField:
-    rows, cols = surface.shape
-    west, south, east, north = surface.bounds
-    (x, y, side), half = window, window[2] / 2
-    if side < FEW_CELLS * max(surface.cell):
-        return _resample(
-            surface, (max(x - half, west), max(y - half, south), min(x + half, east), min(y + half, north))
-        )
-    c0, c1 = _span(x - half - west, x + half - west, surface.cell[0], cols)
-    r0, r1 = _span(y - half - south, y + half - south, surface.cell[1], rows)
-    z = surface.z[rows - 1 - r1 : rows - r0, c0 : c1 + 1]
-    return HeightField(
-        np.ascontiguousarray(z), surface.cell, (west + c0 * surface.cell[0], south + r0 * surface.cell[1])
-    )
 
 
 def cut_nodes(mask: BoolArray | None, whole: HeightField, part: HeightField) -> BoolArray | None:
@@ -116,15 +104,6 @@ def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
     part = np.ascontiguousarray(grid.log_odds[low[0] : high[0], low[1] : high[1]])
     shift = Pose2(float(low[1]) * grid.resolution, float(low[0]) * grid.resolution)
     return replace(grid, log_odds=part, origin=grid.origin @ shift)
-
-
-def _resample(surface: HeightField, bounds: tuple[float, float, float, float]) -> HeightField:
-    """Return the surface within exact bounds on 65 x 65 nodes."""
-    west, south, east, north = bounds
-    x, y = np.linspace(west, east, SAMPLES), np.linspace(north, south, SAMPLES)
-    z = surface.height_at(np.clip(x, west, east)[None, :], np.clip(y, south, north)[:, None])
-    cell = ((east - west) / (SAMPLES - 1), (north - south) / (SAMPLES - 1))
-    return HeightField(z.astype(np.float32), cell, (west, south))
 
 
 def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:

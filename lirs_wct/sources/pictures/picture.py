@@ -155,7 +155,7 @@ def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, P
         surface, scale, place = _read_picture(source.path, options)
     spacing = None
     if options.window is not None:
-        whole, surface = surface, cut_surface(surface, options.window, level=False)
+        whole, surface = surface, cut_surface(surface, options.window)
         spacing = sample_spacing(whole, surface)
         if options.zero is None:
             surface, lift = leveled(surface)

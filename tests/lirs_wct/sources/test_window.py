@@ -11,7 +11,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.window import cut_map, cut_nodes, cut_surface
+from lirs_wct.sources.window import cut_map, cut_nodes, cut_surface, leveled
 
 # 61 nodes from x = 10 to 40, 41 nodes from y = -8 to 2.
 Z = np.random.default_rng(3).uniform(5, 9, (41, 61)).astype(np.float32)
@@ -44,15 +44,17 @@ def test_nodes_of_the_square_rounded_outward_stay_where_they_are(x: float, y: fl
     assert north < min(y + half, 2) + 0.25 + 1e-6 or part.shape[0] == 2
     columns, rows = nodes(part)
     whole = SURFACE.height_at(columns[None, :], rows[:, None])
-    np.testing.assert_allclose(part.z, whole - whole.min(), atol=1e-5)
-    assert part.z.min() == 0.0
+    np.testing.assert_allclose(part.z, whole, atol=1e-5)
+    level, lift = leveled(part)
+    np.testing.assert_allclose(level.z + lift, part.z, atol=1e-5)
+    assert level.z.min() == 0.0
 
 
 def test_a_square_of_nodes_by_hand() -> None:
     part = cut_surface(SURFACE, (25.0, -4.0, 8.0))  # x 21 to 29, y -8 to 0: on nodes, not one more
     assert (part.bounds, part.shape) == ((21.0, -8.0, 29.0, 0.0), (33, 17))
     kept = Z[8:41, 22:39]
-    np.testing.assert_array_equal(part.z, kept - kept.min())
+    np.testing.assert_array_equal(part.z, kept)
     part = cut_surface(SURFACE, (25.1, -4.1, 8.0))  # x 21.1 to 29.1, y -8.1 to -0.1
     assert (part.bounds, part.shape) == ((21.0, -8.0, 29.5, 0.0), (33, 18))
 
@@ -93,7 +95,7 @@ def test_fewer_than_sixteen_cells_are_sampled_anew(
     np.testing.assert_allclose(part.bounds, bounds, atol=1e-9)
     columns, rows = nodes(part)
     whole = SURFACE.height_at(np.clip(columns, 10, 40)[None, :], np.clip(rows, -8, 2)[:, None])
-    np.testing.assert_allclose(part.z, whole - whole.min(), atol=1e-5)
+    np.testing.assert_allclose(part.z, whole, atol=1e-5)
 
 
 @given(st.integers(0, 55), st.integers(0, 35), st.integers(2, 9), st.integers(2, 9))
