@@ -210,7 +210,7 @@ class World(ShownAsPicture):
         """Return latitudes and longitudes, in degrees, of points of the world.
 
         Raises:
-            ConfigError: the world has no georeference, or the extra `geo` is needed.
+            ConfigError: the world has no georeference, or one of an unknown system.
         """
         if self.place is None:
             raise ConfigError(f"{self.name}: its source does not say where on the earth it lies")

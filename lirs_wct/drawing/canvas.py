@@ -7,7 +7,6 @@ text below them may leave the figure.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -28,6 +27,7 @@ from lirs_wct.geometry import OccupancyGrid, Pose2, Trajectory
 from lirs_wct.geometry.grid import mask_at
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.meshing.ground_texture import SUN, lambert
 from lirs_wct.world import World
 
 DPI, PAGE_DPI, SCREEN_DPI = 150, 100, 72
@@ -215,8 +215,6 @@ BAND = 64
 """Rows of pixels per step; it limits the memory of intermediate arrays."""
 FREE_SHADE, UNKNOWN_SHADE = 1.0, 0.80
 """Gray of free cells and of unknown cells."""
-AZIMUTH, ALTITUDE = math.radians(315), math.radians(45)
-"""Direction of the light: north-west, as on printed maps since the Swiss Dufour map."""
 WALL = (0.16, 0.16, 0.20)
 FLOOR, BEYOND = (0.97, 0.97, 0.96), (0.84, 0.84, 0.85)
 """Colors of a laser map's known cells and of its unknown cells."""
@@ -379,16 +377,7 @@ def shading(z: FloatArray, pixel: float) -> FloatArray:
     """
     height = np.where(np.isnan(z), np.nanmin(z) if np.isfinite(z).any() else 0.0, z)
     if min(height.shape) < 2:
-        return np.full(height.shape, math.sin(ALTITUDE))
-    north, east = np.gradient(height, -pixel, pixel)
-    typical = float(np.median(np.hypot(north, east)))
+        return np.full(height.shape, SUN[2])
+    typical = float(np.median(np.hypot(*np.gradient(height, pixel))))
     exaggeration = float(np.clip(0.25 / typical, 1.0, 6.0)) if typical > 1e-4 else 1.0
-    east, north = east * exaggeration, north * exaggeration
-    light = (
-        math.sin(AZIMUTH) * math.cos(ALTITUDE),
-        math.cos(AZIMUTH) * math.cos(ALTITUDE),
-        math.sin(ALTITUDE),
-    )
-    lambert = (light[2] - east * light[0] - north * light[1]) / np.sqrt(1 + east**2 + north**2)
-    brightness: FloatArray = np.clip(lambert, 0.0, 1.0)
-    return brightness
+    return lambert(height * exaggeration, (pixel, pixel))

@@ -24,7 +24,7 @@ FLOOR, WALL = np.array((205, 203, 196), np.float64), np.array((120, 116, 112), n
 FLOOR_SPAN, SLABS, TILE_PIXELS = 2.0, 4, 512
 """Side of the floor's texture (meters), slabs along it, and pixels along a repeated texture."""
 SUN = np.array((-0.5, 0.5, 0.7071))
-"""Unit vector towards the light: north-west, 45 deg up."""
+"""Unit vector towards the light: north-west, as on printed maps since the Swiss Dufour map, 45 deg up."""
 
 
 def checked_texture(path: Path | None, max_pixels: int) -> Path | None:
@@ -94,7 +94,7 @@ def _apply_shade(color: FloatArray, shade: FloatArray) -> ByteArray:
 def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[float, float]) -> ByteArray:
     # Strip by strip and color by color: all at once would take a hundred megabytes.
     z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
-    light = _light(z, pixel)
+    light = 0.55 + 0.6 * lambert(z, pixel)
     z -= z.min()
     z /= max(float(z.max()), 1e-9)
     levels = np.linspace(0, 1, len(EARTH))
@@ -104,9 +104,9 @@ def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[floa
     return rgb
 
 
-def _light(z: FloatArray, pixel: tuple[float, float]) -> FloatArray:
-    """Return the brightness of each node: Lambert's cosine under `SUN`, 0.55 in the shade."""
+def lambert(z: FloatArray, pixel: tuple[float, float]) -> FloatArray:
+    """Return the brightness in [0, 1] of each node under `SUN`, row 0 = north."""
     dz_dy, dz_dx = np.gradient(z, *pixel)
     cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
-    light: FloatArray = 0.55 + 0.6 * np.clip(cosine, 0, 1)
-    return light
+    brightness: FloatArray = np.clip(cosine, 0, 1)
+    return brightness
