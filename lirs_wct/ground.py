@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from lirs_wct.arrays import BoolArray
@@ -77,7 +77,7 @@ class LaserMap(Ground):
 
     kind: ClassVar[Literal["map"]] = "map"
     surface: HeightField
-    walls: WallGrid
+    walls: WallGrid = field()  # required, other than in the base
     truth: OccupancyGrid | None = None
 
     def mesh(self, _: ExportOptions) -> TriangleMesh:
@@ -100,7 +100,7 @@ class MeshGround(Ground):
 
     kind: ClassVar[Literal["mesh"]] = "mesh"
     surface: HeightField
-    solid: TriangleMesh
+    solid: TriangleMesh = field()
     overhangs: bool = False
     no_ground: BoolArray | None = None
 
