@@ -10,47 +10,14 @@ from hypothesis import strategies as st
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.laser_log import LaserLog
-from tests.lirs_wct.formats.carmen.carmen_room import START, room_lines, write_log
+from tests.lirs_wct.formats.carmen.carmen_room import room_lines, write_log
 
 LINES, _ = room_lines(12, beams=181)
-STAMPS = [START + 0.2 * k for k in range(12)]
-WORDS = LINES[5].split()
-
-
-def with_word(at: int, word: str) -> str:
-    words = list(WORDS)
-    words[at] = word
-    return " ".join(words)
-
-
-def read(tmp_path: Path, lines: list[str]) -> LaserLog:
-    return read_carmen(write_log(tmp_path / "x.clf", lines))
 
 
 @pytest.fixture(scope="module")
 def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("logs")
-
-
-BROKEN = {
-    "a word among the ranges": (with_word(9, "1.2.3"), "FLASER cut off or malformed"),
-    "a count that is none": (with_word(1, "many"), "FLASER cut off or malformed"),
-    "a count below zero": (with_word(1, "-181"), "FLASER cut off or malformed"),
-    "a huge count": (with_word(1, "999999999999"), "FLASER cut off or malformed"),
-    "another number of beams": (
-        " ".join(["FLASER", "90", *WORDS[2:92], *WORDS[183:]]),
-        "FLASER of 90 beams where the log's have 181",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", BROKEN)
-def test_a_broken_line_is_left_out_and_counted(tmp_path: Path, case: str) -> None:
-    line, reason = BROKEN[case]
-    log = read(tmp_path, [*LINES[:5], line, *LINES[6:]])
-    assert log.skipped == {reason: 1}
-    assert log.stamps.tolist() == [t for k, t in enumerate(STAMPS) if k != 5]
 
 
 @pytest.mark.filterwarnings("ignore:.*stamps go back")
@@ -81,17 +48,6 @@ def test_lines_in_any_order_stay_in_it(scratch: Path, order: list[int]) -> None:
     assert (np.diff(log.stamps) > 0).all()
     assert log.skipped == {}
     assert log.late == sum(any(order[j] > k for j in range(i)) for i, k in enumerate(order))
-
-
-def test_ranges_that_are_no_numbers_are_no_walls(tmp_path: Path) -> None:
-    words = list(WORDS)
-    words[2:9] = ["nan", "inf", "-inf", "-1.0", "0.0", "1e300", "81.91"]
-    log = read(tmp_path, [" ".join(words)])
-    np.testing.assert_array_equal(
-        log.scans[0].ranges[:7], np.array([np.nan, np.inf, -np.inf, -np.inf, -np.inf, np.inf, np.nan])
-    )
-    assert not log.scans[0].hits[:7].any()
-    assert log.scans[0].hits[7:].all()
 
 
 def test_comments_may_be_in_any_encoding(tmp_path: Path) -> None:

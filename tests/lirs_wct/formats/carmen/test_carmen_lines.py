@@ -53,17 +53,13 @@ def test_every_message_token_by_token(tail: str) -> None:
             assert robot.config == LaserConfig(-1.5, 1.0, 20.0)
 
 
-def test_no_remissions() -> None:
+@pytest.mark.parametrize(("remissions", "tail"), [("0 ", " host 0.5"), ("", ""), ("", " host 0.5")])
+def test_no_remissions(remissions: str, tail: str) -> None:
     """Their number is 0, or left out as well."""
-    assert same(parsed(f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 0 12.5 host 0.5"), None, None, [1, 2, 3, 4])
-    line = f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 0 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5 host 0.5"
+    sweep = f"0 {SWEEP} 0.1 0 4 1 2 3 4 {remissions}"
+    assert same(parsed(f"RAWLASER1 {sweep}12.5{tail}"), None, None, [1, 2, 3, 4])
+    line = f"ROBOTLASER1 {sweep}{LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5{tail}"
     assert same(parsed(line), T_BASE, T_LASER, [1, 2, 3, 4])
-    assert same(parsed(f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 12.5 host 0.5"), None, None, [1, 2, 3, 4])
-    line = f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5 host 0.5"
-    assert same(parsed(line), T_BASE, T_LASER, [1, 2, 3, 4])
-    assert same(parsed(f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 12.5"), None, None, [1, 2, 3, 4])
-    bare = f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5"
-    assert same(parsed(bare), T_BASE, T_LASER, [1, 2, 3, 4])
 
 
 @pytest.mark.parametrize(
@@ -75,6 +71,8 @@ def test_no_remissions() -> None:
         f"FLASER 3 1 2 4.5 {LASER} {BASE} 12.5 host 0.5 more",
         f"FLASER 0 {LASER} {BASE} 12.5 host 0.5",
         "FLASER 0",
+        f"FLASER 3 1 2 1.2.3 {LASER} {BASE} 12.5",
+        *(f"FLASER {n} 1 2 4.5 {LASER} {BASE} 12.5" for n in ("many", "-3", "999999999999")),
         f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4",
         f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 3 70 80 90",
         f"RAWLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 0 12.5 host 0.5 more",
@@ -83,7 +81,7 @@ def test_no_remissions() -> None:
         f"ROBOTLASER1 0 {SWEEP} 0.1 0 4 1 2 3 4 0 {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5 host 0.5 more",
     ],
 )
-def test_a_wrong_number_of_tokens_is_malformed(line: str) -> None:
+def test_wrong_tokens_are_malformed(line: str) -> None:
     assert parsed(line) is None
 
 

@@ -7,23 +7,24 @@ import pytest
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.laser_log import LaserLog
+from lirs_wct.geometry.pose import Pose2
+from tests.lirs_wct.formats.carmen.carmen_room import flaser, write_log
 
 
-def flaser(stamp: float, n: int = 180, r: str = "2.50", x: float = 1.0) -> str:
-    return f"FLASER {n} " + " ".join([r] * n) + f" {x} 2.0 0.5 {x} 2.0 0.5 {stamp} nohost 0.1"
+def read_lines(folder: Path, *lines: str) -> LaserLog:
+    return read_carmen(write_log(folder / "x.clf", list(lines)))
 
 
-def write(folder: Path, *lines: str) -> Path:
-    path = folder / "x.clf"
-    path.write_text("\n".join(("# a comment", *lines)) + "\n")
-    return path
+def line_of(stamp: float, n: int = 180, x: float = 1.0, name: str = "FLASER") -> str:
+    return flaser(np.full(n, 2.5), Pose2(x, 2.0, 0.5), stamp, name)
 
 
 def test_unusable_lines_are_counted_by_reason(tmp_path: Path) -> None:
-    good = flaser(10.0)
+    good = line_of(10.0)
     cut, wrong_count = good[: len(good) // 2], good.replace("FLASER 180", "FLASER 361", 1)
     other = ("TRUEPOS 1 2 3", "SYNC x", "SYNC y", "NMEAGGA 1 49.0 N", "Laser: 1 2", "12 13", "\x07 4")
-    log = read_carmen(write(tmp_path, good, cut, wrong_count, *other))
+    log = read_lines(tmp_path, good, cut, wrong_count, *other)
     assert len(log.scans) == 1
     assert log.skipped == {
         "FLASER cut off or malformed": 2,
@@ -59,24 +60,24 @@ def raw(stamp: float, n: int = 180) -> str:
 
 
 def test_the_laser_with_poses_comes_before_the_commoner_one(tmp_path: Path) -> None:
-    rear = [flaser(20.0 + k).replace("FLASER", "RLASER") for k in range(4)]
-    lines = [*(raw(k + 0.5) for k in range(3)), *(flaser(10.0 + k, x=float(k)) for k in range(2)), *rear]
-    log = read_carmen(write(tmp_path, *lines))
+    rear = [line_of(20.0 + k, name="RLASER") for k in range(4)]
+    lines = [*(raw(k + 0.5) for k in range(3)), *(line_of(10.0 + k, x=float(k)) for k in range(2)), *rear]
+    log = read_lines(tmp_path, *lines)
     assert (log.laser, log.stamps.tolist()) == ("FLASER", [10.0, 11.0])
     assert log.skipped == {"RAWLASER1 beside FLASER": 3, "RLASER beside FLASER": 4}
-    log = read_carmen(write(tmp_path, *lines[:3], *rear))
+    log = read_lines(tmp_path, *lines[:3], *rear)
     assert (log.laser, log.skipped) == ("RAWLASER1", {"RLASER beside RAWLASER1": 4})
 
 
 def test_a_laser_without_a_usable_line_gives_way(tmp_path: Path) -> None:
-    log = read_carmen(write(tmp_path, "FLASER x", "FLASER y", raw(1.5)))
+    log = read_lines(tmp_path, "FLASER x", "FLASER y", raw(1.5))
     assert (log.laser, log.skipped) == ("RAWLASER1", {"FLASER cut off or malformed": 2})
 
 
 def test_the_commonest_number_of_beams_is_kept(tmp_path: Path) -> None:
     sizes = (181, 180, 361, 180, 181, 180)
-    lines = [flaser(10.0 + k, n=n, x=float(k)) for k, n in enumerate(sizes)]
-    log = read_carmen(write(tmp_path, *lines))
+    lines = [line_of(10.0 + k, n=n, x=float(k)) for k, n in enumerate(sizes)]
+    log = read_lines(tmp_path, *lines)
     assert log.stamps.tolist() == [11.0, 13.0, 15.0]
     assert log.skipped == {
         "FLASER of 181 beams where the log's have 180": 2,
@@ -88,7 +89,7 @@ def test_the_commonest_number_of_beams_is_kept(tmp_path: Path) -> None:
 def test_an_error_tells_five_reasons(tmp_path: Path, reasons: int) -> None:
     lines = [f"MESSAGE{k} 1" for k in range(reasons) for _ in range(k + 1)]
     with pytest.raises(SourceError) as told:
-        read_carmen(write(tmp_path, *lines))
+        read_lines(tmp_path, *lines)
     said = str(told.value).split("; skipped: ")[1]
     listed = ", ".join(f"{k + 1} x message MESSAGE{k}" for k in reversed(range(reasons - 5, reasons)))
     assert said == listed + (f" and {reasons - 5} other reasons" if reasons > 5 else "")
@@ -96,11 +97,11 @@ def test_an_error_tells_five_reasons(tmp_path: Path, reasons: int) -> None:
 
 def test_a_log_of_nothing_has_no_reasons(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"in this CARMEN log$"):
-        read_carmen(write(tmp_path))
+        read_lines(tmp_path)
 
 
 def test_long_names_are_cut(tmp_path: Path) -> None:
-    log = read_carmen(write(tmp_path, flaser(1.0), "ABCDEFGHIJKLMNOPQRSTUVWXYZ 1"))
+    log = read_lines(tmp_path, line_of(1.0), "ABCDEFGHIJKLMNOPQRSTUVWXYZ 1")
     assert log.skipped == {"message ABCDEFGHIJKLMNOPQRST": 1}
 
 
@@ -108,12 +109,12 @@ def test_long_names_are_cut(tmp_path: Path) -> None:
 def test_of_two_front_lasers_with_poses_the_commoner_is_read(tmp_path: Path, commoner: str) -> None:
     sweep, poses = "0 -1.57 3.14 0.017453 20.0 0.1 0", "1.0 2.0 0.5 1.0 2.0 0.5"
     lines = {
-        "FLASER": [flaser(10.0 + k) for k in range(3)],
+        "FLASER": [line_of(10.0 + k) for k in range(3)],
         "ROBOTLASER1": [
             f"ROBOTLASER1 {sweep} 180 {' '.join(['2.0'] * 180)} 0 {poses} 0 0 0 0 0 {20.0 + k} h 0"
             for k in range(3)
         ],
     }
     other = next(name for name in lines if name != commoner)
-    log = read_carmen(write(tmp_path, *lines[other][:2], *lines[commoner]))
+    log = read_lines(tmp_path, *lines[other][:2], *lines[commoner])
     assert (log.laser, log.skipped) == (commoner, {f"{other} beside {commoner}": 2})

@@ -150,14 +150,6 @@ def test_when_a_stamp_may_repeat(scan: list[bool], step: list[float], sound: boo
     assert (repaired(lines(logged, [Pose2(v) for v in x], scan)) == logged) == sound
 
 
-def test_a_turn_is_a_motion() -> None:
-    logged = [1.0, 2.0, 2.0, 3.0]
-    turned = [Pose2(yaw=v) for v in (0.0, 0.1, 0.2, 0.3)]
-    found = repaired(lines(logged, list(turned), [True, False, True, False]))
-    np.testing.assert_allclose(found, twin(logged, turned), atol=2e-6)
-    assert found != logged
-
-
 def test_a_line_without_a_pose_has_that_of_the_nearer_one() -> None:
     logged = [0.0, 1.0, 1.9, 3.0, 4.1, 3.9, 6.0]
     posed = [Pose2(k * 0.1, 0.2 * k, 0.01 * k) for k in range(7)]
