@@ -23,7 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS
+from benchmarks.natural_terrain import write_terrain
 from lirs_validation import validate
 from lirs_wct.errors import WctError
 from lirs_wct.option import read_numbers
@@ -58,7 +58,8 @@ def main() -> None:
     given = parser.parse_args()
     seconds, seeds = (10.0, [1]) if given.quick else (given.seconds, read_numbers(given.seeds, "--seeds"))
     with tempfile.TemporaryDirectory() as folder:
-        sources = generated(Path(folder)) | walls(Path(folder))
+        sources = walls(Path(folder))
+        sources |= {name: (kind, *write_terrain(name, 1, Path(folder))) for name, kind in GENERATED.items()}
         sources |= {name: ("bundled", name) for name in BUNDLED}
         if not given.quick:
             sources |= {Path(name).stem: (kind, given.data / name) for name, kind in ELEVATION.items()}
@@ -79,17 +80,6 @@ def main() -> None:
 def rows_in(path: Path) -> list[dict[str, Any]]:
     """Return the runs of a file; none where it is missing."""
     return [json.loads(line) for line in path.read_text("utf-8").splitlines()] if path.exists() else []
-
-
-def generated(folder: Path) -> dict[str, tuple[Any, ...]]:
-    """Write generated terrains as 16-bit pictures; return kind, path and scale of each."""
-    sources = {}
-    for name, kind in GENERATED.items():
-        z = NATURAL_TERRAINS[name](np.random.default_rng(1))
-        z, path = z - z.min(), folder / f"{name}.png"
-        cv2.imwrite(str(path), np.round(z / z.max() * 65535).astype(np.uint16))
-        sources[name] = kind, path, BuildOptions(size=EDGE, height=float(z.max()))
-    return sources
 
 
 def walls(folder: Path) -> dict[str, tuple[Any, ...]]:

@@ -1,6 +1,6 @@
 """Time of an environment step: what it costs beyond physics and rays, on two threads, and beside its peers.
 
-    python benchmarks/envs.py [--quick] [--ir-sim PYTHON] [--json FILE]
+    python benchmarks/envs.py [--quick] [--json FILE]
 
 16 Huskys map `medium`, 25 steps a second, each with a scan, by random actions that are held for ten steps.
 Times are of the processor, all threads of this process together, but where it says wall: other programs
@@ -8,8 +8,7 @@ lengthen those less. Rounds of all that is compared follow each other, and media
 
 The floor is what MuJoCo and the rays need: the recorded controls through `mujoco.batch` alone, and the rays
 of every scan from the recorded poses, both in the same batches. AsyncVectorEnv is measured by the wall, and
-so is what it is compared with. With `--ir-sim`, steps of ir-sim among discs and among squares are compared
-too (see `ir_sim_step.py`).
+so is what it is compared with.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ import argparse
 import copy
 import json
 import os
-import subprocess
 import threading
 import time
 import warnings
@@ -159,13 +157,12 @@ def main() -> None:
     """Measure, and say what is kept."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer steps and rounds")
-    parser.add_argument("--ir-sim", metavar="PYTHON", help="an interpreter that has ir-sim")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     given = parser.parse_args()
     rounds, steps = (3, 20) if given.quick else (9, 100)
     warnings.simplefilter("ignore")
     told = actions(steps)
-    found = measure(rounds, steps, told) | ir_sim(given.ir_sim)
+    found = measure(rounds, steps, told)
     show(found)
     if given.json:
         given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
@@ -205,24 +202,6 @@ def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
     )
     peers.close()
     return {f"{name}_us": value for name, value in times.items()} | ratios(times)
-
-
-def ir_sim(python: str | None) -> dict[str, float]:
-    """Return microseconds a step of ir-sim; none without an interpreter that has it."""
-    if python is None:
-        print("ir-sim is left out: no --ir-sim PYTHON is given")
-        return {}
-    script = str(Path(__file__).with_name("ir_sim_step.py"))
-    # Not with this interpreter's packages.
-    clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    found = {}
-    for shape in ("discs", "squares"):
-        told = subprocess.run([python, script, shape], capture_output=True, text=True, check=False, env=clean)
-        if told.returncode:
-            print(f"ir-sim is left out: {python} says {told.stderr.strip().splitlines()[-1:]}")
-            return {}
-        found[f"ir_sim_{shape}_us"] = float(told.stdout.split()[-1])
-    return found
 
 
 def ratios(times: dict[str, float]) -> dict[str, float]:

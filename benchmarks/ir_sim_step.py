@@ -1,4 +1,4 @@
-"""A step of ir-sim with a robot and a lidar: prints microseconds of processor time; for `benchmarks/envs.py`.
+"""A step of ir-sim with a robot and a lidar: prints microseconds of processor time, beside `envs.py`.
 
 Run by an interpreter that has ir-sim (`pip install ir-sim`), which need not have LIRS-WCT. A disc of a
 Husky's size with its lidar (541 beams, 270 deg, 20 m) among 40 discs, or with the argument `squares` among

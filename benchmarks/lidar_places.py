@@ -1,4 +1,4 @@
-"""Where the laser's time is measured: rough terrain, a laser map, and both in MuJoCo."""
+"""Where the laser's time is measured: rough terrain, also in MuJoCo."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
-from lirs_envs.lidar.ray_casting import RayCaster, mujoco_hits
+from lirs_envs.lidar.ray_casting import mujoco_hits
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 
 Array = NDArray[np.float64]
 Rays = tuple[Array, Array]
@@ -100,23 +99,3 @@ def triangles(surface: HeightField) -> tuple[NDArray[np.float32], NDArray[np.int
     sw, se, nw, ne = k[:-1, :-1], k[:-1, 1:], k[1:, :-1], k[1:, 1:]
     faces = np.stack((sw, se, ne, sw, ne, nw), axis=-1).reshape(-1, 3)
     return np.stack((x, y, surface.south_up), axis=-1).astype(np.float32), faces
-
-
-def rooms(beams: Array, cells: int = 2000) -> tuple[RayCaster, list[Rays]]:
-    """Walls of rooms and pillars on a map of 100 m at 0.05 m, and scans from its free cells."""
-    rng = np.random.default_rng(2)
-    solid = np.zeros((cells, cells), np.bool_)
-    for row, col, length in rng.integers((0, 0, 40), (cells, cells, 240), (400, 3)):
-        solid[row : row + 3, col : col + length] = True
-        solid[col : col + length, row : row + 3] = True
-    for row, col in rng.integers(0, cells - 8, (600, 2)):
-        solid[row : row + 8, col : col + 8] = True
-    walls = WallGrid(solid, 0.05, Pose2(), 2.5)
-    floor = HeightField(np.zeros((2, 2), np.float32), (cells * 0.05,) * 2, (0.0, 0.0))
-    free = np.argwhere(~solid)[rng.integers(0, (~solid).sum(), 40)]
-    rays = []
-    for (row, col), yaw in zip(free, rng.uniform(-np.pi, np.pi, 40), strict=True):
-        c, s = np.cos(yaw), np.sin(yaw)
-        d = beams @ np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
-        rays.append((np.array(((col + 0.5) * 0.05, (row + 0.5) * 0.05, 0.45)), d))
-    return RayCaster(floor, walls), rays

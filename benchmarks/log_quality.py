@@ -7,7 +7,8 @@
 Every k-th scan of each log is mapped by each mapper, with the odometry as logged and with a worse one: yaw
 noise of 4 deg per square root of a meter, and 10 % of each step. With a folder, finished results are kept
 there and the same command continues. True error: ATE against the reference poses; of the Intel log, which has
-none, the mean translational error of the relations. --from prints the table of an earlier measurement.
+none, the mean translational error of the relations. A result that is more than a meter off must not be `ok`:
+the last line counts those that are. --from prints the table of an earlier measurement.
 """
 
 from __future__ import annotations
@@ -33,6 +34,8 @@ from lirs_wct.files import atomic_write
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry import Pose2, Trajectory
 
+FAR = 1.0
+"""Error above which a result must not be `ok`, meters."""
 SECOND = "hector", "cartographer"
 """Mappers that the others and the first of them are compared with, as `map` does."""
 MAPPED = ("hector", "hector_original", "cartographer", "gmapping")
@@ -123,7 +126,8 @@ def table(rows: Sequence[Mapping[str, Any]]) -> str:
         cells = " | ".join(f"{value:.2f}" for value in (*found, float(np.median(found))))
         lines.append(f"| `{name}` | {cells} |")
     counts = ", ".join(f"{log} {sum(row['log'] == log for row in rows)}" for log in logs)
-    return "\n".join((*lines, f"Results: {counts}."))
+    far = [row["status"] for row in rows if float(row["error"]) > FAR]
+    return "\n".join((*lines, f"Results: {counts}. Off by over {FAR:g} m: {len(far)}, {far.count('ok')} ok."))
 
 
 def correlation(rows: Iterable[Mapping[str, Any]], figure: str) -> float:
@@ -140,13 +144,13 @@ def shown(value: Any) -> Any:
     return f"{value:.4g}" if isinstance(value, float) else value
 
 
-def thinned(lines: Iterable[str], every: int) -> Iterator[str]:
-    """Yield the lines of a CARMEN log with every k-th scan."""
+def thinned(lines: Iterable[str], every: int, first: int = 0) -> Iterator[str]:
+    """Yield the lines of a CARMEN log with every k-th scan from the first one on."""
     scans = -1
     for line in lines:
         scan = line.startswith("FLASER")
         scans += scan
-        if not scan or scans % every == 0:
+        if not scan or (scans >= first and (scans - first) % every == 0):
             yield line
 
 

@@ -95,13 +95,18 @@ def broken(row: Mapping[str, Any]) -> list[str]:
 
 
 def generated(folder: Path, seeds: Sequence[int]) -> Iterator[tuple[Path, BuildOptions]]:
-    """Write one terrain of each kind and seed as a 16-bit picture; yield it with its scale."""
-    for name, make in NATURAL_TERRAINS.items():
+    """Yield one terrain of each kind and seed."""
+    for name in NATURAL_TERRAINS:
         for seed in seeds:
-            z = make(np.random.default_rng(seed))
-            z, path = z - z.min(), folder / f"{name} {seed}.png"
-            cv2.imwrite(str(path), np.round(z / z.max() * 65535).astype(np.uint16))
-            yield path, BuildOptions(size=EDGE, height=float(z.max()))
+            yield write_terrain(name, seed, folder)
+
+
+def write_terrain(name: str, seed: int, folder: Path) -> tuple[Path, BuildOptions]:
+    """Write a terrain as a 16-bit picture; return it with its scale."""
+    z = NATURAL_TERRAINS[name](np.random.default_rng(seed))
+    z, path = z - z.min(), folder / f"{name} {seed}.png"
+    cv2.imwrite(str(path), np.round(z / z.max() * 65535).astype(np.uint16))
+    return path, BuildOptions(size=EDGE, height=float(z.max()))
 
 
 def table(rows: list[dict[str, Any]]) -> Table:

@@ -1,9 +1,9 @@
-"""What a sweep costs beside its experiments: time each, share of a real one's time, memory over a thousand.
+"""What a sweep costs beside its experiments: time each, and share of a real one's time.
 
     python benchmarks/sweep.py [--cells 1000] [--seconds 120] [--real 12] [--quick] [--json FILE]
 
 Experiments that only write a record of full size are put through everything that `validate` does: looked at,
-run, written down, read again for the table. What is left after their own time is the suite's; it stands
+run, written down. What is left after their own time is the suite's; it stands
 beside the time of a real experiment (Husky, Hector, world `simple`), which is the peer here.
 
 Then real experiments are run by one process and by two, in turns, the processes' start included: at least 1.8
@@ -17,9 +17,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +27,7 @@ from lirs_validation import RunConfig, RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.report.run_tables import sweep_tables
-from lirs_validation.sweep.engines import Executor, Processes, Serial
+from lirs_validation.sweep.engines import Processes, Serial
 from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.files import atomic_folder
@@ -87,25 +84,19 @@ def main() -> None:
         begun = time.perf_counter()
         run = validate("simple", seconds=seconds, out=Path(folder) / "real")
         real = time.perf_counter() - begun
-        engines: dict[str, Executor] = {"serial": Serial(), "processes": Processes(jobs=2)}
-        rows = [
-            measured(name, partial(swept, engine, run, count, Path(folder) / name), real)
-            for name, engine in engines.items()
-        ]
-    for row in rows:
-        console.print(
-            f"{row['engine']:>9}: {count} experiments, {row['overhead_ms']:.1f} ms of the suite for each = "
-            f"{row['share']:.2%} of a real experiment of {real:.1f} s (limit {LIMIT:.0%}); "
-            f"again with all kept {row['again_ms']:.1f} ms an experiment; memory {row['growth_mb']:+.1f} MB "
-            f"from {row['memory_mb']:.0f} MB"
-        )
+        overhead = suite_seconds(run, count, Path(folder) / "swept")
+    console.print(
+        f"{count} experiments, {1e3 * overhead:.1f} ms of the suite for each = "
+        f"{overhead / real:.2%} of a real experiment of {real:.1f} s (limit {LIMIT:.0%})"
+    )
     minute = throughput(given.real, seconds)
     console.print(
         f"{given.real} real experiments of {seconds:g} s: {minute['one']:.1f} a minute by one process, "
         f"{minute['two']:.1f} by two = {minute['speedup']:.2f} x (limit {SPEEDUP:g})"
     )
     if given.json:
-        given.json.write_text(json.dumps([*rows, minute], indent=1) + "\n", encoding="utf-8")
+        document = minute | {"overhead": overhead, "real": real}
+        given.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def throughput(count: int, seconds: float) -> dict[str, Any]:
@@ -121,17 +112,11 @@ def throughput(count: int, seconds: float) -> dict[str, Any]:
             spent = time.perf_counter() - begun
         assert not {"error", "timeout"} & {outcome.status for outcome in outcomes}
         best[jobs] = max(best[jobs], 60.0 * count / spent)
-    return {"engine": "throughput", "one": best[1], "two": best[2], "speedup": best[2] / best[1]}
+    return {"one": best[1], "two": best[2], "speedup": best[2] / best[1]}
 
 
-def measured(name: str, work: Callable[[], dict[str, float]], real: float) -> dict[str, Any]:
-    """Return a row: what the work says of itself, and its share of a real experiment."""
-    row = work()
-    return {"engine": name, "real_s": real, "share": row["overhead_ms"] / 1e3 / real} | row
-
-
-def swept(engine: Executor, real: Run, count: int, out: Path) -> dict[str, float]:
-    """Put experiments through a sweep; return milliseconds of the suite for each, and growth of memory."""
+def suite_seconds(real: Run, count: int, out: Path) -> float:
+    """Put experiments through a sweep; return the seconds of the suite for each."""
     out.mkdir()
     spent = out / "spent.txt"
     config = replace(real.record.config, seconds=120.0)
@@ -141,33 +126,14 @@ def swept(engine: Executor, real: Run, count: int, out: Path) -> dict[str, float
         )
         for seed in range(count)
     ]
-    memory: list[float] = []
     begun = time.perf_counter()
-    console = Console(file=(out / "screen.txt").open("w", encoding="utf-8"), force_terminal=True)
-    for done, _ in enumerate(run_with_progress(Sweep(experiments, out / "out"), engine, console)):
-        if done in (count // 10, count - 1):
-            memory.append(resident_mb())
+    with (out / "screen.txt").open("w", encoding="utf-8") as screen:
+        console = Console(file=screen, force_terminal=True)
+        for _ in run_with_progress(Sweep(experiments, out / "out"), Serial(), console):
+            pass
     whole = time.perf_counter() - begun
     own = sum(float(line) for line in spent.read_text(encoding="utf-8").split())
-    begun = time.perf_counter()
-    again = Sweep(experiments, out / "out")
-    for table in sweep_tables(again):
-        console.print(table)
-    assert again.kept == count
-    repeated = time.perf_counter() - begun
-    jobs = engine.jobs if isinstance(engine, Processes) else 1
-    return {
-        "overhead_ms": 1e3 * max(0.0, whole - own / jobs) / count,
-        "again_ms": 1e3 * repeated / count,
-        "memory_mb": memory[0],
-        "growth_mb": memory[-1] - memory[0],
-    }
-
-
-def resident_mb() -> float:
-    """Return this process's resident memory."""
-    lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
-    return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmRSS:"))
+    return max(0.0, whole - own) / count
 
 
 if __name__ == "__main__":

@@ -4,12 +4,10 @@
 
 Each row is a process of its own, so that its peak memory, libraries included, is its own; kernels are
 compiled before the clock starts. Worlds are built and written as by `lirs-wct build`, textures, start poses
-and `world.json` included. Peers in the same run: pydelatin (where installed), trimesh. DIR holds
-`maps/*/*.yaml`: each that is a laser map is a row. A limit stands behind its figure; a broken one makes the
-exit code 1. Where the CPU's seconds are far below the clock's, the machine had other work. "default" is what
-`build` makes unasked (0.1 % of the relief), "agreement" the share of a world's area where
-that mesh and the height field differ by more than the budget (DIR holds `height/*`), "full grid" all pixels
-(`--max-error 0`).
+and `world.json` included. The peer in the same run is pydelatin, where installed. A limit stands behind its
+figure; a broken one makes the exit code 1. Where the CPU's seconds are far below the clock's, the machine had
+other work. "agreement" is the share of a world's area where the mesh that `build` makes unasked and the
+height field differ by more than the budget (0.1 % of the relief; DIR holds `height/*`).
 """
 
 from __future__ import annotations
@@ -30,7 +28,6 @@ from rich.table import Table
 
 from benchmarks.world_jobs import BUNDLED, JOBS, Figures, picture, warm
 from lirs_wct.errors import WctError
-from lirs_wct.formats.map_server import read_map
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 
@@ -62,14 +59,7 @@ class Row:
 def plan(quick: bool, data: Path) -> list[Row]:
     """Every row that world construction is held to."""
     rows = [
-        Row(job="default .dae", samples=513, limits={"seconds": 1, "peak_mb": 450, "file_mb": 10}),
-        Row(job="default .dae", samples=1025, limits={"seconds": 2, "peak_mb": 450, "file_mb": 12}),
         Row(job="world within error", samples=4097, budget=2e-3, limits={"seconds": 5, "peak_mb": 550}),
-        Row(job="world within count", samples=4097, budget=1e6, limits={"seconds": 9, "peak_mb": 600}),
-        Row(job="full grid .dae", samples=1025, limits={"seconds": 4, "peak_mb": 700, "file_mb": 120}),
-        Row(job="full grid .dae", samples=2049, limits={"seconds": 18, "peak_mb": 2000}),
-        Row(job="full grid .stl", samples=4097, limits={"seconds": 8, "peak_mb": 400}),
-        *(Row(job=f"{peer} .dae", samples=513) for peer in ("full grid", "trimesh")),
         *(
             Row(
                 job="triangulation",
@@ -82,16 +72,12 @@ def plan(quick: bool, data: Path) -> list[Row]:
         ),
         *(
             Row(job=f"large {kind}", samples=n, budget=n)
-            for kind, n in (("terrain", 8193), ("terrain", 16385), ("map", 10_000), ("full grid", 4097))
+            for kind, n in (("terrain", 8193), ("terrain", 16385), ("map", 10_000))
         ),
-        Row(job="8 bit", samples=1025, budget=5e-4),
-        Row(job="8 bit, deterraced", samples=1025, budget=5e-4, limits={"triangle_ratio": 1.5}),
     ]
     if quick:
         rows = [row for row in rows if row.samples <= QUICK]
-    limits = {"seconds": 1.0, "fails": 0.0}
-    rows += [Row(job="agreement", source=source, limits={"over_3": 0.1}) for source in terrains(data)]
-    return rows + [Row(job="laser map", source=str(path), limits=limits) for path in maps(data)]
+    return rows + [Row(job="agreement", source=source, limits={"over_3": 0.1}) for source in terrains(data)]
 
 
 def terrains(data: Path) -> list[str]:
@@ -104,18 +90,6 @@ def terrains(data: Path) -> list[str]:
             continue
         if world.surface.relief:
             found.append(str(path))
-    return found
-
-
-def maps(data: Path) -> list[Path]:
-    """Return the YAML files that are laser maps."""
-    found = []
-    for path in sorted(data.glob("maps/*/*.yaml")):
-        try:
-            read_map(path)
-        except WctError:
-            continue
-        found.append(path)
     return found
 
 
@@ -205,7 +179,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="pictures of at most 1025^2")
     parser.add_argument("--only", default="", metavar="WORD", help="rows whose job holds the word")
-    parser.add_argument("--data", type=Path, default=BESIDE, help="folder that holds maps/*/*.yaml")
+    parser.add_argument("--data", type=Path, default=BESIDE, help="folder that holds height/*")
     parser.add_argument("--json", type=Path, help="write the figures here")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     parser.add_argument("--compile", help=argparse.SUPPRESS)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
-import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -60,57 +59,6 @@ def within_error(path: Path, out: Path, share: float) -> Figures:
     return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
 
 
-def within_triangles(path: Path, out: Path, most: float) -> Figures:
-    world = package(path, out, ("dae", "sdf", "mjcf"), max_triangles=int(most))
-    return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
-
-
-def default_dae(path: Path, out: Path, _: float) -> Figures:
-    world = package(path, out, ("dae",))
-    return {"triangles": len(world.file_mesh.faces), "file_mb": size_mb(out, "dae")}
-
-
-def full_dae(path: Path, out: Path, _: float) -> Figures:
-    world = package(path, out, ("dae",), max_error=0.0)
-    return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
-
-
-def full_stl(path: Path, out: Path, _: float) -> Figures:
-    package(path, out, ("stl",), max_error=0.0)
-    size = size_mb(out, "stl")
-    return {"triangles": round((size * 1e6 - 84) / 50), "file_mb": size}
-
-
-def laser_map(path: Path, out: Path, _: float) -> Figures:
-    start = time.perf_counter()
-    world = package(path, out, MAP_FORMATS)
-    seconds = time.perf_counter() - start
-    closed = "watertight" if world.mesh.is_watertight else "NOT watertight"
-    off = pose_error(path, world)
-    return {
-        "seconds": seconds,
-        "triangles": len(world.mesh.faces),
-        "file_mb": size_mb(out, "dae"),
-        "note": f"{closed}, {off:.0e} m",
-        "fails": int(closed != "watertight") + int(off > 1e-6),
-    }
-
-
-def pose_error(path: Path, world: World) -> float:
-    """Meters or radians by which the mesh's outline differs from where the YAML says the picture lies."""
-    assert world.truth is not None
-    said = re.search(r"^origin\s*:\s*\[(.*?)\]", path.read_text(), re.M | re.S)
-    resolution = re.search(r"^resolution\s*:\s*(\S+)", path.read_text(), re.M)
-    assert said is not None
-    assert resolution is not None
-    x, y, yaw = (float(v) for v in said[1].split(","))
-    turn = np.array(((np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))))
-    local = (world.mesh.vertices[:, :2] - (x, y)) @ turn.T
-    rows, cols = world.truth.shape
-    extent = np.array((cols, rows)) * float(resolution[1])
-    return float(np.abs(np.array((local.min(axis=0), local.max(axis=0) - extent))).max())
-
-
 def heights_of(path: Path, options: BuildOptions) -> HeightField:
     return read_terrain(find_source(path, options), options)[0].surface
 
@@ -158,39 +106,8 @@ def agreement(path: Path, _: Path, __: float) -> Figures:
     return {"triangles": triangles, **over, "note": f"all pixels {full:,}, largest {np.max(errors):.3f}"}
 
 
-def cut_to_8_bits(path: Path, _: Path, share: float, *, deterrace: bool = False) -> Figures:
-    cut = path.with_name("cut.png")
-    wide = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-    assert wide is not None
-    cv2.imwrite(str(cut), (wide / 257).round().astype(np.uint8))
-
-    def count(source: Path, options: BuildOptions) -> int:
-        return len(triangulate(heights_of(source, options), max_error=share * RELIEF)[1])
-
-    found, fine = count(cut, BuildOptions(deterrace=deterrace)), count(path, BuildOptions())
-    return {"triangles": found, "triangle_ratio": found / fine, "note": f"16 bit {fine:,}"}
-
-
-def deterraced(path: Path, out: Path, share: float) -> Figures:
-    return cut_to_8_bits(path, out, share, deterrace=True)
-
-
-def trimesh_dae(path: Path, out: Path, _: float) -> Figures:
-    import trimesh
-
-    mesh = solid_mesh(heights_of(path, BuildOptions()))
-    start = time.perf_counter()
-    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(out / "peer.dae")
-    seconds = time.perf_counter() - start
-    return {"triangles": len(mesh.faces), "file_mb": size_mb(out, "dae"), "seconds": seconds}
-
-
 def large_terrain(path: Path, out: Path, samples: float) -> Figures:
     return large(path, out, int(samples) ** 2)
-
-
-def large_full_grid(path: Path, out: Path, samples: float) -> Figures:
-    return large(path, out, int(samples) ** 2, max_error=0.0)
 
 
 def large_map(_: Path, out: Path, cells: float) -> Figures:
@@ -214,18 +131,9 @@ def large(path: Path, out: Path, pixels: int, **options: float | None) -> Figure
 
 JOBS: dict[str, Callable[[Path, Path, float], Figures]] = {
     "world within error": within_error,
-    "world within count": within_triangles,
-    "default .dae": default_dae,
-    "full grid .dae": full_dae,
-    "full grid .stl": full_stl,
-    "trimesh .dae": trimesh_dae,
     "triangulation": triangulation,
-    "8 bit": cut_to_8_bits,
-    "8 bit, deterraced": deterraced,
-    "laser map": laser_map,
     "agreement": agreement,
     "large terrain": large_terrain,
-    "large full grid": large_full_grid,
     "large map": large_map,
 }
 
@@ -234,18 +142,8 @@ def warm(job: str, folder: Path, budget: float) -> None:
     """Compile or load the kernels of a job by running it on a tiny input, so that no clock counts it."""
     folder.mkdir()
     source = folder / "tiny.png"
-    if job == "laser map":
-        source = tiny_map(folder)
-    else:
-        cv2.imwrite(str(source), picture(129))
+    cv2.imwrite(str(source), picture(129))
     JOBS[job](source, folder, 129 if job.startswith("large") else budget)
-
-
-def tiny_map(folder: Path) -> Path:
-    cells = np.full((40, 40), 254, np.uint8)
-    cells[:3], cells[20, 5:20], cells[30:, 30:] = 0, 0, 205
-    cv2.imwrite(str(folder / "room.png"), cells)
-    return write_yaml(folder / "room.yaml", 0.1)
 
 
 def write_yaml(path: Path, resolution: float) -> Path:

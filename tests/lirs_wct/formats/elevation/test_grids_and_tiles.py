@@ -162,9 +162,7 @@ def test_tiles_are_decoded(encoding: Any, step: float, tmp_path: Path) -> None:
     tile = tmp_path / "14" / "4824" / "6158.png"
     tile.parent.mkdir(parents=True)
     cv2.imwrite(str(tile), pixels)
-    with pytest.raises(
-        SourceError, match=rf"--option encoding reads .*{encoding}"
-    ):
+    with pytest.raises(SourceError, match=rf"--option encoding reads .*{encoding}"):
         build_world(tile)
     world = build_world(tile, BuildOptions(encoding=encoding))
     np.testing.assert_allclose(world.surface.z, METERS - METERS.min(), atol=step)
