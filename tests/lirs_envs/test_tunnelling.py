@@ -1,4 +1,4 @@
-"""No robot ever sinks into ground or walls, wherever it is driven. The long matrix: benchmarks/robots.py."""
+"""No robot ever sinks into ground or walls, wherever it is driven. The long matrix: `lirs-wct collide`."""
 
 import math
 from functools import lru_cache
