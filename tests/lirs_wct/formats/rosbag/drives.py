@@ -5,9 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
 from lirs_wct.formats.rosbag.writer import BagDrive
 from lirs_wct.geometry.cloud import PointCloud
@@ -52,6 +54,22 @@ def drive(scans: int = 5) -> BagDrive:
 def readings(stamp: float, k: int) -> ImuReadings:
     """Return two inertial readings, the last one at a stamp."""
     return ImuReadings(stamp - np.array((0.01, 0.0)), np.full((2, 3), float(k)), np.ones((2, 3)), 0.1, 0.2)
+
+
+def check(log: LaserLog, given: BagDrive, count: int | None = None) -> None:
+    """Compare scans and odometry with those of the drive's first `count` ticks, or of all."""
+    ticks = given.ticks[:count]
+    assert len(log.scans) == len(ticks)
+    for scan, tick in zip(log.scans, ticks, strict=True):
+        wanted = tick.scan
+        np.testing.assert_array_equal(scan.ranges, wanted.ranges)
+        np.testing.assert_allclose(scan.angles, wanted.angles, atol=2e-7)
+        assert scan.stamp == pytest.approx(wanted.stamp, abs=1e-9)
+        assert (scan.range_min, scan.range_max) == (0.1, 30.0)
+        np.testing.assert_allclose(scan.T_base_laser.quaternion, MOUNT.quaternion)
+        np.testing.assert_allclose(scan.T_base_laser.position, MOUNT.position)
+    for pose, tick in zip(log.odometry, ticks, strict=True):
+        np.testing.assert_allclose(pose.as_array(), tick.odometry.as_array(), atol=1e-9)
 
 
 def copy_bag(

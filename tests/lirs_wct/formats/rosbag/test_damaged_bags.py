@@ -6,7 +6,7 @@ import struct
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -24,7 +24,6 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
@@ -38,13 +37,6 @@ IMU = Topics(imu="/imu")
 @pytest.fixture(scope="module")
 def given() -> BagDrive:
     return drives.drive(SCANS)
-
-
-def check(log: LaserLog, given: BagDrive, count: int = SCANS, first: int = 0) -> None:
-    assert len(log.scans) == count
-    for scan, tick in zip(log.scans, given.ticks[first : first + count], strict=True):
-        np.testing.assert_array_equal(scan.ranges, tick.scan.ranges)
-        assert scan.stamp == pytest.approx(tick.scan.stamp, abs=1e-9)
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -61,22 +53,47 @@ def test_what_zstd_compressed_is_read(
     (file,) = (p for p in (tmp_path / "run").iterdir() if p.suffix != ".yaml")
     for path in (tmp_path / "run", file):
         assert is_bag(path)
-        check(read_bag(path, IMU), given)
+        drives.check(read_bag(path, IMU), given)
+
+
+def write_mcap(
+    path: Path, messages: Iterable[tuple[Connection, int, bytes]], *, ros: int, **options: Any
+) -> None:
+    with path.open("wb") as file:
+        writer = mcap.writer.Writer(file, **options)
+        writer.start(profile=f"ros{ros}")
+        channels: dict[str, int] = {}
+        for c, stamp, data in messages:
+            if c.topic not in channels:
+                kind = c.msgtype if ros == 2 else c.msgtype.replace("/msg/", "/")
+                schema = writer.register_schema(kind, f"ros{ros}msg", c.msgdef.data.encode())
+                encoding = "cdr" if ros == 2 else "ros1"
+                channels[c.topic] = writer.register_channel(c.topic, encoding, schema)
+            writer.add_message(channels[c.topic], stamp, bytes(data), stamp)
+        writer.finish()
 
 
 def test_chunks_of_lz4_are_read(bag: Path, given: BagDrive, tmp_path: Path) -> None:
-    with (tmp_path / "run.mcap").open("wb") as file:
-        writer = mcap.writer.Writer(file, compression=mcap.writer.CompressionType.LZ4)
-        writer.start(profile="ros2")
-        with AnyReader([bag]) as reader:
-            channels = {}
-            for c in reader.connections:
-                schema = writer.register_schema(c.msgtype, "ros2msg", c.msgdef.data.encode())
-                channels[c.topic] = writer.register_channel(c.topic, "cdr", schema)
-            for c, stamp, data in reader.messages():
-                writer.add_message(channels[c.topic], stamp, bytes(data), stamp)
-        writer.finish()
-    check(read_bag(tmp_path / "run.mcap", IMU), given)
+    with AnyReader([bag]) as reader:
+        write_mcap(
+            tmp_path / "run.mcap", reader.messages(), ros=2, compression=mcap.writer.CompressionType.LZ4
+        )
+    drives.check(read_bag(tmp_path / "run.mcap", IMU), given)
+
+
+@pytest.fixture(scope="module")
+def ros1(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bag in ROS 1's format."""
+    path = tmp_path_factory.mktemp("ros1") / "whole.bag"
+    convert([bag], path, "", 0, None, "none", None, get_typestore(Stores.ROS1_NOETIC), (), (), (), ())
+    return path
+
+
+def test_ros_1_is_read_from_a_bag_and_from_mcap(ros1: Path, given: BagDrive, tmp_path: Path) -> None:
+    with rosbag1.Reader(ros1) as reader:
+        write_mcap(tmp_path / "run.mcap", reader.messages(), ros=1)
+    for path in (ros1, tmp_path / "run.mcap"):
+        drives.check(read_bag(path, IMU), given)
 
 
 def unindexed(bag: Path) -> bytes:
@@ -89,7 +106,7 @@ def unindexed(bag: Path) -> bytes:
 
 def test_a_file_without_index_is_whole(bag: Path, given: BagDrive, tmp_path: Path, recwarn: Any) -> None:
     (tmp_path / "run.mcap").write_bytes(unindexed(bag))
-    check(read_bag(tmp_path / "run.mcap", IMU), given)
+    drives.check(read_bag(tmp_path / "run.mcap", IMU), given)
     assert not recwarn.list
 
 
@@ -106,7 +123,7 @@ def test_the_scans_before_a_crash_are_read(bag: Path, given: BagDrive, tmp_path:
     before_map = (len(whole) - 1_100_000) / SCANS
     count = len(log.scans)
     assert count == pytest.approx(min(SCANS, len(data) / before_map), rel=0.08)
-    check(log, given, count)
+    drives.check(log, given, count)
 
 
 def test_a_database_that_is_cut_is_refused(given: BagDrive, tmp_path: Path) -> None:
@@ -118,13 +135,8 @@ def test_a_database_that_is_cut_is_refused(given: BagDrive, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.9, 0.999])
-def test_a_ros_1_bag_without_index_names_the_remedy(
-    bag: Path, given: BagDrive, tmp_path: Path, share: float
-) -> None:
-    whole = tmp_path / "whole.bag"
-    convert([bag], whole, "", 0, None, "none", None, get_typestore(Stores.ROS1_NOETIC), (), (), (), ())
-    check(read_bag(whole, IMU), given)
-    data = whole.read_bytes()
+def test_a_ros_1_bag_without_index_names_the_remedy(ros1: Path, tmp_path: Path, share: float) -> None:
+    data = ros1.read_bytes()
     (tmp_path / "cut.bag").write_bytes(data[: round(share * len(data))])
     with pytest.raises(SourceError, match=r"^\S*cut\.bag: not a bag that can be read: .*") as refused:
         read_bag(tmp_path / "cut.bag", IMU)
@@ -153,16 +165,22 @@ def split(bag: Path, tmp_path: Path) -> Path:
 
 
 def test_a_split_bag_is_one_log(split: Path, given: BagDrive) -> None:
-    check(read_bag(split, IMU), given)
+    drives.check(read_bag(split, IMU), given)
 
 
-def test_of_a_split_bag_a_missing_file_is_said(split: Path, given: BagDrive) -> None:
-    (split / "run_1.mcap").unlink()
-    with pytest.warns(UserWarning, match=r"damaged \(run_1\.mcap is missing\): 200 scans could be read"):
+@pytest.mark.parametrize(
+    ("part", "data", "why"),
+    [(1, None, " is missing"), (2, b"", ": not an MCAP file"), (2, b"junk" * 99, ": not an MCAP file")],
+)
+def test_of_a_split_bag_the_other_parts_are_read(
+    split: Path, given: BagDrive, part: int, data: bytes | None, why: str
+) -> None:
+    (split / f"run_{part}.mcap").unlink()
+    if data is not None:
+        (split / f"run_{part}.mcap").write_bytes(data)
+    with pytest.warns(UserWarning, match=rf"damaged \(run_{part}\.mcap{why}\): 200 scans could be read"):
         log = read_bag(split, IMU)
-    assert [scan.stamp for scan in log.scans] == pytest.approx(
-        [tick.scan.stamp for k, tick in enumerate(given.ticks) if not 100 <= k < 200], abs=1e-9
-    )
+    drives.check(log, BagDrive(ticks=[tick for k, tick in enumerate(given.ticks) if k // 100 != part]))
 
 
 def test_of_a_split_bag_the_last_file_may_be_cut(split: Path, given: BagDrive) -> None:
@@ -171,7 +189,7 @@ def test_of_a_split_bag_the_last_file_may_be_cut(split: Path, given: BagDrive) -
     (split / "metadata.yaml").unlink()  # the recorder writes it last
     with pytest.warns(UserWarning, match=r"damaged \(run_2\.mcap: its end is missing\): 2\d+ scans"):
         log = read_bag(split, IMU)
-    check(log, given, len(log.scans))
+    drives.check(log, given, len(log.scans))
 
 
 def test_a_bag_cut_in_its_first_messages_is_said_to_be_damaged(bag: Path, tmp_path: Path) -> None:
@@ -189,7 +207,7 @@ def test_a_message_that_cannot_be_decoded_is_left_out_and_counted(
     with Writer(tmp_path / "run", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
         drives.copy_bag(bag, writer, cut_last)
     log = read_bag(tmp_path / "run", IMU)
-    check(log, given, SCANS - 1)
+    drives.check(log, given, SCANS - 1)
     assert log.skipped == {"message on /scan that cannot be decoded": 1}
 
 
@@ -240,30 +258,8 @@ def test_the_write_ahead_log_of_a_database_is_read(given: BagDrive, tmp_path: Pa
             shutil.copy(part, folder / part.name.replace("whole", "run"))
     assert (folder / "run.db3-wal").stat().st_size
     before = sorted(p.name for p in folder.iterdir())
-    check(read_bag(folder, IMU), given)
+    drives.check(read_bag(folder, IMU), given)
     assert sorted(p.name for p in folder.iterdir()) == before
-
-
-def ros1_messages(bag: Path, folder: Path) -> Iterator[tuple[Connection, int, bytes]]:
-    whole = folder / "whole.bag"
-    convert([bag], whole, "", 0, None, "none", None, get_typestore(Stores.ROS1_NOETIC), (), (), (), ())
-    with rosbag1.Reader(whole) as reader:
-        yield from reader.messages()
-
-
-def test_ros_1_in_mcap_is_read(bag: Path, given: BagDrive, tmp_path: Path) -> None:
-    with (tmp_path / "run.mcap").open("wb") as file:
-        writer = mcap.writer.Writer(file)
-        writer.start(profile="ros1")
-        channels: dict[str, int] = {}
-        for c, stamp, data in ros1_messages(bag, tmp_path):
-            if c.topic not in channels:
-                kind = c.msgtype.replace("/msg/", "/")
-                schema = writer.register_schema(kind, "ros1msg", c.msgdef.data.encode())
-                channels[c.topic] = writer.register_channel(c.topic, "ros1", schema)
-            writer.add_message(channels[c.topic], stamp, bytes(data), stamp)
-        writer.finish()
-    check(read_bag(tmp_path / "run.mcap", IMU), given)
 
 
 @pytest.mark.parametrize(
@@ -275,9 +271,11 @@ def test_ros_1_in_mcap_is_read(bag: Path, given: BagDrive, tmp_path: Path) -> No
     ],
 )
 def test_the_parts_of_a_ros_1_bag_are_one_log(
-    names: tuple[str, str], whole: bool, bag: Path, given: BagDrive, tmp_path: Path
+    names: tuple[str, str], whole: bool, ros1: Path, given: BagDrive, tmp_path: Path
 ) -> None:
-    folder, messages = tmp_path / "run", list(ros1_messages(bag, tmp_path))
+    folder = tmp_path / "run"
+    with rosbag1.Reader(ros1) as reader:
+        messages = list(reader.messages())
     folder.mkdir()
     for name, part in zip(
         names, (messages[: len(messages) // 2], messages[len(messages) // 2 :]), strict=True
@@ -292,7 +290,7 @@ def test_the_parts_of_a_ros_1_bag_are_one_log(
                 writer.write(made[c.topic], stamp, data)
     assert is_bag(folder)
     if whole:
-        check(read_bag(folder, IMU), given)
+        drives.check(read_bag(folder, IMU), given)
     else:
         with pytest.raises(SourceError, match=r"run: .*several bags: give one of monday\.bag, tuesday\.bag"):
             read_bag(folder, IMU)
@@ -332,11 +330,8 @@ def test_late_and_repeated_messages_leave_the_stamps_alone(
         for stamp, topic, data in sorted(late):
             writer.write(made[topic], stamp, data)
     log = read_bag(tmp_path / "run", IMU)
-    check(log, given)
+    drives.check(log, given)
     assert log.lines.moved == 0
-    for pose, tick in zip(log.odometry, given.ticks, strict=True):
-        assert pose is not None
-        np.testing.assert_allclose(pose.as_array(), tick.odometry.as_array(), atol=1e-9)
     assert not recwarn.list
 
 
@@ -347,14 +342,6 @@ def test_a_folder_of_several_bags_asks_for_one(bag: Path, tmp_path: Path) -> Non
         read_bag(tmp_path, Topics())
 
 
-@pytest.mark.parametrize("broken", [b"", b"junk" * 99])
-def test_a_damaged_part_leaves_the_others(split: Path, given: BagDrive, broken: bytes) -> None:
-    (split / "run_2.mcap").write_bytes(broken)
-    with pytest.warns(UserWarning, match=r"damaged \(run_2\.mcap: not an MCAP file\): 200 scans could"):
-        log = read_bag(split, IMU)
-    check(log, given, 200)
-
-
 @pytest.mark.parametrize("paths", [None, 3, "run.mcap"])
 def test_metadata_without_a_list_of_files_is_ignored(
     paths: Any, bag: Path, given: BagDrive, tmp_path: Path
@@ -363,9 +350,4 @@ def test_metadata_without_a_list_of_files_is_ignored(
     held = yaml.safe_load((bag / "metadata.yaml").read_text())
     held["rosbag2_bagfile_information"]["relative_file_paths"] = paths
     (tmp_path / "run" / "metadata.yaml").write_text(yaml.safe_dump(held))
-    check(read_bag(tmp_path / "run", IMU), given)
-
-
-def test_a_bag_that_is_not_there_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"none\.bag: no such file or folder$"):
-        read_bag(tmp_path / "none.bag", Topics())
+    drives.check(read_bag(tmp_path / "run", IMU), given)
