@@ -58,11 +58,9 @@ def test_the_tests_are_scipys_and_holm_by_hand() -> None:
 
 def test_repeats_are_students() -> None:
     found = repeats([1.0, 2.0, 4.0])
-    assert found is not None
     assert found.half_width == pytest.approx(4.302653 * np.std([1, 2, 4], ddof=1) / np.sqrt(3), rel=1e-6)
     assert repeats([]) is None
     one = repeats([3.0])
-    assert one is not None
     assert (one.mean, one.std, one.half_width) == (3.0, None, None)
 
 

@@ -75,8 +75,6 @@ def _evalio(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 def loaded(path: Path) -> Any:
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -84,7 +82,6 @@ def loaded(path: Path) -> Any:
 
 @pytest.mark.usefixtures("_evalio")
 def test_the_module_describes_the_run(recorded: Run, tmp_path: Path) -> None:
-    assert recorded.folder is not None
     assert run_command("export", str(recorded.folder), "--to", "evalio", "-o", str(tmp_path)) == 0
     module = loaded(tmp_path / "evalio" / "lirs_wct_run.py")
     (sequence,) = module.LirsWctRun

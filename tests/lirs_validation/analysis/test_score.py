@@ -230,8 +230,7 @@ def test_trajectories_of_other_programs_are_read(
         if form == "bom":
             path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     offset = -1e9 if form == "euroc" else 0.0
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         found = score(run, trajectory=path, time_offset=offset)
     assert found.trajectory["ate_rmse"] == pytest.approx(run.entry["trajectory"]["ate_rmse"], abs=1e-5)
     assert found.trajectory["scan_coverage"] == 1.0

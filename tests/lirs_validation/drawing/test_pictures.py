@@ -80,7 +80,6 @@ def test_a_turned_map_lies_where_its_points_lie() -> None:
     seen = canvas.centers[rows, cols].mean(axis=0)
     assert seen == pytest.approx(grid.centers((4, 25)), abs=0.02)
     bounds = bounds_of(grid)
-    assert bounds is not None
     assert bounds[0] < seen[0] < bounds[2]
     assert bounds[1] < seen[1] < bounds[3]
 
@@ -101,7 +100,6 @@ def test_a_world_becomes_a_picture(kind: str, tmp_path: Path) -> None:
     world = room() if kind == "map" else World("hill", Terrain(hill()), spawn_poses=(Pose2(5, 5, 1),))
     view_figure(world).savefig(tmp_path / "view.png")
     image = cv2.imread(str(tmp_path / "view.png"))
-    assert image is not None
     assert 1500 < image.shape[1] < 1950
     assert 0.05 < (image.min(axis=2) < 240).mean() < 0.95
 

@@ -91,7 +91,6 @@ def test_readings_and_attitude_tell_folders_apart_and_neither_changes_older_name
 
 def test_a_log_without_the_comment_has_no_recorded_mount(recorded: Path, tmp_path: Path) -> None:
     found = read_mount(recorded / "scans.clf.gz")
-    assert found is not None
     assert found.yaw == pytest.approx(0.3)
     for text in ("", "# carmen\nFLASER 1\n", "# laser on base_link, x y z roll pitch yaw: 1 2\nODOM 1\n"):
         (tmp_path / "a.clf").write_text(text)

@@ -39,7 +39,6 @@ def test_build_makes_the_map_and_the_world_of_it(folder: Path) -> None:
     assert run_command("build", "my room.clf", "-o", "worlds", "--to", "hfield", "--wall-height", "1.5") == 0
     world = World.load("worlds/my_room")
     assert (world.kind, world.name) == ("map", "my_room")
-    assert world.walls is not None
     assert world.walls.height == 1.5
     assert world.walls.solid.sum() > 200
     assert [p.parent.name[:24] for p in maps(folder / "worlds")] == ["my_room-cartographer-s1-"]

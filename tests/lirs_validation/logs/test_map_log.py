@@ -62,7 +62,6 @@ def test_a_room_is_mapped_as_it_is(room: Path, tmp_path: Path, mapper: str) -> N
         out=tmp_path,
     )
     folder = mapped.folder
-    assert folder is not None
     assert folder.name.startswith(f"room-{mapper}-s1-")
     assert [p.name for p in tmp_path.iterdir()] == [folder.name]
     assert sorted(p.name for p in folder.iterdir()) == [

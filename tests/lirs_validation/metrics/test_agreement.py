@@ -103,7 +103,6 @@ def test_distances_against_all_pairs(seed: int) -> None:
     if not pairs or not reference.occupied.any():
         assert found is None
     else:
-        assert found is not None
         assert found.mean == pytest.approx(np.mean([d for _, _, d in pairs]))
         assert found.p95 == pytest.approx(np.percentile([d for _, _, d in pairs], 95))
 

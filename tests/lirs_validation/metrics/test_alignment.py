@@ -35,11 +35,9 @@ def test_a_shift_and_a_turn_of_the_start_are_measured_at_the_start() -> None:
     """A turn of 3 deg about the start pose moves nothing there, though it is far from the world's origin."""
     turned = path().moved(START @ Pose2(0, 0, math.radians(3)) @ START.inverse())
     found = start_alignment(path(), turned)
-    assert found is not None
     assert found.shift == pytest.approx(0.0, abs=1e-9)
     assert found.turn == pytest.approx(math.radians(3))
     shifted = start_alignment(path(), path().moved(Pose2(0.12, -0.05, 0.0)))
-    assert shifted is not None
     assert (shifted.shift, shifted.turn) == (pytest.approx(0.13), pytest.approx(0.0, abs=1e-9))
 
 
@@ -104,7 +102,6 @@ def test_two_common_poses_are_enough_and_a_turn_is_not_negative() -> None:
     for turn in (0.25, -0.25):
         estimate = Trajectory.from_poses([0.0, 1.0], [Pose2(0.0, 0.0, turn) @ truth.pose2(k) for k in (0, 1)])
         found = start_alignment(truth, estimate)
-        assert found is not None
         assert found.turn == pytest.approx(0.25)
         np.testing.assert_allclose(found.T_world_aligned.as_array(), (0.0, 0.0, -turn), atol=1e-12)
         one = Trajectory.from_poses([0.0], [truth.pose2(0)])

@@ -156,7 +156,6 @@ def test_walls_beyond_the_range_of_another_scan_are_not_counted() -> None:
     near = [replace(s, ranges=np.where(s.ranges < 2.5, s.ranges, np.inf), range_max=2.5) for s in SCANS]
     trajectory = Trajectory.from_poses([s.stamp for s in SCANS], TRUE)
     found = scan_consistency(near, UNKNOWN, trajectory)
-    assert found is not None
     assert found.revisit_residual is not None
     assert found.revisit_residual < 0.1
 
@@ -172,7 +171,6 @@ def test_walls_drawn_twice_are_thicker() -> None:
 def test_one_pass_alone_has_no_revisit_residual() -> None:
     trajectory = Trajectory.from_poses([s.stamp for s in SCANS[:15]], LAP[:15])
     found = scan_consistency(SCANS[:15], UNKNOWN, trajectory)
-    assert found is not None
     assert (found.revisit_residual, found.revisited) == (None, 0.0)
     assert found.pass_residual is not None
 
@@ -196,7 +194,6 @@ def test_distances_are_those_to_the_nearest_hit() -> None:
     ]
     between = np.linalg.norm(ends[0][::2, None] - ends[1][None], axis=2).min(axis=1)
     back = np.linalg.norm(ends[1][::2, None] - ends[0][None], axis=2).min(axis=1)
-    assert found is not None
     assert found.pass_residual == pytest.approx(np.minimum(np.append(between, back), 1.0).mean(), rel=0.05)
 
 

@@ -174,7 +174,6 @@ def test_a_run_is_scored_within_the_reach_of_its_clouds() -> None:
     truth, sample = driven(1.0, np.array([(2.0, 0.0, 0.0), (0.0, -1.5, 0.0)]))
     shifted = truth.moved(Pose3(0.0, 0.0, 0.25))
     made, scores = evaluate_elevation(flat, sample, truth, shifted)
-    assert made is not None
     assert made.true_pose.origin == pytest.approx((-2.0, -2.0))
     assert made.true_pose.mean.shape == (50, 70), "2 m around the path, which is 3 m long and 1 m wide"
     assert made.true_pose.seen.sum() == 7, "the eighth point lies on the eastern border"
@@ -183,7 +182,6 @@ def test_a_run_is_scored_within_the_reach_of_its_clouds() -> None:
     assert (scores.reference_elevation_rmse, scores.elevation_seen) == (0.0, 1.0)
     far = np.array([(40.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
     made, _ = evaluate_elevation(flat, driven(1.0, far)[1], truth, truth)
-    assert made is not None
     assert (made.built.origin, made.built.mean.shape) == ((-10.0, -15.0), (300, 200)), "the world's border"
     assert evaluate_elevation(flat, CloudSample(), truth, truth)[1].elevation_rmse is None
 

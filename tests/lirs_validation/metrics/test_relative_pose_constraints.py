@@ -146,7 +146,6 @@ def test_close_poses_of_two_paths_by_hand() -> None:
     step = 1.1 * (true[b, 0] - true[a, 0])
     shift = np.hypot(step * np.cos(yaw[a]) - step / 1.1, step * np.sin(yaw[a]))
     turn = np.abs(yaw[b] - yaw[a])
-    assert found is not None
     assert found.relations == 5
     assert (found.translation_mean, found.translation_std) == pytest.approx((shift.mean(), shift.std()))
     assert (found.rotation_mean, found.rotation_std) == pytest.approx((turn.mean(), turn.std()))

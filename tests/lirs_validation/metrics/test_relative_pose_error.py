@@ -61,7 +61,6 @@ def test_errors_against_poses_one_by_one(seed: int) -> None:
     np.testing.assert_allclose(np.exp(1j * turn), [np.exp(1j * e.yaw) for e in expected], atol=1e-9)
     assert (np.abs(turn) <= math.pi + 1e-12).all()
     whole = relative_pose_error(true, found, (i, j))
-    assert whole is not None
     assert whole.translation_rmse == pytest.approx(math.sqrt(np.mean([e.x**2 + e.y**2 for e in expected])))
     assert whole.rotation_rmse == pytest.approx(math.sqrt(np.mean([e.yaw**2 for e in expected])))
     assert whole.pairs == 4
@@ -72,5 +71,4 @@ def test_no_pair_is_none_and_one_is_enough() -> None:
     nothing = np.empty(0, np.int64)
     assert relative_pose_error(poses, poses, (nothing, nothing)) is None
     one = relative_pose_error(poses, 2 * poses, (np.array([0]), np.array([1])))
-    assert one is not None
     assert (one.translation_rmse, one.rotation_rmse, one.pairs) == (1.0, 0.0, 1)

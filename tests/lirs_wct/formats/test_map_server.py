@@ -268,8 +268,7 @@ def test_16_bits_are_cut_to_8_as_nav2_cuts_them(
         f"image: m.png\nresolution: 0.2\norigin: [3, -4, 0.5]\nmode: {mode}\n"
         f"negate: {negate}\noccupied_thresh: 0.6\nfree_thresh: 0.3\n"
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         grid = read_map(tmp_path / "m.yaml")
     assert (grid.shape, grid.resolution, grid.origin) == ((7, 9), 0.2, Pose2(3, -4, 0.5))
     shade = (np.round(pixels[..., :3] @ (0.114, 0.587, 0.299)) if bands else pixels) // 257 / 255
@@ -289,8 +288,7 @@ def test_any_white_of_a_pnm(tmp_path: Path, maximum: int, bands: int) -> None:
     shades = np.repeat([[0.0, 0.4, 0.8, 1.0]] * 2, bands) * maximum
     body = shades.astype(">u2" if maximum > 255 else "u1").tobytes()
     (tmp_path / "m.pnm").write_bytes(b"P%d 4 2 %d\n" % (5 + bands // 3, maximum) + body)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         found = states(read_map_picture(tmp_path / "m.pnm", 0.1))
     assert found == [["#", "?", "?", "."] if maximum > 1 else ["#", "#", "#", "."]] * 2
 
@@ -328,8 +326,7 @@ def test_transparent_is_unknown_and_the_older_rule_is_told(tmp_path: Path) -> No
 
 
 def test_no_word_where_both_rules_agree(tmp_path: Path) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert a_framed_map(tmp_path, "", (255, 255, 255, 0)).occupied.sum() == 8
         assert a_framed_map(tmp_path, "mode: raw\n", (0, 0, 0, 0)).free.sum() == 72
         assert a_framed_map(tmp_path, "mode: scale\n", (0, 0, 0, 0)).occupied.sum() == 8

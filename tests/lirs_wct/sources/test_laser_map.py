@@ -28,7 +28,6 @@ def test_unknown_cells_are_floor_wall_or_hole() -> None:
     assert walls_of(grid, 1.0).hole is None
     assert walls_of(grid, 1.0, "wall").solid.tolist() == [[False, True, True], [True, False, False]]
     holed = walls_of(grid, 1.0, "hole")
-    assert holed.hole is not None
     assert holed.hole.tolist() == [[False, False, True], [True, False, False]]
     assert holed.floor.tolist() == [[True, False, False], [False, True, True]]
     with pytest.raises(ConfigError, match="floor, hole, wall"):

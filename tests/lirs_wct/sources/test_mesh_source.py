@@ -207,8 +207,7 @@ def test_a_mesh_far_from_its_origin_is_that_at_the_origin(
         trimesh.Trimesh(hill.vertices + shift, faces, process=False).export(
             tmp_path / f"{name}.obj", digits=6
         )
-        with warnings.catch_warnings(record=True) as told:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as told:
             worlds.append(build_world(tmp_path / f"{name}.obj"))
         assert sum("lies far from its origin: its point 500" in str(line.message) for line in told) == (
             name == "far"
@@ -219,7 +218,6 @@ def test_a_mesh_far_from_its_origin_is_that_at_the_origin(
     np.testing.assert_allclose(
         far.surface.z - far.surface.z.min(), near.surface.z - near.surface.z.min(), atol=1e-4
     )
-    assert far.place is not None
     assert near.place is None
     corner = np.add(near.surface.bounds[:2], (500_000, 5_300_000))
     assert far.place.coordinates(*far.surface.bounds[:2]) == pytest.approx(corner, abs=1e-3)
@@ -233,14 +231,12 @@ def test_a_scaled_far_mesh_keeps_its_place(hill: TriangleMesh, tmp_path: Path) -
     trimesh.Trimesh(shifted, hill.faces, process=False).export(tmp_path / "feet.obj", digits=6)
     with pytest.warns(UserWarning, match="lies far from its origin"):
         world = build_world(tmp_path / "feet.obj", BuildOptions(scale=(0.3048,) * 3))
-    assert world.place is not None
     assert np.ptp(world.mesh.bounds, axis=0) == pytest.approx(np.ptp(hill.bounds, axis=0), abs=1e-4)
     corner = world.place.coordinates(*world.mesh.bounds[0, :2])
     assert corner == pytest.approx(shifted.min(axis=0)[:2], abs=1e-3)
     assert world.place.height == pytest.approx(0.3048 * 300.0 + hill.bounds[0, 2], abs=1e-3)
     with pytest.warns(UserWarning, match="lies far from its origin"):
         part = build_world(tmp_path / "feet.obj", BuildOptions(scale=(0.3048,) * 3, window=(0.0, 0.0, 3.0)))
-    assert part.place is not None
     x, y = part.surface.bounds[:2]
     assert part.surface.height_at(x, y) + part.place.height == pytest.approx(
         world.surface.height_at(x, y) + world.place.height, abs=1e-3
@@ -261,8 +257,7 @@ def test_the_axis_that_points_up_can_be_given(
         path.write_text(path.read_text().replace("Y_UP", "Z_UP"))
     with pytest.warns(UserWarning, match=f"{given.upper()} up\\? --up {given}"):
         build_world(path)
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         world = build_world(path, BuildOptions(up=given))
     assert not any("up?" in str(line.message) for line in told)
     assert world.kind == "terrain"
@@ -276,8 +271,7 @@ def test_upright_meshes_raise_no_question(hill: TriangleMesh, tmp_path: Path) ->
     trimesh.creation.box((40, 1, 30)).export(tmp_path / "slab.stl")
     trimesh.Trimesh(hill.vertices, hill.faces).export(tmp_path / "hill.obj")
     for name in ("wall.stl", "slab.stl", "hill.obj"):
-        with warnings.catch_warnings(record=True) as told:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as told:
             build_world(tmp_path / name)
         assert not any("up?" in str(line.message) for line in told), name
     flat = trimesh.Trimesh([[0, 1, 0], [3, 1, 0], [3, 1, 2]], [[0, 1, 2]])
@@ -294,8 +288,7 @@ def test_millimeters_are_suspected_in_any_file(tmp_path: Path) -> None:
     ):
         path = tmp_path / f"house.{suffix}"
         trimesh.creation.box(size).export(path)
-        with warnings.catch_warnings(record=True) as lines:
-            warnings.simplefilter("always")
+        with warnings.catch_warnings(record=True, action="always") as lines:
             build_world(path)
         assert any("if it is the millimeter" in str(line.message) for line in lines) == told, size
 
@@ -327,8 +320,7 @@ def test_likely_millimeters_are_told(suffix: str, tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"steps\..*: is 2000 x 800 x 150 m, .* give --scale 0\.001") as told:
         build_world(path)
     assert len(told) == 1
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert build_world(path, BuildOptions(scale=(1e-3,) * 3)).surface.size == pytest.approx((2, 0.8))
 
 
@@ -350,8 +342,7 @@ def test_files_that_are_in_meters_are_not(name: str, tmp_path: Path) -> None:
     [("unitree_mujoco__terrain.STL", True), ("map2gazebo__map.stl", False), ("mujoco__pyramid.stl", False)],
 )
 def test_real_millimeters(name: str, told: bool, shared_data: Path) -> None:
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as found:
         build_world(shared_data / "stl" / name)
     assert any("--scale 0.001" in str(w.message) for w in found) == told
 

@@ -22,8 +22,7 @@ from lirs_wct.sources.source import find_source
     [("ünï ćode 世界", "uni_code"), ("世界", "world"), ("שלום 😀", "world"), ('a\'b "c"', "a_b_c")],
 )
 def test_a_name_is_made_legal_and_the_change_of_letters_is_said(given: str, name: str) -> None:
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as said:
         assert find_source("simple", BuildOptions(name=given)).name == name
     told = [f"{given}: the world is named {name}; "] if not given.isascii() else []
     assert [str(w.message)[: len(told[0])] for w in said] == told if told else not said

@@ -20,17 +20,14 @@ def near(*expected: float, rel: float = 2e-3) -> Any:
 
 
 def extent(world: World) -> tuple[float, ...]:
-    assert world.solid is not None
     return tuple(np.ptp(world.solid.bounds, axis=0).tolist())
 
 
 def area(world: World) -> float:
-    assert world.solid is not None
     return float(world.solid.face_areas.sum())
 
 
 def cells(world: World) -> tuple[int, int]:
-    assert world.truth is not None
     return int(world.truth.occupied.sum()), int(world.truth.free.sum())
 
 
@@ -111,8 +108,7 @@ REFUSED = {
 @pytest.mark.parametrize("name", WORLDS)
 def test_the_right_world(name: str, shared_data: Path) -> None:
     options, right, words = WORLDS[name]
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         world = build_world(shared_data / "reports" / "worlds" / name, BuildOptions(**options))
     lines = [str(warning.message) for warning in told if warning.category is UserWarning]
     assert right(world)

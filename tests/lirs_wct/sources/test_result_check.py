@@ -105,8 +105,7 @@ def test_only_options_of_the_kind_are_named(kind: SourceKind) -> None:
 
 def test_a_build_says_each_line_once_with_the_path(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "flat.png"), np.full((9, 9), 7, np.uint8))
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         build_world(tmp_path / "flat.png", BuildOptions(size=20.0))
     assert [str(line.message)[: len(str(tmp_path)) + 29] for line in told] == [
         f"{tmp_path}/flat.png: the ground is flat"

@@ -26,7 +26,6 @@ def parsed(line: str) -> Message | None:
 
 
 def same(found: Message | None, base: Pose2 | None, laser: Pose2 | None, ranges: list[float]) -> bool:
-    assert found is not None
     assert (found.line, found.stamp) == (7, 12.5)
     assert found.ranges.dtype == np.float32
     return (found.base, found.laser, found.ranges.tolist()) == (base, laser, ranges)
@@ -39,7 +38,6 @@ def test_every_message_token_by_token(tail: str) -> None:
     for name in ("FLASER", "RLASER"):
         old = parsed(f"{name} 3 1 2 4.5 {LASER} {BASE} 12.5{tail}")
         assert same(old, T_BASE, T_LASER, [1, 2, 4.5])
-        assert old is not None
         assert old.config is None
     for remissions in ("2 70 80", "3 70 80 90"):
         body = f"{SWEEP} 0.1 0 4 1 2 3 4 {remissions}"
@@ -49,7 +47,6 @@ def test_every_message_token_by_token(tail: str) -> None:
         for name in ("ROBOTLASER1", "ROBOTLASER2"):
             robot = parsed(f"{name} 0 {body} {LASER} {BASE} 0.6 0.7 0.8 0.9 1.1 12.5{tail}")
             assert same(robot, T_BASE, T_LASER, [1, 2, 3, 4])
-            assert robot is not None
             assert robot.config == LaserConfig(-1.5, 1.0, 20.0)
 
 
@@ -131,7 +128,6 @@ def test_stamps_and_poses_are_finite(at: int, word: str) -> None:
 
 def test_ranges_beyond_single_precision_are_endless() -> None:
     found = parsed(f"FLASER 3 1e300 -1e300 nan {LASER} {BASE} 12.5")
-    assert found is not None
     np.testing.assert_array_equal(found.ranges, np.float32([math.inf, -math.inf, math.nan]))
 
 

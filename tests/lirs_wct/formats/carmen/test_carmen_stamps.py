@@ -261,8 +261,7 @@ def test_the_same_scans_and_odometry_in_the_same_order_whatever_the_stamps(tmp_p
     true = START + PERIOD * np.arange(60)
     late = np.repeat(true[4::5], 5)  # bursts of five lines
     late[3::4] += np.random.default_rng(4).exponential(0.9, 15)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         sound = read_with_stamps(tmp_path, true.tolist())
     with pytest.warns(UserWarning, match=r"late\.clf: stamps go back at \d+ of 59 steps .*file is kept"):
         found = read_with_stamps(tmp_path, late.tolist())

@@ -166,7 +166,6 @@ def test_tiles_are_decoded(encoding: Any, step: float, tmp_path: Path) -> None:
         build_world(tile)
     world = build_world(tile, BuildOptions(encoding=encoding))
     np.testing.assert_allclose(world.surface.z, METERS - METERS.min(), atol=step)
-    assert world.place is not None
     assert world.place.height == pytest.approx(METERS.min(), abs=step)
     # OSM's slippy map: the tile's corner, and half a pixel.
     west, north = world.surface.bounds[0], world.surface.bounds[3]

@@ -37,8 +37,7 @@ CASES = [pytest.param(name, marks=pytest.mark.slow) if name in PLAIN else name f
 @cache
 def read_and_told(name: str) -> tuple[Raster, list[str]]:
     """Return a raster and the warnings about it; each is read once, in a process of its own."""
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         return read_raster(HERE / f"{name}.tif"), [str(warning.message) for warning in told]
 
 
@@ -59,7 +58,6 @@ def by_place(rows: np.ndarray, affine: Any) -> dict[tuple[float, float], float]:
 def test_heights_lie_where_rasterio_sees_them(name: str) -> None:
     record, raster = RECORDS[name], read(name)
     info, georeference = raster.info, raster.info.georeference
-    assert georeference is not None
     values = raster.pixels.astype(np.float64) * info.scale + info.offset
     if info.nodata is not None:
         values[raster.pixels == info.nodata] = np.nan
@@ -78,7 +76,6 @@ def test_heights_lie_where_rasterio_sees_them(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name in CASES if name != "no_system"])
 def test_pixels_are_in_meters_on_the_ground(name: str) -> None:
     record, georeference = RECORDS[name], read(name).info.georeference
-    assert georeference is not None
     assert georeference.system.name == f"EPSG:{record['epsg']}"
     assert sorted(georeference.pixel) == pytest.approx(sorted(record["pixel"]), rel=2e-6)
     (ce, cn), (re, rn) = georeference.steps
@@ -94,7 +91,6 @@ def test_pixels_are_in_meters_on_the_ground(name: str) -> None:
 
 def test_ten_meters_of_web_mercator_at_40_7_north_are_seven_and_a_half() -> None:
     georeference = read("mercator").info.georeference
-    assert georeference is not None
     assert georeference.pixel == pytest.approx((10 * math.cos(math.radians(40.71)),) * 2, rel=3e-3)
 
 
@@ -124,8 +120,7 @@ def test_what_is_left_out_is_told(name: str, words: str | None) -> None:
 @pytest.mark.parametrize("name", RECORDS)
 def test_the_record_is_what_rasterio_reads_today(name: str) -> None:
     record = RECORDS[name]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         file = rasterio.open(HERE / f"{name}.tif")
     with file:
         values = file.read(1, masked=True).astype(np.float64) * file.scales[0] + file.offsets[0]
@@ -144,8 +139,6 @@ def test_other_rasters_are_read_by_gdal(suffix: str, tmp_path: Path) -> None:
         assert file.driver != "GTiff"
     found, known = read_raster(path), read("utm")
     np.testing.assert_array_equal(found.pixels, known.pixels)
-    assert found.info.georeference is not None
-    assert known.info.georeference is not None
     assert found.info.georeference.pixel == pytest.approx(known.info.georeference.pixel)
 
 
@@ -161,14 +154,12 @@ def georeferenced(path: Path, crs: str) -> RasterInfo:
 def test_heights_have_the_unit_of_their_vertical_system(vertical: int, meters: float, tmp_path: Path) -> None:
     info = georeferenced(tmp_path / "a.tif", f"EPSG:4269+{vertical}")
     assert info.unit == meters
-    assert info.georeference is not None
     assert info.georeference.system.name == "EPSG:4269"
 
 
 def test_degrees_of_another_body_have_its_radius(tmp_path: Path) -> None:
     """The moon's center pixel: 60 deg - 3 x .02 deg north."""
     georeference = georeferenced(tmp_path / "moon.tif", "+proj=longlat +R=1737400 +no_defs").georeference
-    assert georeference is not None
     degree = math.radians(1_737_400.0)
     expected = 0.01 * degree * math.cos(math.radians(59.94)), 0.02 * degree
     assert georeference.pixel == pytest.approx(expected, rel=1e-6)

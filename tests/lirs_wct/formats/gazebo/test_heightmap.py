@@ -41,7 +41,6 @@ def test_sdf_has_the_meters() -> None:
     model = ET.fromstring(heightmap_sdf("dune", surface, "materials/textures/dune_heights.png"))
     for kind in ("visual", "collision"):
         heightmap = model.find(f".//{kind}/geometry/heightmap")
-        assert heightmap is not None
         assert heightmap.findtext("uri") == "model://dune/materials/textures/dune_heights.png"
         size = [float(v) for v in (heightmap.findtext("size") or "").split()]
         assert size == pytest.approx([50.0, 14.75, surface.relief])

@@ -31,7 +31,6 @@ def test_world_includes_model_light_physics_and_gravity_but_no_plane() -> None:
 def test_the_window_opens_on_a_view_of_the_world() -> None:
     view = overview((-25, -20, 0), (25, 20, 6), 0.8)
     pose = ET.fromstring(world_sdf("dune", view=view)).findtext("world/gui/camera/pose")
-    assert pose is not None
     x, y, z, roll, pitch, yaw = map(float, pose.split())
     assert (x, y, z) == pytest.approx(view.position, rel=1e-5)
     assert z > 6

@@ -63,8 +63,7 @@ def test_pages_and_bands_beyond_the_first_are_told(tmp_path: Path) -> None:
     pages[0].save(path, save_all=True, append_images=pages[1:])
     with pytest.warns(UserWarning, match=r"a\.tif: has 2 pages, the first is taken"):
         np.testing.assert_array_equal(read_picture(path).pixels, COLOR[..., 0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         pages[0].save(path)
         np.testing.assert_array_equal(read_picture(path).pixels, COLOR[..., 0])
         Image.fromarray(COLOR[..., :3]).save(path)  # three bands that are colors
@@ -77,8 +76,7 @@ def test_bands_that_are_no_colors_are_told(tmp_path: Path, bands: int, told: boo
     shape = {"width": 7, "height": 5, "count": bands, "dtype": "int16", "photometric": "MINISBLACK"}
     with rasterio.open(path, "w", driver="GTiff", **shape) as file:
         file.write(np.stack([COLOR[..., 0].astype(np.int16) + k for k in range(bands)]))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         np.testing.assert_array_equal(read_picture(path).pixels, COLOR[..., 0])
     expected = [f"{path}: has {bands} bands, the first is taken"] if told else []
     assert [str(w.message) for w in caught] == expected

@@ -81,8 +81,7 @@ def framed(width: int) -> np.ndarray:
 
 def test_a_border_of_zeros_beside_mountains_is_told_in_one_line(tmp_path: Path) -> None:
     path = asc(tmp_path / "a.asc", framed(3))
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as told:
         surface = read_heights(path)
     (line,) = (str(each.message) for each in told)
     assert line.startswith(f"{path}: 261 pixels of 0 along the border stand beside heights 30")
@@ -102,16 +101,14 @@ def test_a_border_of_zeros_beside_mountains_is_told_in_one_line(tmp_path: Path) 
     ],
 )
 def test_seas_and_plains_are_ground(heights: np.ndarray, tmp_path: Path) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        read_heights(asc(tmp_path / "a.asc", heights))
+    with warnings.catch_warnings(action="error"):
+        read_height_field(asc(tmp_path / "a.asc", heights), BuildOptions())
 
 
 def test_zeros_inside_or_declared_are_no_question() -> None:
     hole = HILLS.copy()
     hole[10:20, 10:20] = 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         warn_nodata_border(Path("a.asc"), hole, 1.0)
         warn_nodata_border(Path("a.asc"), np.zeros((5, 5)), 1.0)
     with pytest.warns(UserWarning, match="pixels of 0 along the border"):
@@ -187,8 +184,7 @@ def test_a_map_without_its_yaml_is_suggested(tmp_path: Path) -> None:
 
 def test_a_picture_that_is_declared_one_is_not_suggested_as_a_map(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "room.png"), ROOM)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         build_world(tmp_path / "room.png", BuildOptions(kind="picture"))
 
 
@@ -204,6 +200,5 @@ def test_pictures_of_more_bits_are_terrains(bits: type) -> None:
 )
 def test_real_pictures(shared_data: Path, name: str, expected: bool) -> None:
     picture = cv2.imread(str(shared_data / name), cv2.IMREAD_UNCHANGED)
-    assert picture is not None
     gray = picture if picture.ndim == 2 else picture[..., 0]
     assert looks_like_map(gray) == expected

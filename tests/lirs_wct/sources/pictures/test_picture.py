@@ -142,8 +142,7 @@ def test_contradicting_options_are_refused(tmp_path: Path) -> None:
 def test_nothing_but_our_warnings_reaches_stderr(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "short.pgm").write_bytes(b"P5 9 9 255\nabc")
     keys = (1, 1, 0, 1, 1024, 0, 1, 1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         read(tiff(tmp_path / "a.tif", RAMP.astype(np.float32), scale=(1.0, 1.0, 0.0), keys=keys))
     with pytest.raises(SourceError):
         read(tmp_path / "short.pgm")
@@ -280,8 +279,7 @@ def test_half_of_the_pixels_may_lack_a_height(tmp_path: Path) -> None:
 
 def test_unsigned_levels_are_never_nodata_unless_the_file_says_so(tmp_path: Path) -> None:
     levels = np.arange(16, dtype=np.uint16).reshape(4, 4)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert read(tiff(tmp_path / "a.tif", levels), height=15.0).z.max() == 15
     with pytest.warns(UserWarning, match="1 of 16"):
         z = read(tiff(tmp_path / "b.tif", levels, nodata="15"), height=14.0).z
@@ -290,8 +288,7 @@ def test_unsigned_levels_are_never_nodata_unless_the_file_says_so(tmp_path: Path
 
 def test_heights_just_above_nodata_are_heights(tmp_path: Path) -> None:
     heights = np.array([[-9998.0, 0.0], [-9990.0, 9.0e6]], np.float32)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         assert read(tiff(tmp_path / "a.tif", heights, scale=(1.0, 1.0, 0.0))).z.max() == 9_009_998
 
 

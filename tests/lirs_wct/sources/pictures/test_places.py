@@ -47,8 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def built(path: Path, **options: Any) -> World:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with warnings.catch_warnings(action="error"):
         return build_world(path, BuildOptions(**options))
 
 
@@ -72,11 +71,9 @@ def test_every_node_lies_where_its_pixel_lay(folder: Path) -> None:
 def test_absolute_heights_and_what_undoes_them(folder: Path) -> None:
     z = heights(np.arange(33), np.arange(25))
     world = built(folder / "a.asc")
-    assert world.place is not None
     assert world.place.height == pytest.approx(z.min(), abs=1e-5)
     for options in ({"height": 3.0}, {"z_scale": 2.0}, {"scale": (1.0, 1.0, 2.0)}, {"invert": True}):
         place = built(folder / "a.asc", **options).place
-        assert place is not None
         assert place.height is None
         with pytest.raises(ConfigError, match=r"a\.asc: the option zero needs the file's own heights"):
             built(folder / "a.asc", zero=700.0, **options)
@@ -99,8 +96,6 @@ def test_a_window_keeps_place_and_height(folder: Path, tmp_path: Path) -> None:
         built(folder / "a.asc", window=window),
         build_world(tmp_path / "a", BuildOptions(window=window)),
     ):
-        assert part.place is not None
-        assert whole.place is not None
         assert part.place.affine == whole.place.affine
         above = float(whole.surface.height_at(40.0, -30.0)) + (whole.place.height or 0)
         assert float(part.surface.height_at(40.0, -30.0)) + (part.place.height or 0) == pytest.approx(
@@ -150,7 +145,6 @@ def test_a_utm_world_says_that_its_x_axis_is_not_east(tmp_path: Path) -> None:
     path = "world/spherical_coordinates/heading_deg"
     turned = float(ElementTree.parse(package / "utm.world").findtext(path, ""))
     assert turned == pytest.approx((74.006 - 75) * np.sin(np.radians(40.71)), abs=2e-3)
-    assert world.place is not None
     assert world.place.heading() == pytest.approx(turned, abs=1e-6)
 
 

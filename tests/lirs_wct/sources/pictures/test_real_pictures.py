@@ -88,8 +88,7 @@ def test_the_table_is_complete(shared_data: Path) -> None:
 @pytest.mark.parametrize("name", OUTCOMES)
 def test_outcome(shared_data: Path, name: str, capfd: pytest.CaptureFixture[str]) -> None:
     path, outcome = shared_data / name, OUTCOMES[name]
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as said:
         if isinstance(outcome, str):
             with pytest.raises(SourceError) as refused:
                 read_heights(path)
