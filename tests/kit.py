@@ -1,15 +1,22 @@
 """What tests of several packages share."""
 
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import Source
+from lirs_wct.world import World
 
 SMALL = BuildOptions(size=(20.0, 20.0), height=2.0, resize=(129, 129))
 """Options that make of a bundled world one of 20 m and 129 x 129 pixels, which is built at once."""
@@ -25,3 +32,17 @@ def read_heights(path: Path, **options: object) -> HeightField:
     """Return the heights of a picture file."""
     source = Source(SourceKind.PICTURE, path, "picture")
     return read_terrain(source, BuildOptions(**options))[0].surface  # type: ignore[arg-type]
+
+
+def built(source: str | Path, **options: Any) -> tuple[World, list[str]]:
+    """Return the world of a source, and the lines about it."""
+    with warnings.catch_warnings(record=True, action="always") as told:
+        world = build_world(source, BuildOptions(**options))
+    return world, [str(warning.message) for warning in told if warning.category is UserWarning]
+
+
+def started(world: World, start: Pose2 | None = None, *, seed: int = 0, **config: Any) -> Simulation:
+    """Return a simulation after its reset; the rest is of its config."""
+    simulation = Simulation(world, SimulationConfig(**config), seed=seed)
+    simulation.reset(start)
+    return simulation

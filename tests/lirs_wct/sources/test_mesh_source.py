@@ -1,7 +1,7 @@
 """A mesh file becomes a world: its heights from above, its own triangles in the files."""
 
 import math
-import warnings
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.rasterize import layers, rasterize_heights
+from tests.kit import built
 
 
 @pytest.fixture
@@ -140,8 +141,7 @@ SHEET = [(0, 0), (4.9, 0), (5, 2.8), (10, 2.8), (10, 3), (5, 3), (4.9, 0.2), (0,
 def test_openings_of_a_closed_mesh_are_noticed(
     outlines: list[list[tuple[float, float]]], overhangs: bool, tmp_path: Path
 ) -> None:
-    with warnings.catch_warnings(action="ignore"):
-        assert build_world(prisms(tmp_path / "mesh.obj", *outlines)).overhangs == overhangs
+    assert built(prisms(tmp_path / "mesh.obj", *outlines))[0].overhangs == overhangs
 
 
 def test_walls_of_single_faces_stop_rays(tmp_path: Path) -> None:
@@ -207,11 +207,9 @@ def test_a_mesh_far_from_its_origin_is_that_at_the_origin(
         trimesh.Trimesh(hill.vertices + shift, faces, process=False).export(
             tmp_path / f"{name}.obj", digits=6
         )
-        with warnings.catch_warnings(record=True, action="always") as told:
-            worlds.append(build_world(tmp_path / f"{name}.obj"))
-        assert sum("lies far from its origin: its point 500" in str(line.message) for line in told) == (
-            name == "far"
-        )
+        world, told = built(tmp_path / f"{name}.obj")
+        worlds.append(world)
+        assert sum("lies far from its origin: its point 500" in line for line in told) == (name == "far")
     near, far = worlds
     assert far.mesh.is_watertight_as_written
     np.testing.assert_allclose(np.ptp(far.mesh.bounds, axis=0), np.ptp(near.mesh.bounds, axis=0), atol=1e-4)
@@ -257,9 +255,8 @@ def test_the_axis_that_points_up_can_be_given(
         path.write_text(path.read_text().replace("Y_UP", "Z_UP"))
     with pytest.warns(UserWarning, match=f"{given.upper()} up\\? --up {given}"):
         build_world(path)
-    with warnings.catch_warnings(record=True, action="always") as told:
-        world = build_world(path, BuildOptions(up=given))
-    assert not any("up?" in str(line.message) for line in told)
+    world, told = built(path, up=given)
+    assert not any("up?" in line for line in told)
     assert world.kind == "terrain"
     np.testing.assert_allclose(
         np.ptp(world.mesh.bounds[:, :2], axis=0), np.ptp(mesh.bounds[:, :2], axis=0), rtol=1e-5
@@ -271,9 +268,7 @@ def test_upright_meshes_raise_no_question(hill: TriangleMesh, tmp_path: Path) ->
     trimesh.creation.box((40, 1, 30)).export(tmp_path / "slab.stl")
     trimesh.Trimesh(hill.vertices, hill.faces).export(tmp_path / "hill.obj")
     for name in ("wall.stl", "slab.stl", "hill.obj"):
-        with warnings.catch_warnings(record=True, action="always") as told:
-            build_world(tmp_path / name)
-        assert not any("up?" in str(line.message) for line in told), name
+        assert not any("up?" in line for line in built(tmp_path / name)[1]), name
     flat = trimesh.Trimesh([[0, 1, 0], [3, 1, 0], [3, 1, 2]], [[0, 1, 2]])
     flat.export(tmp_path / "flat.obj")
     with pytest.raises(SourceError, match=r"an extent along x and y, this is 3 x 0 x 2 m; is y up\? --up y"):
@@ -288,9 +283,7 @@ def test_millimeters_are_suspected_in_any_file(tmp_path: Path) -> None:
     ):
         path = tmp_path / f"house.{suffix}"
         trimesh.creation.box(size).export(path)
-        with warnings.catch_warnings(record=True, action="always") as lines:
-            build_world(path)
-        assert any("if it is the millimeter" in str(line.message) for line in lines) == told, size
+        assert any("if it is the millimeter" in line for line in built(path)[1]) == told, size
 
 
 def test_where_there_is_no_ground_nothing_drives(tmp_path: Path) -> None:
@@ -317,11 +310,10 @@ def test_what_is_no_terrain_is_refused(tmp_path: Path) -> None:
 def test_likely_millimeters_are_told(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"steps{suffix}"
     trimesh.creation.box((2000, 800, 150)).export(path)
-    with pytest.warns(UserWarning, match=r"steps\..*: is 2000 x 800 x 150 m, .* give --scale 0\.001") as told:
-        build_world(path)
-    assert len(told) == 1
-    with warnings.catch_warnings(action="error"):
-        assert build_world(path, BuildOptions(scale=(1e-3,) * 3)).surface.size == pytest.approx((2, 0.8))
+    (line,) = built(path)[1]
+    assert re.search(r"steps\..*: is 2000 x 800 x 150 m, .* give --scale 0\.001", line)
+    world, told = built(path, scale=(1e-3,) * 3)
+    assert (world.surface.size, told) == (pytest.approx((2, 0.8)), [])
 
 
 @pytest.mark.parametrize("name", ["large.dae", "large.glb", "ours.stl", "ours.obj", "small.stl"])
@@ -331,9 +323,8 @@ def test_files_that_are_in_meters_are_not(name: str, tmp_path: Path) -> None:
     write_mesh(tmp_path / name, TriangleMesh(np.asarray(box.vertices), np.asarray(box.faces, np.int32)))
     if name == "small.stl":
         box.export(tmp_path / name)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", UserWarning)
-        assert build_world(tmp_path / name).surface.size == pytest.approx((side, side))
+    world, told = built(tmp_path / name)
+    assert (world.surface.size, told) == (pytest.approx((side, side)), [])
 
 
 @pytest.mark.shared
@@ -342,9 +333,7 @@ def test_files_that_are_in_meters_are_not(name: str, tmp_path: Path) -> None:
     [("unitree_mujoco__terrain.STL", True), ("map2gazebo__map.stl", False), ("mujoco__pyramid.stl", False)],
 )
 def test_real_millimeters(name: str, told: bool, shared_data: Path) -> None:
-    with warnings.catch_warnings(record=True, action="always") as found:
-        build_world(shared_data / "stl" / name)
-    assert any("--scale 0.001" in str(w.message) for w in found) == told
+    assert any("--scale 0.001" in line for line in built(shared_data / "stl" / name)[1]) == told
 
 
 @pytest.mark.shared

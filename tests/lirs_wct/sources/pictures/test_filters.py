@@ -8,8 +8,6 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid_sampling import resample
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import denoise, sharpen, smooth
 from tests.kit import read_heights as read
@@ -100,14 +98,6 @@ def test_filters_keep_shape_size_and_relief(tmp_path: Path, options: dict[str, o
     assert np.abs(surface.z - read(path).z).max() > 0.1
 
 
-def test_rotate_x_lays_the_upright_mesh_down() -> None:
-    mesh = solid_mesh(HeightField.centered(RAMP, (1, 1)))
-    turned = mesh.rotated_x(90)
-    np.testing.assert_allclose(turned.vertices, mesh.vertices[:, [0, 2, 1]] * (1, -1, 1), atol=1e-12)
-    assert turned.is_watertight
-    assert turned.volume == pytest.approx(mesh.volume)
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -121,6 +111,5 @@ def test_rotate_x_lays_the_upright_mesh_down() -> None:
     ],
 )
 def test_illegal_options_are_refused(options: dict[str, object], words: str) -> None:
-    with pytest.raises(ConfigError) as refused:
+    with pytest.raises(ConfigError, match=words):
         BuildOptions(**options)  # type: ignore[arg-type]
-    assert words in str(refused.value)

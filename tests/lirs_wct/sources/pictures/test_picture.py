@@ -253,7 +253,9 @@ def test_large_levels_keep_their_differences(tmp_path: Path) -> None:
         np.testing.assert_allclose(read(path, height=11.0).z, RAMP, atol=1e-5)
 
 
-@pytest.mark.parametrize("value", [-9999.0, -32768.0, -2e30, -3.4028235e38, 1234.5, np.inf, -np.inf, np.nan])
+@pytest.mark.parametrize(
+    "value", [-9999.0, -32768.0, -2e30, -3.4028235e38, 3.4e38, 1234.5, np.inf, -np.inf, np.nan]
+)
 def test_each_hole_takes_its_nearest_height(tmp_path: Path, value: float) -> None:
     tags = {"nodata": str(value)} if value == 1234.5 else {}
     heights = np.array([[1, 2, 3, 4, 5], [6, 7, 8, 9, 10], [11, 12, 13, 14, 20]], np.float32)
@@ -337,13 +339,7 @@ def test_a_window_keeps_the_meters_of_the_whole(tmp_path: Path) -> None:
     np.testing.assert_array_equal(ground.surface.z, kept - kept.min())
 
 
-def test_deterrace_needs_levels_and_takes_their_own_step(tmp_path: Path) -> None:
-    stairs = (np.linspace(0, 20, 30).round()[None, :] * np.ones((12, 1))).astype(np.uint16)
-    wide, narrow = (
-        read(png(tmp_path / "a.png", stairs * step), deterrace=True, height=20.0).z for step in (257, 1)
-    )
-    np.testing.assert_allclose(wide, narrow, atol=1e-4)
-    assert len(np.unique(wide.round(3))) > 21
+def test_deterrace_needs_levels(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match="floating-point heights, --option deterrace=true needs"):
         read(tiff(tmp_path / "c.tif", RAMP.astype(np.float32)), deterrace=True)
 
