@@ -16,6 +16,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
+from tests.kit import started
 
 
 @pytest.mark.parametrize(
@@ -60,8 +61,7 @@ def test_a_name_that_is_none(name: Any, make: Callable[[Any], object]) -> None:
     ],
 )
 def test_a_command_that_cannot_be(command: Any, plane: World, husky: Robot) -> None:
-    sim = Simulation(plane, SimulationConfig(robot=husky))
-    sim.reset()
+    sim = started(plane, robot=husky)
     before = sim.T_world_base
     with pytest.raises(ConfigError, match=r"a command must|husky drives: it takes a Twist"):
         sim.advance(command)
@@ -84,8 +84,7 @@ def test_a_state_that_is_not_finite_stops_it(
     where: str, value: float, plane: World, husky: Robot, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file where it stands
-    sim = Simulation(plane, SimulationConfig(robot=husky))
-    sim.reset()
+    sim = started(plane, robot=husky)
     getattr(sim.body.data, where)[2] = value
     with pytest.raises(SimulationError, match=r"the simulation diverged at \d"):
         sim.advance(Twist(0.5))

@@ -14,9 +14,9 @@ from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
-from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
+from tests.kit import started
 from tests.lirs_envs.lidar.room import rings
 
 
@@ -54,21 +54,19 @@ def checked(sim: Simulation, copied: Callable[[Simulation], Simulation]) -> None
 @COPIES
 @pytest.mark.parametrize("robot", ["husky", "jackal", "quadrotor"])
 def test_a_copy_goes_on_bit_for_bit(rough: World, robot: str, copied: Callable[[Any], Any]) -> None:
-    config = SimulationConfig(
+    sim = started(
+        rough,
         robot=make_robot(robot),
         noise=SensorNoise(odometry=OdometryConfig(method="ekf"), lidar="datasheet", rolling_scan=True),
+        seed=3,
     )
-    sim = Simulation(rough, config, seed=3)
-    sim.reset()
     checked(sim, copied)
 
 
 @COPIES
 def test_props_and_mujoco_s_rays_follow_the_copy(walled: World, copied: Callable[[Any], Any]) -> None:
     ball = Prop(shape="sphere", size=(0.3,), place=Pose2(1.5, 0.0), mass=5.0)
-    config = SimulationConfig(robot=make_robot("husky"), props=(ball,), rays="mujoco")
-    sim = Simulation(walled, config)
-    sim.reset()
+    sim = started(walled, robot=make_robot("husky"), props=(ball,), rays="mujoco")
     checked(sim, copied)
 
 

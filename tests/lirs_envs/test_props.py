@@ -13,6 +13,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
+from tests.kit import started
 
 EXACT = SensorNoise(lidar="none")
 
@@ -56,8 +57,7 @@ def test_props_do_not_change_the_robot(plane: World, husky: Robot) -> None:
     )
     ends = []
     for props in ((), far):
-        sim = Simulation(plane, SimulationConfig(robot=husky, props=props))
-        sim.reset()
+        sim = started(plane, robot=husky, props=props)
         for k in range(50):
             sim.advance(Twist(1.0, math.sin(k / 10)))
         ends.append(sim.T_world_base)
@@ -70,8 +70,7 @@ def test_props_do_not_change_the_robot(plane: World, husky: Robot) -> None:
 def test_a_fixed_prop_stops_and_a_light_one_yields(plane: World, husky: Robot) -> None:
     for mass, stops in ((0.0, True), (1.0, False)):
         box = Prop(shape="box", size=(0.2, 0.5, 0.3), place=Pose2(1.5, 0.0), mass=mass)
-        sim = Simulation(plane, SimulationConfig(robot=husky, props=(box,)))
-        sim.reset()
+        sim = started(plane, robot=husky, props=(box,))
         for _ in range(100):
             sim.advance(Twist(1.0))
         assert (sim.T_world_base.x < 0.85) == stops

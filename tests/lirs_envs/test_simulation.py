@@ -16,6 +16,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
+from tests.kit import started
 
 SILENT = SensorNoise(
     imu=ImuConfig(
@@ -55,8 +56,7 @@ def test_same_seed_same_bytes(rough: World, husky: Robot) -> None:
 
 
 def test_the_config_s_start_is_where_a_reset_sets_the_robot_down(plane: World, husky: Robot) -> None:
-    sim = Simulation(plane, SimulationConfig(robot=husky, start=Pose2(1.0, -2.0, 0.5)))
-    sim.reset()
+    sim = started(plane, robot=husky, start=Pose2(1.0, -2.0, 0.5))
     assert sim.T_world_base.to_pose2().distance(Pose2(1.0, -2.0)) < 0.02
     sim.reset(Pose2(-1.0, 0.0))
     assert sim.T_world_base.to_pose2().distance(Pose2(-1.0, 0.0)) < 0.02
@@ -96,8 +96,7 @@ def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
 
 def test_a_tick_is_one_lidar_period(plane: World, husky: Robot) -> None:
     for preset in LIDARS.values():
-        sim = Simulation(plane, SimulationConfig(robot=husky, lidar=preset.name))
-        sim.reset()
+        sim = started(plane, robot=husky, lidar=preset.name)
         stamps = [sim.advance(Twist()).scan.stamp for _ in range(3)]
         np.testing.assert_allclose(stamps, np.arange(1, 4) / preset.rate, atol=1e-9)
         assert sim.body.data.time == pytest.approx(3 / preset.rate, abs=1e-6)
@@ -129,8 +128,7 @@ def test_silent_sensors_tell_the_truth(make_world: Callable[..., World], husky: 
 
 def test_odometry_without_noise_is_the_path_driven(make_world: Callable[..., World], husky: Robot) -> None:
     world = make_world(lambda x, y: 0.2 * np.sin(x) * np.cos(y))
-    sim = Simulation(world, SimulationConfig(robot=husky, noise=SILENT))
-    sim.reset(Pose2(1.0, -1.0, 0.5))
+    sim = started(world, Pose2(1.0, -1.0, 0.5), robot=husky, noise=SILENT)
     T_world_odom = sim.T_world_base.to_pose2()
     for k in range(500):
         odometry = sim.advance(Twist(0.6, 0.5 * math.sin(k / 40))).odometry
@@ -171,23 +169,20 @@ def test_bad_start_poses(start: Pose2, words: str, make_world: Callable[..., Wor
 
 
 def test_start_against_a_wall_of_boxes(walled: World, husky: Robot, T_world_wall: Pose2) -> None:
-    sim = Simulation(walled, SimulationConfig(robot=husky))
-    sim.reset(T_world_wall @ Pose2(2.35, 0.0))
+    sim = started(walled, T_world_wall @ Pose2(2.35, 0.0), robot=husky)
     for x in (2.5, 3.05):
         with pytest.raises(SimulationError, match="a wall or a hole is within"):
             sim.reset(T_world_wall @ Pose2(x, 0.0))
 
 
 def test_nothing_driven_is_not_replayed(plane: World, husky: Robot) -> None:
-    sim = Simulation(plane, SimulationConfig(robot=husky))
-    sim.reset()
+    sim = started(plane, robot=husky)
     with pytest.raises(SimulationError, match="nothing was driven"):
         sim.replay()
 
 
 def test_tipped_and_off_the_world_are_noticed(plane: World, husky: Robot) -> None:
-    sim = Simulation(plane, SimulationConfig(robot=husky))
-    sim.reset()
+    sim = started(plane, robot=husky)
     assert not sim.tipped
     assert not sim.off_world
     sim.body.data.qpos[3:7] = (math.cos(0.55), math.sin(0.55), 0, 0)
@@ -201,8 +196,7 @@ def test_tipped_and_off_the_world_are_noticed(plane: World, husky: Robot) -> Non
 def test_imu_noise_is_what_it_claims(plane: World, husky: Robot) -> None:
     rolls, rates, forces = [], [], []
     for seed in range(40):
-        sim = Simulation(plane, SimulationConfig(robot=husky), seed=seed)
-        sim.reset()
+        sim = started(plane, robot=husky, seed=seed)
         readings = [sim.advance(Twist()).imu for _ in range(25)]
         rolls.append([r.roll for r in readings])
         rates.append([r.angular_velocity[0] for r in readings])

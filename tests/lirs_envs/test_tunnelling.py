@@ -9,13 +9,13 @@ import pytest
 
 from lirs_envs.robots.robot import ROBOTS, Twist, make_robot
 from lirs_envs.simulation import Simulation
-from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.world import World
+from tests.kit import started
 
 GROUND = [name for name, robot in ROBOTS.items() if not robot.flies]
 IMPACT = 0.010
@@ -53,8 +53,7 @@ def drive_at_random(sim: Simulation, seconds: float, seed: int = 4) -> float:
     "where", ["simple", *(pytest.param(name, marks=pytest.mark.slow) for name in RECIPES if name != "simple")]
 )
 def test_random_driving_never_tunnels(where: str, name: str) -> None:
-    sim = Simulation(world_of(where), SimulationConfig(robot=make_robot(name), lidar="lms111"))
-    sim.reset()
+    sim = started(world_of(where), robot=make_robot(name), lidar="lms111")
     driven = drive_at_random(sim, 6.0)
     found = sim.collisions
     assert driven > 0.3 * sim.robot.max_speed
@@ -64,8 +63,7 @@ def test_random_driving_never_tunnels(where: str, name: str) -> None:
 
 @pytest.mark.parametrize("name", [pytest.param("husky", marks=pytest.mark.slow), "jackal"])
 def test_against_steep_blocks(name: str, rough: World) -> None:
-    sim = Simulation(rough, SimulationConfig(robot=make_robot(name), lidar="lms111"))
-    sim.reset()
+    sim = started(rough, robot=make_robot(name), lidar="lms111")
     assert drive_at_random(sim, 60.0) > 5
     found = sim.collisions
     assert found.body_contacts > 0 or sim.tipped, "it never met an obstacle, so that nothing was tested"
@@ -87,8 +85,7 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
     middle = 60
     z[:, middle - nodes_wide // 2 : middle + nodes_wide // 2 + 1] = 0.5
     world = World("barrier", Terrain(HeightField.centered(z, (0.05, 0.05))), spawn_poses=(Pose2(),))
-    sim = Simulation(world, SimulationConfig(robot=make_robot(name), lidar="lms111"))
-    sim.reset(Pose2(-1.5, 0.0))
+    sim = started(world, Pose2(-1.5, 0.0), robot=make_robot(name), lidar="lms111")
     touched = sim.contact.heights(world.surface)
     for yaw in (0.0, 0.8, math.pi / 2):
         sim.body.settle(
@@ -111,8 +108,8 @@ def test_contacts_are_as_the_robots_file_says(
     name: str, where: str, request: pytest.FixtureRequest, T_world_wall: Pose2
 ) -> None:
     """Ground and walls share nothing of their own: stiffness and friction are the robot's alone."""
-    sim = Simulation(request.getfixturevalue(where), SimulationConfig(robot=make_robot(name), lidar="lms111"))
-    sim.reset(T_world_wall @ Pose2(2.35 - sim.robot.radius) if where == "walled" else None)
+    start = T_world_wall @ Pose2(2.35 - make_robot(name).radius) if where == "walled" else None
+    sim = started(request.getfixturevalue(where), start, robot=make_robot(name), lidar="lms111")
     model, data = sim.body.model, sim.body.data
     if sim.robot.flies:
         data.ctrl[:] = 0.0

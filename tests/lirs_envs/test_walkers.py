@@ -1,9 +1,6 @@
 """Walkers: where they walk, that they are seen and touched, and that they come again."""
 
-import copy
 import math
-import pickle
-from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -35,13 +32,13 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
+from tests.kit import started
 
 Array = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 
 def simulation(world: World, robot: Robot, actors: int = 20, **config: Any) -> Simulation:
-    config = {"noise": SensorNoise(lidar="none")} | config
-    return Simulation(world, SimulationConfig(robot=robot, actors=actors, **config), seed=3)
+    return started(world, robot=robot, actors=actors, noise=SensorNoise(lidar="none"), seed=3, **config)
 
 
 def walker_ranges(centers: Array, origins: Array, directions: Array, max_range: float) -> Array:
@@ -108,8 +105,6 @@ def test_walkers_wait_for_the_robot_and_turn_back(plane: World, husky: Robot) ->
 
 def test_rays_meet_capsules_where_mujoco_s_do(rough: World, husky: Robot) -> None:
     sim = simulation(rough, husky, actors=40, rays="mujoco")
-    sim.reset()
-    assert sim.walkers is not None
     centers, rng = sim.walkers.centers, np.random.default_rng(1)
     sim.advance(Twist(0.5, 0.1))
     sim.body.data.mocap_pos[:] = centers
@@ -145,8 +140,6 @@ def test_rays_meet_capsules_where_mujoco_s_do(rough: World, husky: Robot) -> Non
 def test_both_rays_see_the_same_walkers(rough: World, husky: Robot) -> None:
     builtin, by_mujoco = (simulation(rough, husky, 40, rays=rays) for rays in ("builtin", "mujoco"))
     seen = 0
-    for sim in (builtin, by_mujoco):
-        sim.reset()
     for _ in range(3):
         ours, theirs = builtin.advance(Twist(0.5, 0.3)).scan, by_mujoco.advance(Twist(0.5, 0.3)).scan
         assert builtin.walker_beams is not None
@@ -163,16 +156,13 @@ def test_walker_beams_are_those_that_walkers_shorten(rough: World, husky: Robot)
     sim, empty = simulation(rough, husky, 40), simulation(rough, husky, 0)
     walked_by, still = sim.reset().scan.ranges, empty.reset().scan.ranges
     assert empty.walker_beams is None
-    assert sim.walker_beams is not None
     assert sim.walker_beams.any()
     assert np.array_equal(sim.walker_beams, walked_by != still)
 
 
 def test_a_robot_that_drives_into_a_walker_touches_it(plane: World, husky: Robot) -> None:
     sim = simulation(plane, husky, 60)
-    sim.reset()
     for _ in range(3000):
-        assert sim.walkers is not None
         here = sim.T_world_base.to_pose2()
         offset = sim.walkers.centers[:, :2] - (here.x, here.y)
         x, y = offset[np.argmin(np.hypot(*offset.T))]
@@ -200,42 +190,19 @@ def test_walkers_leave_ground_and_fixed_props_alone(rough: World, husky: Robot) 
 
 def test_the_nearest_walkers_have_the_bodies(rough: World, husky: Robot) -> None:
     sim = simulation(rough, husky, 40)
-    sim.reset()
     for _ in range(20):
         sim.advance(Twist(0.8, 0.2))
-    assert sim.walkers is not None
     bodies = sim.body.data.mocap_pos
     assert len(bodies) == TOUCHABLE
     far = np.hypot(*(sim.walkers.centers[:, :2] - (sim.T_world_base.x, sim.T_world_base.y)).T)
     assert np.array_equal(bodies[:3], sim.walkers.centers[np.argsort(far)[:3]])
     few = simulation(rough, husky, 3)
-    few.reset()
-    assert few.walkers is not None
     assert sorted(few.body.data.mocap_pos.tolist()) == sorted(few.walkers.centers.tolist())
 
 
 def driven(sim: Simulation, ticks: int = 10) -> bytes:
     scans = [sim.advance(Twist(0.8, 0.4)).scan.ranges.tobytes() for _ in range(ticks)]
-    assert sim.walkers is not None
     return b"".join(scans) + sim.body.state().tobytes() + sim.walkers.centers.tobytes()
-
-
-def through_pickle(value: Any) -> Any:
-    return pickle.loads(pickle.dumps(value))
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, through_pickle])
-def test_a_copy_goes_on_bit_for_bit(
-    rough: World, husky: Robot, copied: Callable[[Simulation], Simulation]
-) -> None:
-    sim = simulation(rough, husky)
-    sim.reset()
-    driven(sim)
-    again = copied(sim)
-    before = sim.body.state().tobytes()
-    there = driven(again)
-    assert sim.body.state().tobytes() == before
-    assert driven(sim) == there
 
 
 def test_the_seed_decides_and_a_reset_repeats(rough: World, husky: Robot) -> None:
@@ -252,11 +219,9 @@ def test_the_seed_decides_and_a_reset_repeats(rough: World, husky: Robot) -> Non
 
 def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
     sim = simulation(rough, husky, 60)
-    sim.reset()
     driven(sim, 60)
     here, now = sim.T_world_base, sim.walkers.centers.copy() if sim.walkers else None
     assert sim.replay().T_world_base == here
-    assert sim.walkers is not None
     assert np.array_equal(sim.walkers.centers, now)
     state = sim.body.state()
     sim.replay()
@@ -269,7 +234,6 @@ def test_walkers_follow_another_terrain(husky: Robot) -> None:
     replaced.replace_terrain(second.heights, (second.start,))
     fresh = simulation(second.world(), husky, height_range=HEIGHT_RANGE)
     replaced.reset()
-    fresh.reset()
     assert driven(replaced) == driven(fresh)
 
 

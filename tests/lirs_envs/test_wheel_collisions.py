@@ -17,13 +17,13 @@ from lirs_envs.placement import standing_pose
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import ROBOTS, Twist, make_robot
-from lirs_envs.simulation import ROW, Simulation
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation import ROW
 from lirs_envs.tasks.site import make_site
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.build import build_world
 from lirs_wct.world import World
+from tests.kit import started
 
 GROUND = [name for name, robot in ROBOTS.items() if not robot.flies]
 SPEEDS = np.array(((1 / 3, 0.0), (2 / 3, 0.0), (1.0, 0.0)))
@@ -76,8 +76,7 @@ def test_one_environment_collides_as_a_vector_does(walled: World, T_world_wall: 
 
 
 def test_validation_counts_a_wheel_at_a_wall(walled: World, T_world_wall: Pose2) -> None:
-    sim = Simulation(walled, SimulationConfig(robot=make_robot("jackal")))
-    sim.reset(T_world_wall @ Pose2(2.0, 0.0))
+    sim = started(walled, T_world_wall @ Pose2(2.0, 0.0), robot=make_robot("jackal"))
     while sim.collisions.body_contacts == 0:
         assert sim.time < 2.0
         sim.advance(Twist(1.0))

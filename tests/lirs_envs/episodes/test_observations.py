@@ -9,7 +9,6 @@ from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.observations import SECTORS, goal_direction, scan_sectors
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
-from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 
 
@@ -65,8 +64,3 @@ def test_goal_direction_is_that_of_the_goal(plane: World) -> None:
     far = goal_direction(np.array(((45.0, math.pi), (45.0, -math.pi))))
     assert far[0] == pytest.approx(far[1], abs=1e-6)
     assert far[0].tolist() == pytest.approx([-1.0, 0.0, 1.0], abs=1e-6)
-
-
-def test_no_direction_without_a_goal(plane: World) -> None:
-    with pytest.raises(ConfigError, match="the mapping task has no goal to observe"):
-        RobotEnv("mapping", world=plane, observe=["goal_direction"])

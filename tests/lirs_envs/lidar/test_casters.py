@@ -17,6 +17,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
+from tests.kit import started
 
 Array = np.ndarray
 
@@ -90,15 +91,11 @@ def test_intensities_agree_with_the_normals_of_mujoco(walled: World, husky: Robo
     noise = SensorNoise(lidar="none", rolling_scan=rolling)
     seen = []
     for rays in ("builtin", "mujoco"):
-        config = SimulationConfig(robot=husky, lidar="vlp16", props=props, actors=4, noise=noise, rays=rays)
-        sim = Simulation(walled, config)
-        sim.reset()
+        sim = started(walled, robot=husky, lidar="vlp16", props=props, actors=4, noise=noise, rays=rays)
         cloud = sim.advance(Twist(0.4, 0.5)).cloud
-        assert cloud is not None
         assert cloud.intensity is not None
         seen.append((cloud.ring.astype(int) * 1800 + cloud.column, cloud.intensity, sim.walker_points))
     (beams, ours, walkers), (their_beams, theirs, _) = seen
-    assert walkers is not None
     assert walkers.sum() > 20
     both, k, m = np.intersect1d(beams, their_beams, return_indices=True)
     assert len(both) > 0.99 * len(beams)

@@ -19,6 +19,7 @@ from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
+from tests.kit import started
 from tests.lirs_envs.lidar.room import rings, room
 
 MOUNT = Pose3.from_rpy(0.2, 0.05, 0.3, 0.02, -0.03, 0.4)
@@ -94,8 +95,7 @@ def test_the_beams_are_those_of_a_pattern() -> None:
 
 def test_rings_see_props_and_not_their_own_robot(plane: World, husky: Robot) -> None:
     box = Prop(shape="box", size=(0.3, 0.3, 0.5), place=Pose2(3.0, 0.0))
-    sim = Simulation(plane, SimulationConfig(robot=husky, props=(box,)))
-    sim.reset()
+    sim = started(plane, robot=husky, props=(box,))
     T = sim.T_world_base @ husky.T_base_laser
     directions = rings(9, 720, -1.5, 0.3) @ T.rotation.T
     ranges = sim.caster.ranges(T.position, np.ascontiguousarray(directions), 8.0)
@@ -159,11 +159,9 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 def test_a_simulation_observes_clouds_where_there_are_rings(rough: World, husky: Robot) -> None:
     noise = SensorNoise(lidar="none", rolling_scan=True)
-    sim = Simulation(rough, SimulationConfig(robot=husky, lidar="vlp16", noise=noise), seed=1)
-    sim.reset()
+    sim = started(rough, robot=husky, lidar="vlp16", noise=noise, seed=1)
     observation = sim.advance(Twist(0.5, 0.2))
     cloud = observation.cloud
-    assert cloud is not None
     assert (cloud.stamp, cloud.T_base_laser) == (observation.scan.stamp, husky.T_base_laser)
     assert cloud.rolling
     first = cloud.time < 1e-3
@@ -184,15 +182,11 @@ def test_points_on_walkers_are_known(rough: World, husky: Robot) -> None:
     for sim in sims:
         sim.reset()
     still, walked = (sim.advance(Twist(0.0, 0.0)).cloud for sim in sims)
-    assert still is not None
-    assert walked is not None
     met = sims[1].walker_points
     assert sims[0].walker_points is None
-    assert met is not None
     assert met.shape == (len(walked),)
     assert met.any()
     beams = sims[1].walker_beams
-    assert beams is not None
     assert beams.shape == (LIDARS["vlp16"].beams,)
     ground = {tuple(point) for point in still.xyz.tolist()}
     assert all(tuple(point) in ground for point in walked.xyz[~met].tolist())

@@ -17,19 +17,17 @@ from lirs_envs.rendering.views import RENDER_MODES, Views
 from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
-from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.build import build_world
 from lirs_wct.world import World
+from tests.kit import started
 
 Array = np.ndarray[Any, np.dtype[Any]]
 
 
 def simulation(world: World, robot: Robot, **config: Any) -> Simulation:
-    sim = Simulation(world, SimulationConfig(robot=robot, noise=SensorNoise(lidar="none"), **config))
-    sim.reset()
-    return sim
+    return started(world, robot=robot, noise=SensorNoise(lidar="none"), **config)
 
 
 def drawn(make: Callable[[], Any], in_ci: bool) -> Any:

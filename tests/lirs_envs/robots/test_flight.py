@@ -14,6 +14,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
+from tests.kit import started
 
 TICK = 0.04
 
@@ -117,8 +118,7 @@ def test_a_wall_stops_it(walled: World, T_world_wall: Pose2, robot: Robot) -> No
 def test_odometry_and_determinism(plane: World, robot: Robot) -> None:
     ends = []
     for seed in (1, 1, 2):
-        sim = Simulation(plane, SimulationConfig(robot=robot, lidar="lms111"), seed=seed)
-        sim.reset(Pose2(-3.0, 0.0, 0.4))
+        sim = started(plane, Pose2(-3.0, 0.0, 0.4), robot=robot, lidar="lms111", seed=seed)
         T_world_odom = sim.T_world_base.to_pose2()
         for k in range(60):
             seen = sim.advance(Twist(1.0, 0.4 * math.sin(k / 20)))
@@ -129,8 +129,7 @@ def test_odometry_and_determinism(plane: World, robot: Robot) -> None:
 
 
 def test_commands_that_cannot_be(plane: World, robot: Robot, husky: Robot) -> None:
-    sim = Simulation(plane, SimulationConfig(robot=husky))
-    sim.reset()
+    sim = started(plane, robot=husky)
     with pytest.raises(ConfigError, match="husky drives: it takes a Twist"):
         sim.advance(Waypoint(1.0, 0.0, 1.0))
     sim = simulation(plane, robot)

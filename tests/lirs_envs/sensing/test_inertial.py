@@ -82,7 +82,6 @@ def test_at_rest_the_force_is_gravity(hills: World) -> None:
     force = []
     for _ in range(50):
         inertial = resting.advance(Twist()).inertial
-        assert inertial is not None
         force.append(inertial.linear_acceleration)
     assert np.linalg.norm(np.concatenate(force), axis=1).mean() == pytest.approx(G, abs=0.02)
 

@@ -13,11 +13,11 @@ from lirs_envs.sensing.ekf import EkfConfig, EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig, ImuSensors
 from lirs_envs.sensing.odometry import DistanceNoise, FlowOdometry, OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
-from lirs_envs.simulation import ROW, Simulation
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation import ROW
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
+from tests.kit import started
 
 EKF = OdometryConfig(method="ekf")
 EXACT_WHEELS = EkfConfig(slip_forward=0, slip_lateral=0, slip_turning=0, tilt=0)
@@ -158,8 +158,7 @@ def simulated(
     world: World, robot: Robot, method: str, seed: int, stops: bool
 ) -> tuple[Any, np.ndarray, bytes]:
     noise = SensorNoise(odometry=OdometryConfig(method=method))  # type: ignore[arg-type]
-    sim = Simulation(world, SimulationConfig(robot=robot, noise=noise, lidar="lms111"), seed=seed)
-    sim.reset()
+    sim = started(world, robot=robot, noise=noise, lidar="lms111", seed=seed)
     T_world_odom, rng, seen = sim.T_world_base.to_pose2(), np.random.default_rng(seed), []
     for k in range(400):
         if k % 50 == 0:

@@ -102,7 +102,6 @@ def test_the_border_of_a_map_is_a_wall(yaw: float, hole: bool) -> None:
 
 
 def test_walls_are_enclosed_once(walled: World) -> None:
-    assert walled.walls is not None
     enclosed = walled.walls.enclose()
     rows, cols = walled.walls.shape
     assert enclosed.enclose() is enclosed
@@ -139,7 +138,6 @@ def test_contact_costs_no_more_than_a_collision(walled: World, T_world_wall: Pos
 
 def test_weights_are_plain_options(plane: World) -> None:
     env = gym.make("LIRS/Navigation-v1", rewards={"success": 3.0, "effort": 0})
-    assert env.spec is not None
     again: Any = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json())).unwrapped
     assert again.episodes.stage.rewards == Rewards(success=3.0, effort=0)
     one = RobotEnv("navigation", world=plane, rewards={"success": 3.0, "effort": 0}, observe=["goal"])

@@ -106,7 +106,6 @@ def test_local_map_turns_with_the_robot(plane: World) -> None:
 
 def test_walls_and_unknown_cells_are_no_ground(walled: World) -> None:
     frame = seen_frame(walled)
-    assert walled.walls is not None
     site = make_site(walled, make_robot("husky"))
     x, y = walled.walls.origin.apply((161 * 0.05, 5.0)).tolist()
     assert site.area(x, y) == 0

@@ -45,7 +45,6 @@ def test_mapping_reward_is_the_ground_newly_seen(rough: World) -> None:
     assert total > 5
     assert info["seen_area"] == pytest.approx(first["seen_area"] + total)
     seen = env.episodes.stage.seen
-    assert seen is not None
     assert info["seen_area"] == pytest.approx(seen.seen(0).sum() * SEEN_CELL**2)
     assert 0 < info["coverage"] < 1
 
@@ -91,7 +90,6 @@ def test_mapping_ends_when_the_reachable_ground_is_seen(walled: World) -> None:
     env = RobotEnv("mapping", world=walled)
     env.reset(seed=3)
     seen = env.episodes.stage.seen
-    assert seen is not None
     wanted = env.episodes.task.ground(0)[1]
     seen.wanted_cells[0] = int(0.94 * wanted.sum())
     *_, terminated, _, info = env.step(np.zeros(2))
