@@ -1,6 +1,6 @@
 """Cost of moving obstacles: processor time of a step with walkers over one without.
 
-    python benchmarks/actors.py [--world medium] [--robot husky] [--actors 50] [--quick] [--json FILE]
+    python benchmarks/actors.py [--world medium] [--robot husky] [--actors 50] [--quick]
 
 A step is one period of the lidar: physics, odometry, scan. Both simulations are driven alike from the same
 pose, by turns in rounds of a simulated second, and the ratio is the median over the rounds.
@@ -9,9 +9,7 @@ pose, by turns in rounds of a simulated second, and the ratio is the median over
 from __future__ import annotations
 
 import argparse
-import json
 import time
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -23,22 +21,17 @@ from lirs_wct.sources.build import build_world
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--world", default="medium")
     parser.add_argument("--robot", default="husky")
     parser.add_argument("--actors", type=int, default=50)
     parser.add_argument("--quick", action="store_true", help="10 rounds instead of 60")
-    parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     row = measure(options.world, options.robot, options.actors, 10 if options.quick else 60)
     Console().print(
         f"{options.actors} walkers on {options.world}: a step takes {row['ratio']:.3f} x the time "
         f"({row['us_without']:.0f} -> {row['us_with']:.0f} us)"
     )
-    if options.json:
-        options.json.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
 
 
 def measure(world: str, robot: str, actors: int, rounds: int) -> dict[str, float]:

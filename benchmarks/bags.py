@@ -1,6 +1,6 @@
 """Bags: what recording a drive costs, and how fast a bag is read.
 
-    python benchmarks/bags.py [--scans 100000] [--mapper hector,gmapping,cartographer] [--quick] [--json FILE]
+    python benchmarks/bags.py [--scans 100000] [--mapper hector,gmapping,cartographer] [--quick]
 
 Recording is measured beside the rest of the same drive, reading beside rosbags, which decodes the same
 messages and does nothing else with them: processor time both, which other programs disturb least.
@@ -9,7 +9,6 @@ messages and does nothing else with them: processor time both, which other progr
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import tempfile
 import time
@@ -41,7 +40,6 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=100_000, help="of the bag that is read")
     parser.add_argument("--mapper", default="hector,gmapping,cartographer")
     parser.add_argument("--quick", action="store_true", help="10,000 scans, drives of 20 s instead of 120")
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     scans, seconds = (10_000, 20.0) if given.quick else (given.scans, 120.0)
     console = Console(width=120)
@@ -57,9 +55,6 @@ def main() -> None:
         f"reading: {reading['scans']} scans at {reading['scans_a_second']:.0f} a second of processor time, "
         f"{reading['share']:.2f} x what rosbags decodes ({reading['rosbags']:.0f} a second)"
     )
-    if given.json:
-        document = {"recording": recording, "reading": reading}
-        given.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def recorded(mapper: str, seconds: float, folder: Path) -> dict[str, Any]:

@@ -46,9 +46,7 @@ KINDS = ("smooth", "terrain", "wall", "bundled")
 
 def main() -> None:
     """Run what is missing in the file; print the table and the rules."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA, help="folder of DEMs")
     parser.add_argument("--seeds", default="1-5", help="such as 1-5 or 1,3")
     parser.add_argument("--seconds", type=float, default=30.0)

@@ -1,6 +1,6 @@
 """Cost of a reset, memory that environments grow by, and what a second process pays before its first step.
 
-    python benchmarks/env_costs.py [--quick] [--json FILE]
+    python benchmarks/env_costs.py [--quick]
 
 Memory: what the process holds (resident) after 1,000 resets and 100,000 steps of an environment, less what
 it held before; statistics of the episodes are recorded. 20 MB are allowed. Start: processor time beyond the
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import resource
 import subprocess
 import sys
@@ -44,7 +43,6 @@ def main() -> None:
     """Measure and show."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="a twentieth of resets and steps")
-    parser.add_argument("--json", type=Path, help="write the figures to this file")
     given = parser.parse_args()
     resets, steps = (50, 5_000) if given.quick else (1_000, 100_000)
     found: dict[str, float] = {}
@@ -60,8 +58,6 @@ def main() -> None:
         add(f"{name} grown_mb", grown(gym.make(name, time_limit=20.0), 1, resets, steps))
         vector = gym.make_vec(name, num_envs=N, vectorization_mode="vector_entry_point", time_limit=20.0)
         add(f"{name} x {N} grown_mb", grown(vector, N, resets, steps))
-    if given.json:
-        given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     sys.exit(any(found[f"{name} reset_ms"] > limit for name, limit in RESET_MS.items()))
 
 

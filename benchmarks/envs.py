@@ -1,6 +1,6 @@
 """Time of an environment step: what it costs beyond physics and rays, on two threads, and beside its peers.
 
-    python benchmarks/envs.py [--quick] [--json FILE]
+    python benchmarks/envs.py [--quick]
 
 16 Huskys map `medium`, 25 steps a second, each with a scan, by random actions that are held for ten steps.
 Times are of the processor, all threads of this process together, but where it says wall: other programs
@@ -15,13 +15,11 @@ from __future__ import annotations
 
 import argparse
 import copy
-import json
 import os
 import threading
 import time
 import warnings
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -157,15 +155,12 @@ def main() -> None:
     """Measure, and say what is kept."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer steps and rounds")
-    parser.add_argument("--json", type=Path, help="write the figures to this file")
     given = parser.parse_args()
     rounds, steps = (3, 20) if given.quick else (9, 100)
     warnings.simplefilter("ignore")
     told = actions(steps)
     found = measure(rounds, steps, told)
     show(found)
-    if given.json:
-        given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:

@@ -1,7 +1,6 @@
 """Methods as published beside their C++ originals, on the scans of the same runs.
 
     python benchmarks/fidelity.py [--data FOLDER] [--run NAME ...] [--noise METERS] [--seeds 1-3] [--quick]
-        [--json FILE]
 
 Every run has scans, IMU and truth of a simulated Husky, and the trajectories that the C++ originals made of
 the scans: HectorSLAM's core (0.05 m, odometry as the start of the match), OpenSLAM's GMapping (30 particles,
@@ -19,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import gzip
-import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -97,9 +95,7 @@ class Agreement(NamedTuple):
 
 def main() -> None:
     """Map every run and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA, help="folder with a folder a run")
     parser.add_argument("--run", nargs="+", help="only these runs, such as simple-1")
     parser.add_argument(
@@ -107,7 +103,6 @@ def main() -> None:
     )
     parser.add_argument("--seeds", default="1-3", help="such as 1-3 or 1,5")
     parser.add_argument("--quick", action="store_true", help=f"one seed, {QUICK} runs")
-    parser.add_argument("--json", type=Path, help="also write the ATEs and the agreement there")
     given = parser.parse_args()
     found_runs = sorted(path.parent for path in given.data.glob("*/scans.clf.gz"))
     runs = [run for run in found_runs if not given.run or run.name in given.run]
@@ -123,10 +118,6 @@ def main() -> None:
     distances = {run.name: local_distances(run) for run in runs}
     for name, apart in distances.items():
         print(f"local SLAM, {name}: {' / '.join(f'{d:.6f}' for d in apart)} m {DISTANCES}")
-    if given.json:
-        agreements = {name: figures._asdict() for name, figures in found.items()}
-        report = {"ate": rows, "agreement": agreements, "local": distances}
-        given.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 def ates(run: Path, seeds: Sequence[int], noise: float = 0.0) -> Row:

@@ -1,7 +1,7 @@
 """How well `lirs-wct info` says beforehand whether a planar scanner holds its place in a world.
 
     python benchmarks/forecast.py [SOURCE ...] [--data FOLDER] [--mapper hector,hector_original]
-                                  [--seconds 60] [--seeds 1] [--quick] [--json FILE]
+                                  [--seconds 60] [--seeds 1] [--quick]
 
 Without sources: the bundled worlds and examples, and with `--data` real laser maps and height pictures of
 that folder. In each world the forecast (hits of walls and of ground in a scan, over the drivable ground),
@@ -13,7 +13,6 @@ Spearman's rank correlation of the forecast with the outcome, over all worlds, i
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
@@ -85,8 +84,6 @@ def measured(options: argparse.Namespace, console: Console) -> list[dict[str, An
             continue
         figures = vars(forecast) | {"expectation": forecast.expectation}
         rows.append({"world": world.name, "forecast": figures, "runs": found})
-        if options.json:
-            options.json.write_text(json.dumps({"worlds": rows}, indent=1) + "\n")
     return rows
 
 
@@ -139,7 +136,6 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seeds", default="1")
     parser.add_argument("--quick", action="store_true", help="the bundled worlds and examples for 15 s")
-    parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     shared = [str(options.data / name) for name in SHARED] if options.data and not options.quick else []
     options.sources = options.sources or [*OWN, *shared]
@@ -148,15 +144,11 @@ def main() -> None:
     console = Console()
     rows = measured(options, console)
     console.print(table(rows, options.mapper))
-    found: dict[str, Any] = {}
     for mapper in options.mapper if len(rows) > 2 else ():
-        found[mapper] = {"spearman": correlations(rows, mapper), "expectations": came_true(rows, mapper)}
-        ranks = ", ".join(f"{key} {value:.2f}" for key, value in found[mapper]["spearman"].items())
+        ranks = ", ".join(f"{key} {value:.2f}" for key, value in correlations(rows, mapper).items())
         console.print(f"{mapper}: rank correlation over {len(rows)} worlds: {ranks}", highlight=False)
-        for expectation, (held, total) in found[mapper]["expectations"].items():
+        for expectation, (held, total) in came_true(rows, mapper).items():
             console.print(f"    {expectation}: {held} of {total} runs better than odometry", highlight=False)
-    if options.json:
-        options.json.write_text(json.dumps({"worlds": rows, "mappers": found}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

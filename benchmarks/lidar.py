@@ -1,6 +1,6 @@
 """Time of a laser scan: our ray traversal beside MuJoCo's rays on the same terrain, and every limit it keeps.
 
-    python benchmarks/lidar.py [--quick] [--json FILE]
+    python benchmarks/lidar.py [--quick]
 
 720 beams over 270 degrees, 30 m, from 0.45 m above the ground and tilted by it, on one square of 50 m sampled
 with 257^2 to 4097^2 heights. Every method goes through the same poses one after the other, so that none of
@@ -11,10 +11,8 @@ processor, which other programs lengthen less than those of a clock. It exits 1 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -114,7 +112,6 @@ def holds(figures: dict[str, float], key: str) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="fewer poses and rounds, about half a minute")
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
     arguments = parser.parse_args()
     console = Console()
     figures, rows = measure(arguments.quick, console)
@@ -131,8 +128,6 @@ def main() -> None:
             words, f"{figures[key]:.4g}", f"{sign} {limit:g}", "yes" if holds(figures, key) else "no"
         )
     console.print(kept)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({**figures, "rows": rows}, indent=2) + "\n")
     sys.exit(not all(holds(figures, key) for key in LIMITS))
 
 

@@ -50,9 +50,7 @@ COLUMNS = ("log", "odometry", "every", "mapper", "status", "error", *FIGURES)
 
 def main() -> None:
     """Map what is asked for, write the results, and print the correlations."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--log", nargs="+", default=list(LOGS), choices=list(LOGS))
     parser.add_argument("--mapper", nargs="+", default=list(MAPPED))
     parser.add_argument("--every", nargs="+", type=int, default=[1, 2, 4], help="keep every k-th scan")

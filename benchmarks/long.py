@@ -1,6 +1,6 @@
 """Two simulated hours in one drive: memory per hour, its linearity, the clock, the speed at both ends.
 
-    nice -n 10 python benchmarks/long.py [SOURCE] [--mapper hector] [--hours 2] [--quick] [--json FILE]
+    nice -n 10 python benchmarks/long.py [SOURCE] [--mapper hector] [--hours 2] [--quick]
 
 Processor time and resident memory are read once per simulated minute. Limits: 300 MB per simulated hour by a
 line through these, no reading farther than 30 MB from that line after the first 10 minutes, stamps exact to
@@ -10,7 +10,6 @@ line through these, no reading farther than 30 MB from that line after the first
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -72,7 +71,6 @@ def main() -> None:
     parser.add_argument("--mapper", default="hector")
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--quick", action="store_true", help="half an hour")
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     seconds = 3600 * (0.5 if given.quick else given.hours)
     ready = prepare(RunConfig(source=given.source, mapper=given.mapper, seconds=seconds))
@@ -82,8 +80,6 @@ def main() -> None:
     for name, value in figures.items():
         limit = f" (at most {LIMITS[name]:g})" if name in LIMITS else ""
         print(f"{name:14} {value if isinstance(value, str) else f'{value:.4g}'}{limit}")
-    if given.json:
-        given.json.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     if over or figures["simulated"] < seconds - 1e-6:
         sys.exit(f"over its limit, or ended early: {', '.join(over)}")
 

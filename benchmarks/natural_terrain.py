@@ -12,7 +12,6 @@ cells, are farther than 0.10 m from any face steeper than 45 deg; a run that the
 from __future__ import annotations
 
 import argparse
-import json
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -38,15 +37,12 @@ FALSE_SHARE, FALSE_CELLS = 0.2, 50
 
 def main() -> None:
     """Run every source with every mapper and seed; print the table and how many runs broke the rule."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA, help="folder of height pictures")
     parser.add_argument("--mapper", nargs="+", default=MAPPERS)
     parser.add_argument("--seeds", default="1-2", help="such as 1-5 or 1,3")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--quick", action="store_true", help="the generated terrains, one seed, 30 s")
-    parser.add_argument("--json", type=Path, help="also write the rows there")
     given = parser.parse_args()
     seconds = 30.0 if given.quick else given.seconds
     seeds = read_numbers("1" if given.quick else given.seeds, "--seeds")
@@ -59,8 +55,6 @@ def main() -> None:
             rows += rows_of(path, options, given.mapper, seconds, seeds)
     Console(width=150).print(table(rows))
     Console(width=150).print(summary(rows))
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 def height_pictures(folder: Path) -> list[Path]:

@@ -1,6 +1,6 @@
 """Cost of every robot's step: commands of a random drive go through MuJoCo's step alone, best of several.
 
-    python benchmarks/robots.py [SOURCE ...] [--robot NAME ...] [--terrain hfield,mesh,prisms] [--json FILE]
+    python benchmarks/robots.py [SOURCE ...] [--robot NAME ...] [--terrain hfield,mesh,prisms]
 
 SOURCE is anything that `lirs-wct build` takes; default: the bundled worlds.
 """
@@ -8,10 +8,7 @@ SOURCE is anything that `lirs-wct build` takes; default: the bundled worlds.
 from __future__ import annotations
 
 import argparse
-import json
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -57,9 +54,8 @@ def main() -> None:
     parser.add_argument("sources", nargs="*", default=list(RECIPES))
     parser.add_argument("--robot", action="append", choices=list(ROBOTS))
     parser.add_argument("--terrain", default="hfield")
-    parser.add_argument("--json", type=Path)
     options = parser.parse_args()
-    robots, costs = [make_robot(name) for name in options.robot or ROBOTS], list[dict[str, Any]]()
+    robots = [make_robot(name) for name in options.robot or ROBOTS]
     table = Table("world", "terrain", "robot", "us a step", "legal", "RTF", title="MuJoCo's step alone")
     for source in options.sources:
         world = build_scenario(RunConfig(source=source)).world
@@ -70,12 +66,9 @@ def main() -> None:
                 except WctError as error:
                     print(f"{robot.name}, {terrain}: {error}")
                     continue
-                place = {"world": world.name, "terrain": terrain, "robot": robot.name}
-                costs.append({**place, "us": us, "rtf": rtf})
-                table.add_row(*place.values(), f"{us:.1f}", f"at most {DEAREST:g}", f"{rtf:.0f}")
+                legal = f"at most {DEAREST:g}"
+                table.add_row(world.name, terrain, robot.name, f"{us:.1f}", legal, f"{rtf:.0f}")
     Console().print(table)
-    if options.json:
-        options.json.write_text(json.dumps(costs, indent=1) + "\n")
 
 
 if __name__ == "__main__":

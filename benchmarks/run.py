@@ -1,6 +1,6 @@
 """The whole run: how fast, how right, on the bundled worlds or any source, all seeds reported.
 
-    python benchmarks/run.py [SOURCE ...] [--seeds 1-5] [--seconds 120] [--quick] [--json FILE]
+    python benchmarks/run.py [SOURCE ...] [--seeds 1-5] [--seconds 120] [--quick]
 
 The peer is the paper: Gazebo, Husky, the same SLAM method on solid worlds (its Tables III and IV);
 its figure for the simple world is lost with its Table II, its abstract says 0.42 to 0.73.
@@ -19,10 +19,8 @@ start by `start_shift` meters and turns the map by `start_turn_deg`.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -50,7 +48,6 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=120.0)
     parser.add_argument("--mapper", default="hector")
     parser.add_argument("--quick", action="store_true", help="one seed, 20 s")
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     seconds = 20.0 if given.quick else given.seconds
     rows = [
@@ -59,8 +56,6 @@ def main() -> None:
         for seed in read_numbers("1" if given.quick else given.seeds, "--seeds")
     ]
     Console(width=210).print(table(rows))
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 def levelled_ate(run: Run) -> float | None:

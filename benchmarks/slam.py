@@ -1,6 +1,6 @@
 """How right and how fast the mappers are on real logs, beside the targets and the C++ originals.
 
-    python benchmarks/slam.py [--mapper NAME ...] [--seeds N] [--quick] [--data FOLDER] [--json FILE]
+    python benchmarks/slam.py [--mapper NAME ...] [--seeds N] [--quick] [--data FOLDER]
 
 Intel Research Lab: relative-relation metric of Kuemmerle et al. 2009, once over all relations and once over
 those of which both stamps are those of scans (to 1 ms); the floor of these relations is about .015 m. MIT
@@ -13,7 +13,6 @@ of an AMD EPYC and are noisy by 30-50 %.
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import resource
 import time
@@ -93,16 +92,13 @@ ORIGINALS: Mapping[tuple[str, str], Figures] = {
 
 def main() -> None:
     """Measure what is asked for, one row after the other, and print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     names = [*sorted(MAPPERS), SEARCH]
     parser.add_argument("--mapper", nargs="+", default=names, choices=names)
     parser.add_argument("--log", nargs="+", default=list(LOGS), choices=list(LOGS))
     parser.add_argument("--seeds", type=int, default=5, help="of mappers that draw random numbers")
     parser.add_argument("--quick", action="store_true", help="a fifth of each log, one seed")
     parser.add_argument("--data", type=Path, default=DATA, help=f"folder with {', '.join(LOGS)}")
-    parser.add_argument("--json", type=Path, help="also write the rows there")
     given = parser.parse_args()
     missing = [given.data / path for path in (*LOGS.values(), RELATIONS, *REFERENCES.values())]
     missing = [path for path in missing if not path.is_file()]
@@ -120,8 +116,6 @@ def main() -> None:
     console = Console(width=140)
     console.print(table("How right", RIGHT, rows))
     console.print(table("How fast", FAST, rows))
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=2) + "\n")
 
 
 def seeded(name: str) -> bool:

@@ -1,6 +1,6 @@
 """What a sweep costs beside its experiments: time each, and share of a real one's time.
 
-    python benchmarks/sweep.py [--cells 1000] [--seconds 120] [--real 12] [--quick] [--json FILE]
+    python benchmarks/sweep.py [--cells 1000] [--seconds 120] [--real 12] [--quick]
 
 Experiments that only write a record of full size are put through everything that `validate` does: looked at,
 run, written down. What is left after their own time is the suite's; it stands
@@ -13,7 +13,6 @@ times as many a minute are asked of two, on two cores with nothing beside them.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 import time
@@ -75,7 +74,6 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=120.0, help="simulated, of the real experiment")
     parser.add_argument("--real", type=int, default=12, help="real experiments for one process, and for two")
     parser.add_argument("--quick", action="store_true", help="100 experiments, real ones of 20 s")
-    parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     count, seconds = (100, 20.0) if given.quick else (given.cells, given.seconds)
     console = Console(width=120)
@@ -94,9 +92,6 @@ def main() -> None:
         f"{given.real} real experiments of {seconds:g} s: {minute['one']:.1f} a minute by one process, "
         f"{minute['two']:.1f} by two = {minute['speedup']:.2f} x (limit {SPEEDUP:g})"
     )
-    if given.json:
-        document = minute | {"overhead": overhead, "real": real}
-        given.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 def throughput(count: int, seconds: float) -> dict[str, Any]:

@@ -43,9 +43,7 @@ NEAR_START = 0.4
 
 def main() -> None:
     """Write the sets."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("sets", nargs="*", choices=SETS, default=list(SETS), metavar="SET")
     parser.add_argument("--data", type=Path, help="folder with the files that do not ship")
     parser.add_argument("-o", "--output", type=Path, default=SHIPPED, help="folder")

@@ -459,9 +459,7 @@ def end_of(stream: BoolArray) -> SequentialTest:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Drive or evaluate."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("action", choices=("drive", "features", "evaluate", "fit", "streams"))
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--minutes", type=float, default=60.0)

@@ -1,6 +1,6 @@
 """What a user waits for: whole commands, of this checkout and of a peer's in turn.
 
-    python benchmarks/waiting.py [--peer FOLDER] [--runs 5] [--only ROW,...] [--json FILE]
+    python benchmarks/waiting.py [--peer FOLDER] [--runs 5] [--only ROW,...]
 
 The peer is another checkout with a .venv, such as an older version in a worktree. Medians of whole processes
 on one core, on two for `map` and `jobs`. `help`, `info`, `build`, `validate` and `map` are seconds of a
@@ -123,13 +123,10 @@ def write_picture(path: Path) -> None:
 
 def main() -> None:
     """Measure the rows, checkouts in turn, and print their medians."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--peer", type=Path, help="checkout to compare with")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--only", default=",".join(ROWS))
-    parser.add_argument("--json", type=Path, help="also write the figures to this file")
     given = parser.parse_args()
     checkouts = [Checkout(folder.resolve()) for folder in (ROOT, given.peer) if folder]
     found: dict[str, list[list[float]]] = {}
@@ -148,8 +145,6 @@ def main() -> None:
         ratio = [f"{medians[0] / medians[1]:.2f}"] if given.peer else []
         table.add_row(name, *(f"{m:.2f}" for m in medians), *ratio)
     Console(width=100).print(table)
-    if given.json:
-        given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

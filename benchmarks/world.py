@@ -1,6 +1,6 @@
 """World construction against its limits and beside its peers: time, peak memory, triangles, bytes.
 
-    python benchmarks/world.py [--quick] [--only WORD] [--data DIR] [--json FILE]
+    python benchmarks/world.py [--quick] [--only WORD] [--data DIR]
 
 Each row is a process of its own, so that its peak memory, libraries included, is its own; kernels are
 compiled before the clock starts. Worlds are built and written as by `lirs-wct build`, textures, start poses
@@ -180,7 +180,6 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="pictures of at most 1025^2")
     parser.add_argument("--only", default="", metavar="WORD", help="rows whose job holds the word")
     parser.add_argument("--data", type=Path, default=BESIDE, help="folder that holds height/*")
-    parser.add_argument("--json", type=Path, help="write the figures here")
     parser.add_argument("--one", help=argparse.SUPPRESS)
     parser.add_argument("--compile", help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -199,9 +198,6 @@ def main() -> None:
     console.print(f"{over} figures over their limits" if over else "every measured figure within its limit")
     if missing := sum(found is None for found, _ in limits):
         console.print(f"{missing} limits without a figure: their peer, pydelatin, is not installed")
-    if args.json:
-        both = [asdict(row) | found for row, found in zip(rows, figures, strict=True)]
-        args.json.write_text(json.dumps(both, indent=1) + "\n")
     if over:
         sys.exit(1)
 
