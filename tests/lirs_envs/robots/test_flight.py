@@ -10,7 +10,6 @@ import pytest
 from lirs_envs.robots.flight import FlightConfig
 from lirs_envs.robots.robot import Robot, Twist, Waypoint, make_robot
 from lirs_envs.simulation import Simulation
-from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -24,8 +23,8 @@ def robot() -> Robot:
     return make_robot("quadrotor")
 
 
-def simulation(world: World, robot: Robot) -> Simulation:
-    return Simulation(world, SimulationConfig(robot=robot, lidar="lms111"))
+def simulation(world: World, robot: Robot, start: Pose2 | None = None) -> Simulation:
+    return started(world, start, robot=robot, lidar="lms111")
 
 
 def test_the_published_figures(robot: Robot) -> None:
@@ -39,8 +38,7 @@ def test_the_published_figures(robot: Robot) -> None:
 
 
 def test_hovers_within_five_centimeters(plane: World, robot: Robot) -> None:
-    sim = simulation(plane, robot)
-    sim.reset(Pose2(1.0, 2.0, 0.5))
+    sim = simulation(plane, robot, Pose2(1.0, 2.0, 0.5))
     for k in range(375):
         if k == 125:
             sim.body.data.qvel[:6] += (0.3, -0.2, 0.2, 0.5, -0.5, 0.5)  # a gust
@@ -56,7 +54,6 @@ def test_hovers_within_five_centimeters(plane: World, robot: Robot) -> None:
 )
 def test_a_step_of_two_meters_in_three_seconds(goal: Waypoint, plane: World, robot: Robot) -> None:
     sim = simulation(plane, robot)
-    sim.reset()
     start, end, along = np.array((0, 0, 1.0)), np.array((goal.x, goal.y, goal.z)), []
     for k in range(125):
         sim.advance(goal)
@@ -90,7 +87,6 @@ def test_commanded_is_flown(plane: World, robot: Robot) -> None:
 def test_follows_terrain_at_three_meters_a_second(make_world: Callable[..., World], robot: Robot) -> None:
     world = make_world(lambda x, y: 1.5 * np.sin(x / 1.5) * np.cos(y / 2), nodes=401)
     sim = simulation(world, robot)
-    sim.reset()
     heights, speeds = [], []
     for _ in range(125):
         sim.advance(Twist(3.0))
@@ -106,8 +102,7 @@ def test_follows_terrain_at_three_meters_a_second(make_world: Callable[..., Worl
 
 
 def test_a_wall_stops_it(walled: World, T_world_wall: Pose2, robot: Robot) -> None:
-    sim = simulation(walled, robot)
-    sim.reset(T_world_wall @ Pose2(1.0))
+    sim = simulation(walled, robot, T_world_wall @ Pose2(1.0))
     for _ in range(75):
         sim.advance(Twist(2.0))
         assert (T_world_wall.inverse() @ sim.T_world_base.to_pose2()).x < 3.0
@@ -133,7 +128,6 @@ def test_commands_that_cannot_be(plane: World, robot: Robot, husky: Robot) -> No
     with pytest.raises(ConfigError, match="husky drives: it takes a Twist"):
         sim.advance(Waypoint(1.0, 0.0, 1.0))
     sim = simulation(plane, robot)
-    sim.reset()
     with pytest.raises(ConfigError, match="finite"):
         sim.advance(Waypoint(1.0, math.nan, 1.0))
     with pytest.raises(ConfigError, match="tilt"):

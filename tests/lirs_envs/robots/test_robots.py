@@ -14,6 +14,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
+from tests.kit import started
 
 GROUND = [robot for robot in ROBOTS.values() if not robot.flies]
 CLIMBS = {"husky": 30.0, "jackal": 45.0}
@@ -33,9 +34,9 @@ def robot(request: pytest.FixtureRequest) -> Robot:
     return request.param
 
 
-def simulation(world: World, robot: Robot) -> Simulation:
+def simulation(world: World, robot: Robot, start: Pose2 | None = None) -> Simulation:
     """All robots with the same LRF, hence the same 40 ms a tick."""
-    return Simulation(world, SimulationConfig(robot=robot, lidar="lms111"))
+    return started(world, start, robot=robot, lidar="lms111")
 
 
 def body_twist(sim: Simulation) -> tuple[float, float]:
@@ -47,8 +48,7 @@ def body_twist(sim: Simulation) -> tuple[float, float]:
 
 @pytest.mark.parametrize("ground", ["plane", "flat_field"])
 def test_at_rest_for_ten_seconds(ground: str, robot: Robot, request: pytest.FixtureRequest) -> None:
-    sim = simulation(request.getfixturevalue(ground), robot)
-    sim.reset(Pose2(1.0, 2.0, 0.7))
+    sim = simulation(request.getfixturevalue(ground), robot, Pose2(1.0, 2.0, 0.7))
     start = sim.T_world_base
     for _ in range(250):
         sim.advance(Twist())
@@ -83,7 +83,6 @@ def test_commanded_is_driven(ground: str, robot: Robot, request: pytest.FixtureR
 
 def test_commands_beyond_the_limits_are_clipped(plane: World, robot: Robot) -> None:
     sim = simulation(plane, robot)
-    sim.reset()
     for _ in range(50):
         sim.advance(Twist(5.0, 0.0))
     assert body_twist(sim)[0] == pytest.approx(robot.max_speed, rel=0.05)
@@ -91,7 +90,6 @@ def test_commands_beyond_the_limits_are_clipped(plane: World, robot: Robot) -> N
 
 def test_speeds_up_and_stops_within_the_limit(plane: World, robot: Robot) -> None:
     sim = simulation(plane, robot)
-    sim.reset()
     speeds = [0.0]
     stop = math.ceil(robot.max_speed / robot.max_acceleration / TICK)
     for k in range(2 * stop + 36):
@@ -104,7 +102,6 @@ def test_speeds_up_and_stops_within_the_limit(plane: World, robot: Robot) -> Non
 
 def test_turns_up_within_the_limit(plane: World, robot: Robot) -> None:
     sim = simulation(plane, robot)
-    sim.reset()
     rates = [0.0]
     ramp = math.ceil(robot.max_turn_rate / robot.max_turn_acceleration / TICK)
     for _ in range(ramp + 12):
@@ -130,8 +127,7 @@ def slope_world(make_world: Callable[..., World], degrees: float) -> World:
 
 def test_climbs(make_world: Callable[..., World], robot: Robot) -> None:
     degrees = CLIMBS.get(robot.name, 10.0)
-    sim = simulation(slope_world(make_world, degrees), robot)
-    sim.reset(Pose2(-5.0 - 2 * robot.radius, 0.0, 0.0))
+    sim = simulation(slope_world(make_world, degrees), robot, Pose2(-5.0 - 2 * robot.radius, 0.0, 0.0))
     speed = min(0.3, robot.max_speed)
     while sim.time < 30 and sim.T_world_base.x < -2.5:
         sim.advance(Twist(speed))
@@ -144,7 +140,6 @@ def test_climbs(make_world: Callable[..., World], robot: Robot) -> None:
 @pytest.mark.parametrize(("offset", "stays"), [(-3.0, True), (3.0, False)])
 def test_slides_at_the_angle_of_its_friction(offset: float, stays: bool, plane: World, robot: Robot) -> None:
     sim = simulation(plane, robot)
-    sim.reset()
     tilt_gravity(sim, math.atan(robot.friction) + math.radians(offset))
     for _ in range(50):
         sim.advance(Twist())
@@ -182,8 +177,7 @@ def lean(sim: Simulation, angle: float) -> float:
 
 @pytest.mark.parametrize(("offset", "stays"), [(-2.0, True), (2.0, False)])
 def test_tips_at_the_geometric_angle(offset: float, stays: bool, plane: World, robot: Robot) -> None:
-    sim = simulation(plane, robot)
-    sim.reset(Pose2())
+    sim = simulation(plane, robot, Pose2())
     sim.body.model.geom_friction[:, 0] = 5.0  # else it would slide first
     sim.body.model.opt.impratio = 100  # else it would creep, and turn to a wider stance
     lean(sim, tip_angle(sim) - math.radians(10))  # on its springs, if it has any
@@ -195,8 +189,7 @@ def test_tips_at_the_geometric_angle(offset: float, stays: bool, plane: World, r
 
 
 def test_full_speed_into_a_wall_of_boxes(robot: Robot, walled: World, T_world_wall: Pose2) -> None:
-    sim = simulation(walled, robot)
-    sim.reset(T_world_wall @ Pose2(1.5))
+    sim = simulation(walled, robot, T_world_wall @ Pose2(1.5))
     for _ in range(math.ceil((1.5 / robot.max_speed + 0.5) / TICK)):
         sim.advance(Twist(robot.max_speed))
     found = sim.collisions
@@ -283,6 +276,7 @@ def test_a_row_needs_wheels_on_both_sides_or_rotors() -> None:
         ({"left_wheels": (), "right_wheels": ()}, "wheels on both sides, or rotors"),
         ({"rotors": ("a",)}, "wheels on both sides, or rotors"),
         ({"track": 0.0}, "track of robot 'husky' must be a finite number above 0"),
+        ({"track": math.inf}, "track of robot 'husky' must be a finite number above 0"),
         ({"friction": math.nan}, "friction of robot 'husky' must be"),
         ({"wheelbase": -1.0}, "wheelbase of robot 'husky' must be a finite number at least 0"),
     ):

@@ -73,12 +73,15 @@ def test_resize_keeps_the_meters(tmp_path: Path) -> None:
     assert surface.relief == pytest.approx(6)
 
 
-@pytest.mark.parametrize("factor", [1, 257, 256])
-def test_deterrace_knows_8_bits_stored_as_16(tmp_path: Path, factor: int) -> None:
+def test_deterrace_knows_8_bits_stored_as_16(tmp_path: Path) -> None:
     levels = np.tile((np.arange(200) // 20), (50, 1)).astype(np.uint16)
-    surface = read(png(tmp_path, levels * factor), deterrace=True, height=9.0)
+    first, *others = (
+        read(png(tmp_path, levels * factor), deterrace=True, height=9.0).z for factor in (1, 257, 256)
+    )
     # Ten stairs of one level become a ramp: no step is left of more than a tenth of a level.
-    assert np.abs(np.diff(surface.z[25])).max() < 0.1 * 1.2
+    assert np.abs(np.diff(first[25])).max() < 0.1 * 1.2
+    for z in others:
+        np.testing.assert_allclose(z, first, atol=1e-4)
 
 
 @pytest.mark.parametrize(
