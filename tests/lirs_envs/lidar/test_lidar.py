@@ -6,23 +6,12 @@ import pytest
 
 from lirs_envs.lidar.lidar import Lidar
 from lirs_envs.lidar.presets import LIDARS, LidarPreset, make_lidar_preset
-from lirs_envs.lidar.ray_casting import NearestCaster, RayCaster
+from lirs_envs.lidar.ray_casting import NearestCaster
 from lirs_envs.lidar.terrain_rays import EDGE, LEAF, ROW, build_terrain_mipmap
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.walls import WallGrid
-
-
-def flat(height: float = 0.0) -> HeightField:
-    return HeightField.centered(np.full((2, 2), height, np.float32), (100.0, 100.0))
-
-
-def room() -> WallGrid:
-    """A ring of cells: 8 m x 6 m inside, centered on the origin."""
-    solid = np.ones((80, 100), np.bool_)
-    solid[10:70, 10:90] = False
-    return WallGrid(solid, 0.1, Pose2(-5.0, -4.0, 0.0), 2.0)
+from lirs_wct.geometry.pose import Pose3
+from tests.lirs_envs.lidar.room import room
 
 
 def exact(**changes: float) -> LidarPreset:
@@ -31,7 +20,7 @@ def exact(**changes: float) -> LidarPreset:
 
 
 def scanner(preset: LidarPreset, mount: Pose3 | None = None, seed: int = 0) -> Lidar:
-    return Lidar(preset, RayCaster(flat(), room()), mount or Pose3(), np.random.default_rng(seed))
+    return Lidar(preset, room(), mount or Pose3(), np.random.default_rng(seed))
 
 
 def test_presets_are_the_devices() -> None:
@@ -115,7 +104,7 @@ def test_a_pose_that_is_no_number_is_refused() -> None:
 
 
 def test_rays_must_be_numbers() -> None:
-    caster = RayCaster(flat())
+    caster = room()
     with pytest.raises(ConfigError, match="finite"):
         caster.cast((0.0, 0.0, math.inf), [[0.0, 0.0, 1.0]])
     with pytest.raises(ConfigError, match=r"\(n, 3\)"):

@@ -150,13 +150,6 @@ def test_motion_skews_a_rolling_sweep_and_its_times_undo_it() -> None:
     np.testing.assert_array_equal(at_rest.xyz, instant.xyz)
 
 
-def test_the_same_seed_gives_the_same_bytes() -> None:
-    noise = lidar_noise(LIDARS["os1_32"], "datasheet")
-    first, second = (sweep("os1_32", noise=noise)[1] for _ in range(2))
-    for name in ("xyz", "ring", "time", "intensity", "column"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-
-
 def test_a_simulation_observes_clouds_where_there_are_rings(rough: World, husky: Robot) -> None:
     noise = SensorNoise(lidar="none", rolling_scan=True)
     sim = started(rough, robot=husky, lidar="vlp16", noise=noise, seed=1)
