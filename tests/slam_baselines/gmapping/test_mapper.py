@@ -28,32 +28,18 @@ from slam_baselines.mapping.keyframe import Keyframe
 from slam_baselines.motion.dead_reckoning import PoseEstimate
 from slam_baselines.motion.gyro_bias import GyroBiasConfig
 from slam_baselines.motion.increment import remove_bias
+from tests.slam_baselines.synthetic import ranges_to
 
-WALLS = (
-    (-4.0, -3.0, 5.0, -3.0),
-    (5.0, -3.0, 5.0, 4.0),
-    (5.0, 4.0, -4.0, 4.0),
-    (-4.0, 4.0, -4.0, -3.0),
-    (1.5, -0.5, 2.5, -0.5),
-    (2.5, -0.5, 2.5, 1.0),
-    (2.5, 1.0, 1.5, 1.0),
-    (1.5, 1.0, 1.5, -0.5),
-)
+WALLS = np.array((
+    (-4.0, -3.0, 5.0, -3.0), (5.0, -3.0, 5.0, 4.0), (5.0, 4.0, -4.0, 4.0), (-4.0, 4.0, -4.0, -3.0),
+    (1.5, -0.5, 2.5, -0.5), (2.5, -0.5, 2.5, 1.0), (2.5, 1.0, 1.5, 1.0), (1.5, 1.0, 1.5, -0.5),
+))  # fmt: skip
 BEAMS = 181
 
 
 def scan_at(pose: Pose2, stamp: float, rng: np.random.Generator) -> LaserScan:
-    angles = np.linspace(-np.pi / 2, np.pi / 2, BEAMS) + pose.yaw
-    best = np.full(BEAMS, np.inf)
-    for ax, ay, bx, by in WALLS:
-        dx, dy, ex, ey = np.cos(angles), np.sin(angles), bx - ax, by - ay
-        det = dy * ex - dx * ey
-        with np.errstate(divide="ignore", invalid="ignore"):
-            r = ((ay - pose.y) * ex - (ax - pose.x) * ey) / det
-            along = ((ay - pose.y) * dx - (ax - pose.x) * dy) / det
-        best = np.where((r > 0) & (along >= 0) & (along <= 1), np.minimum(best, r), best)
-    ranges = (best + rng.normal(0, 0.01, BEAMS)).astype(np.float32)
-    return LaserScan(ranges, -np.pi / 2, np.pi / (BEAMS - 1), 0.05, 20.0, stamp)
+    ranges = ranges_to(WALLS, pose, np.linspace(-np.pi / 2, np.pi / 2, BEAMS)) + rng.normal(0, 0.01, BEAMS)
+    return LaserScan(ranges.astype(np.float32), -np.pi / 2, np.pi / (BEAMS - 1), 0.05, 20.0, stamp)
 
 
 def circuit() -> list[Pose2]:
@@ -111,8 +97,7 @@ def test_a_room_with_bad_odometry() -> None:
     assert 20 < stats.used < 80
     assert not mapper.lost
     walls = mapper.map().moved(truth[0]).occupied_points()
-    segments = np.array(WALLS)
-    a, d = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    a, d = WALLS[:, :2], WALLS[:, 2:] - WALLS[:, :2]
     t = np.clip(((walls[:, None] - a) * d).sum(-1) / (d**2).sum(-1), 0, 1)
     off = np.linalg.norm(walls[:, None] - a - t[..., None] * d, axis=-1).min(axis=1)
     assert len(walls) > 500
