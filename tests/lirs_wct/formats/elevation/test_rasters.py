@@ -1,6 +1,5 @@
-"""GeoTIFFs as rasterio and PROJ read them, by the values that `make_rasters.py` recorded."""
+"""GeoTIFFs as rasterio and PROJ read them, on files that rasterio writes."""
 
-import json
 import math
 import warnings
 from functools import cache
@@ -12,9 +11,8 @@ import pytest
 import rasterio
 
 from lirs_wct.formats.images.elevation import Raster, RasterInfo, read_raster
+from tests.lirs_wct.formats.elevation.gdal_rasters import CASES, read_truth, write_raster
 
-HERE = Path(__file__).parent / "rasters"
-RECORDS: dict[str, Any] = json.loads((HERE / "rasters.json").read_text())
 UNITS = {None: 1.0, "ft": 0.3048, "US survey foot": 1200 / 3937}
 
 
@@ -31,18 +29,23 @@ PLAIN = (
     "utm_south",
 )
 """Rasters that differ from the others in one small thing."""
-CASES = [pytest.param(name, marks=pytest.mark.slow) if name in PLAIN else name for name in RECORDS]
+NAMES = [pytest.param(name, marks=pytest.mark.slow) if name in PLAIN else name for name in CASES]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All cases as files."""
+    folder = tmp_path_factory.mktemp("rasters")
+    for name in CASES:
+        write_raster(folder / f"{name}.tif")
+    return folder
 
 
 @cache
-def read_and_told(name: str) -> tuple[Raster, list[str]]:
+def read_and_told(path: Path) -> tuple[Raster, list[str]]:
     """Return a raster and the warnings about it; each is read once, in a process of its own."""
     with warnings.catch_warnings(record=True, action="always") as told:
-        return read_raster(HERE / f"{name}.tif"), [str(warning.message) for warning in told]
-
-
-def read(name: str) -> Raster:
-    return read_and_told(name)[0]
+        return read_raster(path), [str(warning.message) for warning in told]
 
 
 def by_place(rows: np.ndarray, affine: Any) -> dict[tuple[float, float], float]:
@@ -54,16 +57,17 @@ def by_place(rows: np.ndarray, affine: Any) -> dict[tuple[float, float], float]:
     }
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_heights_lie_where_rasterio_sees_them(name: str) -> None:
-    record, raster = RECORDS[name], read(name)
+@pytest.mark.parametrize("name", NAMES)
+def test_heights_lie_where_rasterio_sees_them(name: str, folder: Path) -> None:
+    path = folder / f"{name}.tif"
+    record, raster = read_truth(path), read_and_told(path)[0]
     info, georeference = raster.info, raster.info.georeference
     values = raster.pixels.astype(np.float64) * info.scale + info.offset
     if info.nodata is not None:
         values[raster.pixels == info.nodata] = np.nan
     a, b, c, d, e, f = record["transform"]
     middle = (a, b, c + (a + b) / 2, d, e, f + (d + e) / 2)
-    expected = by_place(np.array(record["heights"]), middle)
+    expected = by_place(record["heights"], middle)
     found = by_place(values, georeference.affine)
     assert found.keys() == expected.keys()
     for place, height in expected.items():
@@ -73,9 +77,10 @@ def test_heights_lie_where_rasterio_sees_them(name: str) -> None:
     assert info.nodata == record["nodata"]
 
 
-@pytest.mark.parametrize("name", [name for name in CASES if name != "no_system"])
-def test_pixels_are_in_meters_on_the_ground(name: str) -> None:
-    record, georeference = RECORDS[name], read(name).info.georeference
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "no_system"])
+def test_pixels_are_in_meters_on_the_ground(name: str, folder: Path) -> None:
+    path = folder / f"{name}.tif"
+    record, georeference = read_truth(path), read_and_told(path)[0].info.georeference
     assert georeference.system.name == f"EPSG:{record['epsg']}"
     assert sorted(georeference.pixel) == pytest.approx(sorted(record["pixel"]), rel=2e-6)
     (ce, cn), (re, rn) = georeference.steps
@@ -89,8 +94,8 @@ def test_pixels_are_in_meters_on_the_ground(name: str) -> None:
     np.testing.assert_allclose(found, record["corners"], rtol=0, atol=5e-9)  # half a millimeter
 
 
-def test_ten_meters_of_web_mercator_at_40_7_north_are_seven_and_a_half() -> None:
-    georeference = read("mercator").info.georeference
+def test_ten_meters_of_web_mercator_at_40_7_north_are_seven_and_a_half(folder: Path) -> None:
+    georeference = read_and_told(folder / "mercator.tif")[0].info.georeference
     assert georeference.pixel == pytest.approx((10 * math.cos(math.radians(40.71)),) * 2, rel=3e-3)
 
 
@@ -109,35 +114,23 @@ def test_ten_meters_of_web_mercator_at_40_7_north_are_seven_and_a_half() -> None
         ("no_system", None),
     ],
 )
-def test_what_is_left_out_is_told(name: str, words: str | None) -> None:
-    told = read_and_told(name)[1]
+def test_what_is_left_out_is_told(name: str, words: str | None, folder: Path) -> None:
+    told = read_and_told(folder / f"{name}.tif")[1]
     assert len(told) == (words is not None)
     if words is not None:
-        assert told[0].startswith(str(HERE / f"{name}.tif"))
+        assert told[0].startswith(str(folder / f"{name}.tif"))
         assert words in told[0]
 
 
-@pytest.mark.parametrize("name", RECORDS)
-def test_the_record_is_what_rasterio_reads_today(name: str) -> None:
-    record = RECORDS[name]
-    with warnings.catch_warnings(action="ignore"):
-        file = rasterio.open(HERE / f"{name}.tif")
-    with file:
-        values = file.read(1, masked=True).astype(np.float64) * file.scales[0] + file.offsets[0]
-        np.testing.assert_allclose(values.filled(np.nan), record["heights"], atol=1e-4)
-        assert list(file.transform)[:6] == record["transform"]
-        assert (file.crs and file.crs.to_epsg()) == record["epsg"]
-
-
 @pytest.mark.parametrize("suffix", [pytest.param("img", marks=pytest.mark.slow), "bil"])
-def test_other_rasters_are_read_by_gdal(suffix: str, tmp_path: Path) -> None:
+def test_other_rasters_are_read_by_gdal(suffix: str, folder: Path, tmp_path: Path) -> None:
     from rasterio.shutil import copy
 
     path = tmp_path / f"a.{suffix}"
-    copy(HERE / "utm.tif", path, driver={"img": "HFA", "bil": "EHdr"}[suffix])
+    copy(folder / "utm.tif", path, driver={"img": "HFA", "bil": "EHdr"}[suffix])
     with rasterio.open(path) as file:
         assert file.driver != "GTiff"
-    found, known = read_raster(path), read("utm")
+    found, known = read_raster(path), read_and_told(folder / "utm.tif")[0]
     np.testing.assert_array_equal(found.pixels, known.pixels)
     assert found.info.georeference.pixel == pytest.approx(known.info.georeference.pixel)
 

@@ -164,7 +164,7 @@ def test_las_brings_its_place_and_its_classes(suffix: str, scene: Scene, tmp_pat
     assert float(height) == pytest.approx(float(ground(*at)), abs=0.15)
     latitude, longitude = by_class.to_geographic(0.0, 0.0)
     assert (float(latitude), float(longitude)) == pytest.approx((40.714889, -74.005254), abs=1e-5)
-    # UTM's scale at this place, 1 m of it is 1.000313 m on the ground, is taken out (see rasters.json).
+    # UTM's scale at this place, 1 m of it is 1.000313 m on the ground, is taken out.
     along = place.coordinates(100.0, 0.0)[0] - place.coordinates(0.0, 0.0)[0]
     assert along == pytest.approx(100 / 1.000313, abs=1e-3)
 

@@ -17,6 +17,7 @@ from lirs_wct import World, write_package
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
+from tests.lirs_wct.formats.elevation.gdal_rasters import write_raster
 
 CELL, WEST, NORTH = 10.0, -8_238_310.0, 4_970_072.0
 
@@ -139,8 +140,8 @@ def test_info_promises_no_start_between_coarse_samples(folder: Path) -> None:
 
 def test_a_utm_world_says_that_its_x_axis_is_not_east(tmp_path: Path) -> None:
     """Grid convergence of 32618 at 74 W, 40.7 N: .65 deg, by (longitude - meridian) sin latitude."""
-    rasters = Path(__file__).parents[2] / "formats/elevation/rasters"
-    world = built(rasters / "utm.tif")
+    write_raster(tmp_path / "utm.tif")
+    world = built(tmp_path / "utm.tif")
     package = write_package(world, tmp_path, formats=("stl", "sdf"))
     path = "world/spherical_coordinates/heading_deg"
     turned = float(ElementTree.parse(package / "utm.world").findtext(path, ""))

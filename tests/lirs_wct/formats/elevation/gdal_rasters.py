@@ -1,9 +1,5 @@
-"""Writes the rasters of these tests, and what rasterio and PROJ read in them (needs rasterio).
+"""Rasters of many kinds as rasterio writes them, and what it and PROJ read in them."""
 
-python tests/lirs_wct/formats/elevation/make_rasters.py
-"""
-
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -15,7 +11,6 @@ from rasterio.enums import Resampling
 from rasterio.transform import Affine
 from rasterio.warp import transform
 
-HERE = Path(__file__).parent / "rasters"
 ROWS, COLS = 12, 17
 HEIGHTS = 1000 + 30 * np.random.default_rng(7).random((ROWS, COLS)).cumsum(axis=0)
 UTM = Affine(10, 0, 583960, 0, -10, 4507523)
@@ -29,7 +24,7 @@ CASES: dict[str, dict[str, Any]] = {
     "state_plane_feet": {"crs": 2263, "transform": Affine(30, 0, 985000, 0, -30, 210000)},
     "south_up": {"crs": 32618, "transform": Affine(10, 0, 583960, 0, 10, 4507523)},
     "west_up": {"crs": 32618, "transform": Affine(0, 10, 583960, 10, 0, 4507523)},
-    "turned": {"crs": 32618, "transform": UTM * Affine.rotation(30)},
+    "turned": {"crs": 32618, "transform": UTM @ Affine.rotation(30)},
     "scale_offset": {"crs": 32618, "transform": UTM, "dtype": "int16", "scale": 0.1, "offset": 1000.0},
     "feet": {"crs": 32618, "transform": UTM, "unit": "ft"},
     "survey_feet": {"crs": 32618, "transform": UTM, "unit": "US survey foot"},
@@ -49,18 +44,9 @@ CASES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def main() -> None:
-    """Write each case and the record of all."""
-    HERE.mkdir(exist_ok=True)
-    record = {}
-    for name, case in CASES.items():
-        _write(HERE / f"{name}.tif", dict(case))
-        record[name] = _read(HERE / f"{name}.tif")
-    lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(entry)}" for name, entry in record.items())
-    (HERE / "rasters.json").write_text("{\n" + lines + "\n}\n", encoding="utf-8")
-
-
-def _write(path: Path, case: dict[str, Any]) -> None:
+def write_raster(path: Path) -> None:
+    """Write the case of a file's name."""
+    case = dict(CASES[path.stem])
     dtype, holes = case.pop("dtype", "float32"), case.pop("holes", None)
     scale, offset = case.pop("scale", 1.0), case.pop("offset", 0.0)
     unit, overviews, mask, point = (case.pop(k, None) for k in ("unit", "overviews", "mask", "point"))
@@ -85,7 +71,7 @@ def _write(path: Path, case: dict[str, Any]) -> None:
                 file.build_overviews(overviews, Resampling.nearest)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_truth(path: Path) -> dict[str, Any]:
     with rasterio.open(path) as file:
         values = file.read(1, masked=True).astype(np.float64) * file.scales[0] + file.offsets[0]
         entry: dict[str, Any] = {
@@ -93,7 +79,7 @@ def _read(path: Path) -> dict[str, Any]:
             "transform": list(file.transform)[:6],
             "nodata": file.nodata,
             "unit": file.units[0],
-            "heights": values.filled(np.nan).round(4).tolist(),
+            "heights": values.filled(np.nan),
         }
         if file.crs is not None:
             entry |= _on_the_ground(file)
@@ -118,7 +104,3 @@ def _on_the_ground(file: Any) -> dict[str, Any]:
         "corners": [list(pair) for pair in zip(latitude, longitude, strict=True)],
         "pixel": [math.hypot(east[i + 1] - east[i], north[i + 1] - north[i]) for i in (1, 3)],
     }
-
-
-if __name__ == "__main__":
-    main()
