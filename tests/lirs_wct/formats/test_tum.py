@@ -19,14 +19,6 @@ def trajectory() -> Trajectory:
     return Trajectory.from_poses((1.6e9 + np.arange(9) * 0.04).tolist(), poses)
 
 
-def test_reads_back(trajectory: Trajectory, tmp_path: Path) -> None:
-    write_tum(tmp_path / "t.tum", trajectory)
-    again = read_tum(tmp_path / "t.tum")
-    np.testing.assert_allclose(again.stamps, trajectory.stamps, atol=1e-6)
-    np.testing.assert_allclose(again.positions, trajectory.positions, atol=1e-9)
-    np.testing.assert_allclose(again.quaternions, trajectory.quaternions, atol=1e-8)
-
-
 def test_evo_reads_the_same(trajectory: Trajectory, tmp_path: Path) -> None:
     write_tum(tmp_path / "t.tum", trajectory)
     theirs = file_interface.read_tum_trajectory_file(str(tmp_path / "t.tum"))

@@ -123,18 +123,6 @@ def east(n: int) -> list[Pose2]:
     return [Pose2(0.1 * k) for k in range(n)]
 
 
-def test_stamps_by_hand() -> None:
-    """A robot that drives 0.1 m a line and second; the least step is 0.8 s, a second over 1.25.
-
-    Less the least steps the stamps are 0, .2, .4, .6, -.2, 1, ...: the middle three become their mean.
-    """
-    logged = [0.0, 1.0, 2.0, 3.0, 3.0, 5.0, 6.0, 7.0]
-    found = repaired(lines(logged, list(east(8)), [True, False] * 4))
-    mean = 0.8 / 3
-    np.testing.assert_allclose(found, [0, 1, 1.6 + mean, 2.4 + mean, 3.2 + mean, 5, 6, 7], atol=1e-9)
-    assert found[:2] == logged[:2]
-
-
 @pytest.mark.parametrize(
     ("scan", "step", "sound"),
     [

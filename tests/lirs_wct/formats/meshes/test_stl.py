@@ -24,14 +24,6 @@ def test_read_by_trimesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert (tmp_path / "a.stl").stat().st_size == 84 + 50 * len(mesh.faces)
 
 
-def test_round_trip(tmp_path: Path) -> None:
-    mesh = hills()
-    write_stl(tmp_path / "a.stl", mesh)
-    again = read_mesh(tmp_path / "a.stl")
-    assert again.is_watertight
-    assert len(again.vertices) == len(mesh.vertices)
-
-
 def test_unusable_meshes_are_refused(tmp_path: Path) -> None:
     (tmp_path / "bad.stl").write_bytes(b"nonsense")
     (tmp_path / "empty.stl").write_bytes(bytes(84))
