@@ -143,7 +143,6 @@ def test_both_rays_see_the_same_walkers(rough: World, husky: Robot) -> None:
     for _ in range(3):
         ours, theirs = builtin.advance(Twist(0.5, 0.3)).scan, by_mujoco.advance(Twist(0.5, 0.3)).scan
         assert builtin.walker_beams is not None
-        assert by_mujoco.walker_beams is not None
         met = builtin.walker_beams
         seen += int(met.sum())
         assert np.mean(met == by_mujoco.walker_beams) > 0.99

@@ -104,7 +104,6 @@ def test_the_module_describes_the_run(recorded: Run, tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("_evalio")
 def test_the_truth_is_that_of_the_bag(recorded: Run, tmp_path: Path) -> None:
-    assert recorded.folder is not None
     assert run_command("export", str(recorded.folder), "--to", "evalio", "-o", str(tmp_path)) == 0
     (sequence,) = loaded(tmp_path / "evalio" / "lirs_wct_run.py").LirsWctRun
     told = sequence.ground_truth_raw()

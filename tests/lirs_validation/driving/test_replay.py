@@ -47,8 +47,6 @@ def test_another_mapper_on_the_same_commands_has_the_same_truth(recorded: Run, t
     drive = DRIVE | {"robot": recorded.record.config.robot, "driver": f"replay:{recorded.folder}"}
     for mapper in ("hector", "examples.your_own_mapper:DeadReckoning"):
         again = validate("simple", mapper=mapper, seconds=1.0, out=tmp_path, **drive)
-        assert again.folder is not None
-        assert recorded.folder is not None
         assert (again.folder / "truth.tum").read_bytes() == (recorded.folder / "truth.tum").read_bytes()
         assert (again.folder / "commands.csv").read_bytes() == (recorded.folder / "commands.csv").read_bytes()
         assert again.record.config.driver == f"replay:{recorded.folder}"

@@ -129,7 +129,6 @@ def test_recorded_inertial_readings_give_the_same_poses_again(tmp_path: Path) ->
         source="simple", mapper=name, lidar="vlp16", seconds=1.0, stand=0.5, bag="mcap", build=SMALL
     )
     made = run_config(run, out=tmp_path / "out")
-    assert made.folder is not None
     assert made.record.scans["imu_rate"] == 200
     online = read_tum(made.folder / "estimate.tum")
     start = Pose3.from_arrays(online.positions[0], online.quaternions[0]).inverse()

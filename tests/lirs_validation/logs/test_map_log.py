@@ -177,7 +177,6 @@ def test_quality_without_truth_is_recorded_and_stated(room: Path, tmp_path: Path
     assert second["mapper"] == "cartographer"
     assert second["difference"] == pytest.approx(difference)
     assert second["revisit_residual"] == other.record.quality["revisit_residual"]
-    assert mapped.folder is not None
     stored = json.loads((mapped.folder / "record.json").read_text())
     assert stored["quality"] == mapped.record.quality
     assert f"differs from cartographer's by {difference:.2f} m" in mapped.record.verdict.sentence

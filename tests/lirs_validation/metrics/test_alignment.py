@@ -53,10 +53,8 @@ def test_a_map_that_is_right_but_for_its_start_is_right_after_the_alignment() ->
     error = Pose2(0.3, 0.1, 0.04)
     alignment = start_alignment(path(), path().moved(error))
     scores = map_scores(reference.moved(error), reference, surface=FLAT, walls=walls, alignment=alignment)
-    assert scores.f1 is not None
     assert scores.f1 < 0.6
     assert scores.f1_aligned == pytest.approx(1.0)
-    assert scores.false_occupied is not None
     assert scores.false_occupied > 0.4
     assert scores.false_occupied_aligned == 0.0
     assert scores.start_turn == pytest.approx(0.04)
@@ -73,7 +71,6 @@ def test_false_walls_of_the_reference_are_its_own() -> None:
     scores = map_scores(reference, reference, surface=FLAT, walls=WallGrid(solid, 0.05, Pose2()))
     assert scores.f1 == 1.0
     assert scores.reference_false_occupied == scores.false_occupied
-    assert scores.reference_false_occupied is not None
     assert 0.3 < scores.reference_false_occupied < 0.45
 
 

@@ -52,7 +52,6 @@ def test_what_it_wears_has_a_flat_normal_map_of_its_own() -> None:
     layer = Layer("a.png", "a-normal.png", 12.5)
     model = ET.fromstring(heightmap_sdf("dune", hills(60, 101), "h.png", layer))
     texture = model.find(".//visual/geometry/heightmap/texture")
-    assert texture is not None
     assert {part.tag: part.text for part in texture} == {
         "diffuse": "model://dune/a.png",
         "normal": "model://dune/a-normal.png",

@@ -92,8 +92,6 @@ def test_parts_of_two_materials_are_one_object_with_one_layer(tmp_path: Path) ->
 
 def test_attributes_belong_to_their_corners(tmp_path: Path) -> None:
     mesh = cube_uv(hills())
-    assert mesh.uv is not None
-    assert mesh.normals is not None
     write_collada(tmp_path / "a.dae", mesh)
     document = collada.Collada(str(tmp_path / "a.dae"))
     (shape,) = document.geometries
@@ -102,8 +100,6 @@ def test_attributes_belong_to_their_corners(tmp_path: Path) -> None:
 
 def check_corners(found: np.ndarray, mesh: TriangleMesh) -> None:
     """The same triangles, each with its corners in the same turn; which comes first does not matter."""
-    assert mesh.uv is not None
-    assert mesh.normals is not None
     expected = np.concatenate((mesh.vertices, mesh.normals, mesh.uv), axis=1)[mesh.faces]
     turned = np.concatenate([np.roll(expected, k, axis=1) for k in range(3)])
     _, where = cKDTree(turned[:, :, :3].reshape(-1, 9)).query(found[:, :, :3].reshape(-1, 9))
