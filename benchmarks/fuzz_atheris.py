@@ -1,7 +1,7 @@
 """Coverage-guided damaged bytes against readers: each returns a value or raises a WctError.
 
     python benchmarks/fuzz_atheris.py --seconds 20          # all readers in turn
-    python benchmarks/fuzz_atheris.py tum pcd
+    python benchmarks/fuzz_atheris.py tum cloud_ply
 
 Needs the package atheris, which is in no extra. Prints a table. READER.log in the working folder has a
 crash's traceback, READER-crash-* its bytes.

@@ -33,7 +33,7 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 import numpy as np
 
-from benchmarks.fuzz_seeds import KINDS, Kind, write_seeds
+from benchmarks.fuzz_seeds import KINDS, Kind, call, write_seeds
 
 LIMIT_S, HANG_S, LIMIT_GB, ADDRESS_GB = 10.0, 60.0, 1.0, 6.0
 """Processor seconds, wall seconds and resident memory of one input; address space, beyond which an
@@ -284,18 +284,6 @@ def warm_up(seeds: Path, kinds: Sequence[Kind]) -> None:
                 code = call([a.replace("{}", f"in/{kind.file}") for a in command.split()])
             if code:
                 raise SystemExit(f"valid {kind.name} ended with {code}: {command}")
-
-
-def call(arguments: Sequence[str]) -> int:
-    """Run the command line in this process; return its exit code."""
-    from lirs_validation.cli.app import main as lirs_wct
-
-    sys.argv = ["lirs-wct", *arguments]
-    try:
-        lirs_wct()
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else int(end.code is not None)
-    return 0
 
 
 @contextlib.contextmanager

@@ -299,11 +299,17 @@ def _write_relations(folder: Path) -> None:
 
 
 def _lirs_wct(command: str) -> None:
-    from lirs_validation.cli.app import main
+    if code := call(command.split()):
+        raise RuntimeError(f"{command} ended with {code}")
 
-    sys.argv = ["lirs-wct", *command.split()]
+
+def call(arguments: Sequence[str]) -> int:
+    """Run the command line in this process; return its exit code."""
+    from lirs_validation.cli.app import main as lirs_wct
+
+    sys.argv = ["lirs-wct", *arguments]
     try:
-        main()
+        lirs_wct()
     except SystemExit as end:
-        if end.code:
-            raise RuntimeError(f"{command} ended with {end.code}") from end
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
+    return 0

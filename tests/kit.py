@@ -1,13 +1,17 @@
 """What tests of several packages share."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_wct.errors import SourceError, WctError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
@@ -39,6 +43,15 @@ def built(source: str | Path, **options: Any) -> tuple[World, list[str]]:
     with warnings.catch_warnings(record=True, action="always") as told:
         world = build_world(source, BuildOptions(**options))
     return world, [str(warning.message) for warning in told if warning.category is UserWarning]
+
+
+@contextmanager
+def refused(start: object = "", words: str = "", kind: type[WctError] = SourceError) -> Iterator[Any]:
+    """Check for an error of one line: it begins with the path and holds the words (a regular expression)."""
+    with pytest.raises(kind, match=words) as error:
+        yield error
+    assert str(error.value).startswith(str(start))
+    assert "\n" not in str(error.value)
 
 
 def started(world: World, start: Pose2 | None = None, *, seed: int = 0, **config: Any) -> Simulation:

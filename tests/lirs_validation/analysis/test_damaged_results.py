@@ -13,7 +13,6 @@ import pytest
 from lirs_validation import resolve_source
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import read_results
-from lirs_validation.cli import app as cli
 from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.page import report_of
 from lirs_validation.report.run_tables import results_table
@@ -21,6 +20,7 @@ from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.sources.options import BuildOptions
+from tests.command_line import run_command
 from tests.lirs_validation.records import record, saved, saved_whole
 
 pytestmark = pytest.mark.usefixtures("empty_charts")
@@ -34,15 +34,9 @@ def folder(finished_run_copy: Path) -> Path:
     return finished_run_copy
 
 
-def lines(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str
-) -> tuple[int, str]:
+def lines(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
     """Run a command; whatever it says, a traceback would come out of it as an exception."""
-    monkeypatch.setattr("sys.argv", ["lirs-wct", *words])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert isinstance(ended.value.code, int)
-    return ended.value.code, capsys.readouterr().err
+    return run_command(*words), capsys.readouterr().err
 
 
 def cut(path: Path, how: str) -> None:
@@ -71,15 +65,15 @@ def test_a_file_that_is_cut_off_is_named(
     cut(folder / name, how)
     out = str(folder.parent)
     monkeypatch.chdir(folder.parent.parent)
-    code, said = lines(monkeypatch, capsys, "report", out, "-o", "r.html")
+    code, said = lines(capsys, "report", out, "-o", "r.html")
     assert code == 0
     if name == "record.json" and how != "gone":
         assert said.count("\n") == 1
         assert said.startswith(f"skipped {folder.name}: record.json: ")
-    code, said = lines(monkeypatch, capsys, "compare", out, out)
+    code, said = lines(capsys, "compare", out, out)
     assert code == 0
     files = ("--trajectory", str(folder / "estimate.tum"), "--map", str(folder / "map.yaml"))
-    code, said = lines(monkeypatch, capsys, "score", str(folder), *files)
+    code, said = lines(capsys, "score", str(folder), *files)
     assert code in (0, 2, 3)
     assert code != 2 or (said.count("\n") == 1 and str(folder) in said), said
 
@@ -123,11 +117,11 @@ def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> Non
     "cells", [3, [3], [{"name": []}], [{"name": {}}], {"a": 1}, [{"name": None, "x": 1}]]
 )
 def test_nonsense_in_a_manifest_does_not_matter(
-    cells: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cells: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved(tmp_path / "out")
     (tmp_path / "out" / "sweep.json").write_text(json.dumps({"cells": cells, "suite": [], "command": {}}))
-    code, _ = lines(monkeypatch, capsys, "report", str(tmp_path / "out"), "-o", str(tmp_path / "r.html"))
+    code, _ = lines(capsys, "report", str(tmp_path / "out"), "-o", str(tmp_path / "r.html"))
     assert code == 0
 
 

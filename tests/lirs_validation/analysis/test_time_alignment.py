@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from lirs_validation.analysis.result_folders import read_run
 from lirs_validation.analysis.score import find_time_offset, interpolate_poses, score
-from lirs_validation.cli import app as cli
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry import Pose2, Trajectory
+from tests.command_line import run_command
 
 
 def drive(stamps: np.ndarray) -> Trajectory:
@@ -71,9 +71,7 @@ def test_poses_of_another_rate_are_interpolated() -> None:
     assert not ((kept > 20.1) & (kept < 29.9)).any()
 
 
-def test_another_rate_clock_and_frame_score_alike(
-    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_another_rate_clock_and_frame_score_alike(finished_run: Path, tmp_path: Path) -> None:
     run = read_run(finished_run)
     own = read_tum(run.folder / "estimate.tum")
     stamps = np.arange(own.stamps[0] + 0.013, own.stamps[-1], 1 / 30)
@@ -90,13 +88,10 @@ def test_another_rate_clock_and_frame_score_alike(
     assert found.trajectory["ate_rmse"] == pytest.approx(run.entry["trajectory"]["ate_rmse"], abs=0.01)
     with pytest.raises(ConfigError, match="--frame align needs a trajectory"):
         score(run, map_yaml=run.folder / "map.yaml", frame="align")
-    words = ["lirs-wct", "score", str(run.folder), "--trajectory", str(tmp_path / "est.tum")]
+    words = ["score", str(run.folder), "--trajectory", str(tmp_path / "est.tum")]
     words += ["--frame", "align", "-o", str(tmp_path / "score.json"), "--time-offset"]
     for given_, code in (("auto", 0), ("1.7e9", 0), ("soon", 2), ("nan", 2)):
-        monkeypatch.setattr("sys.argv", [*words, given_])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        assert ended.value.code == code
+        assert run_command(*words, given_) == code
     document = json.loads((tmp_path / "score.json").read_text())
     assert document["time_offset"] == 1.7e9
     assert math.isfinite(document["trajectory"]["ate_rmse"])

@@ -14,6 +14,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.pose import Pose2, Trajectory
+from tests.kit import refused
 from tests.lirs_wct.formats.carmen.carmen_room import START, room_lines, write_log
 
 
@@ -32,10 +33,8 @@ def test_both_formats_are_read(tmp_path: Path, zipped: bool) -> None:
 @pytest.mark.parametrize("content", [b"", b"\x89PNG\x00", b"VERTEX2 0 1 2 3\n", b"1 2 3\n", b"\x1f\x8b\x08"])
 def test_what_is_neither_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "bad").write_bytes(content)
-    with pytest.raises(SourceError) as told:
+    with refused(f"{tmp_path / 'bad'}: "):
         read_reference(tmp_path / "bad")
-    assert str(told.value).startswith(f"{tmp_path / 'bad'}: ")
-    assert "\n" not in str(told.value)
 
 
 def test_a_log_without_poses_is_no_reference(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from evo.tools import file_interface
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry.pose import Pose3, Trajectory
+from tests.kit import refused
 
 
 @pytest.fixture
@@ -55,10 +56,8 @@ BAD = {
 def test_what_is_none_is_refused_in_one_line(case: str, tmp_path: Path) -> None:
     path = tmp_path / "bad.tum"
     path.write_bytes(BAD[case])
-    with pytest.raises(SourceError) as told:
+    with refused(f"{path}: "):
         read_tum(path)
-    assert str(told.value).startswith(f"{path}: ")
-    assert "\n" not in str(told.value)
 
 
 def test_what_is_not_there_is_told(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.carmen.log import read_carmen
+from tests.kit import refused
 from tests.lirs_wct.formats.carmen.carmen_room import room_lines, write_log
 
 LINES, _ = room_lines(12, beams=181)
@@ -80,10 +81,8 @@ def test_what_is_no_log_says_so_in_one_line(tmp_path: Path, case: str) -> None:
     content, expected = NO_LOG[case]
     path = tmp_path / "bad.clf"
     path.write_bytes(content)
-    with pytest.raises(SourceError, match=expected) as told:
+    with refused(f"{path}: ", expected) as told:
         read_carmen(path)
-    assert str(told.value).startswith(f"{path}: ")
-    assert "\n" not in str(told.value)
     assert len(str(told.value)) < len(str(path)) + 400
 
 
@@ -92,10 +91,8 @@ def test_no_file_that_is_no_log_is_taken_for_one(shared_data: Path) -> None:
     files = [p for kind in ("broken", "textures") for p in sorted((shared_data / kind).iterdir())]
     assert len(files) > 20
     for path in files:
-        with pytest.raises(SourceError) as told:
+        with refused(f"{path}: "):
             read_carmen(path)
-        assert str(told.value).startswith(f"{path}: ")
-        assert "\n" not in str(told.value)
 
 
 def test_a_folder_is_no_log(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
 from lirs_wct.formats.suffixes import STORAGES, Storage
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.sources.source import is_log
+from tests.kit import refused
 from tests.lirs_wct.formats.rosbag import drives
 
 IMU = Topics(imu="/imu")
@@ -67,9 +68,8 @@ def test_missing_topics_list_those_that_are_there(bag: Path) -> None:
 def test_what_is_no_bag_is_one_line(tmp_path: Path) -> None:
     for name, content in (("a.mcap", b""), ("b.db3", b"no database" * 99), ("c.bag", b"#ROSBAG V2.0\n")):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(SourceError, match=f"{name}: not a bag that can be read") as caught:
+        with refused(f"{tmp_path / name}: not a bag that can be read"):
             read_bag(tmp_path / name, Topics())
-        assert "\n" not in str(caught.value)
     with pytest.raises(SourceError, match=r"none\.bag: no such file or folder$"):
         read_bag(tmp_path / "none.bag", Topics())
 
@@ -211,10 +211,8 @@ MESSAGES = {
 @pytest.mark.shared
 @pytest.mark.parametrize("name", MESSAGES)
 def test_real_bags_without_scans_say_what_they_hold(shared_data: Path, name: str) -> None:
-    with pytest.raises(SourceError, match=MESSAGES[name]) as caught:
+    with refused(shared_data / "bags" / name, MESSAGES[name]):
         read_bag(shared_data / "bags" / name, Topics())
-    assert str(caught.value).startswith(str(shared_data / "bags" / name))
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.shared

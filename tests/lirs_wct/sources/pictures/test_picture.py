@@ -20,6 +20,7 @@ from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import find_source
 from tests.kit import read_heights as read
+from tests.kit import refused
 
 RAMP = np.arange(12, dtype=np.uint16).reshape(3, 4)
 
@@ -103,11 +104,8 @@ def test_truncated_files_are_refused(tmp_path: Path, suffix: str, share: float) 
     assert read(whole).shape == (65, 97)
     data = whole.read_bytes()
     cut.write_bytes(data[: int(len(data) * share)])
-    with pytest.raises(SourceError) as refused:
+    with refused(f"{cut}: "):
         read(cut)
-    message = str(refused.value)
-    assert message.startswith(f"{cut}: ")
-    assert "\n" not in message
 
 
 @pytest.mark.parametrize("size", [(100_000, 100_000), (1, 64)])
