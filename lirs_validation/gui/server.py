@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import socket
 import threading
 import time
@@ -15,7 +14,6 @@ import rich
 import viser
 
 from lirs_validation.gui.page_html import served_from, write_page
-from lirs_validation.gui.session.uploads import PREFIX, PageLimits
 from lirs_validation.gui.view.page import Page
 from lirs_validation.gui.view.scene import Detail
 from lirs_wct.errors import ConfigError
@@ -29,7 +27,6 @@ class Server:
         runs: folder of finished runs that pages may open; None = no folder.
         host: address to listen at.
         port: to listen at; 0 = any free one.
-        limits: of uploads.
         detail: numbers of triangles sent to browsers.
 
     Raises:
@@ -43,11 +40,9 @@ class Server:
         runs: Path | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
-        limits: PageLimits | None = None,
         detail: Detail | None = None,
     ) -> None:
-        self._source, self._runs = source, runs
-        self._limits, self._detail = limits or PageLimits(), detail or Detail()
+        self._source, self._runs, self._detail = source, runs, detail or Detail()
         self._pages: dict[int, Page] = {}
         self._lock = threading.Lock()
         _check_free(host, port)
@@ -57,7 +52,7 @@ class Server:
         # A client may disconnect while messages to it are queued.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
         rich.get_console().quiet = True  # viser's own announcements; ours have a console of their own
-        self._folder = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-", ignore_cleanup_errors=True)
+        self._folder = TemporaryDirectory(prefix="lirs-wct-gui-", ignore_cleanup_errors=True)
         write_page(Path(self._folder.name))
         with served_from(Path(self._folder.name)):
             self._viser = viser.ViserServer(host=host, port=port, label="LIRS-WCT", verbose=False)
@@ -111,7 +106,7 @@ class Server:
             page.guard.note(str(message))
 
     def _open(self, client: Any) -> None:
-        page = Page(client, self._source, self._runs, self._limits, self._detail)
+        page = Page(client, self._source, self._runs, self._detail)
         with self._lock:
             self._pages[client.client_id] = page
         if client.client_id not in self._viser.get_clients():  # gone while its page was made

@@ -100,14 +100,6 @@ class Construction:
         self._folder, self._nodes = folder, nodes
         self._scenarios = scenarios or ScenarioCache()
 
-    def kind(self, source: str, options: BuildOptions) -> SourceKind:
-        """Return the kind of a source.
-
-        Raises:
-            SourceError: there is none of that name.
-        """
-        return find_source(source, options).kind
-
     def preview(self, source: str, options: BuildOptions, progress: Progress = no_progress) -> Shown:
         """Return a coarse world of a source; a log is mapped the first time.
 

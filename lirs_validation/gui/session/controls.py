@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lirs_validation.config import PRETRAINED, RunConfig
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.option import Option, Options, Slider, declared
 from lirs_wct.sources.options import BuildOptions, SourceKind
@@ -112,19 +112,15 @@ def _kind(option: Option) -> tuple[Kind, tuple[str, ...], Any]:
     )
 
 
-def read_controls(values: Mapping[str, bool | float | str], pixels: int) -> BuildOptions:
+def read_controls(values: Mapping[str, bool | float | str]) -> BuildOptions:
     """Return the options of a page's controls.
 
     Raises:
         ConfigError: a value is not legal, or two options contradict.
-        SourceError: more pixels are asked for than the server allows.
     """
-    found = BuildOptions(
+    return BuildOptions(
         **{c.name: c.read(values[c.name]) for c in controls(BuildOptions) if c.name in values}
     )
-    if found.max_pixels > pixels:
-        raise SourceError(f"max pixels: this server reads pictures of up to {pixels} pixels")
-    return found
 
 
 def read_run_controls(

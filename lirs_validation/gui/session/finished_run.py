@@ -16,7 +16,6 @@ from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
-from lirs_validation.gui.session.uploads import PageLimits
 from lirs_validation.record.run_record import maps_clouds, read_record, succeeded
 from lirs_validation.record.verdict import judge
 from lirs_wct import LaserScan, Pose3, SourceError, WctError, World
@@ -131,11 +130,11 @@ class FinishedRun(Playback):
         )
 
 
-def unpacked_run(content: bytes, folder: Path, limits: PageLimits) -> Path:
+def unpacked_run(content: bytes, folder: Path) -> Path:
     """Extract the needed files of a zipped run, under fixed names.
 
     Raises:
-        SourceError: it is no such archive, holds no run, or unpacks to more than the limit.
+        SourceError: it is no such archive, or holds no run.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -145,8 +144,6 @@ def unpacked_run(content: bytes, folder: Path, limits: PageLimits) -> Path:
             if missing:
                 raise SourceError(f"the archive holds no run: {', '.join(missing)} is not in it")
             taken = [name for name in (*FILES, *MAP_FILES) if name in entries]
-            if sum(entries[name].file_size for name in taken) > limits.upload:
-                raise SourceError(f"the archive unpacks to more than {limits.upload / 2**20:g} MiB")
             for name in taken:
                 (folder / name).write_bytes(archive.read(entries[name]))
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:

@@ -14,7 +14,7 @@ import viser
 
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.controls import without_flags
-from lirs_validation.gui.session.uploads import PageLimits, Uploads
+from lirs_validation.gui.session.uploads import Uploads
 from lirs_validation.gui.view.scene import DriveScene, WorldScene
 from lirs_wct.errors import WctError
 
@@ -159,7 +159,6 @@ class PageContext:
         drive_scene: display of the drive.
         uploads: files of the page.
         scenarios: cache of worlds.
-        limits: limits of the server.
     """
 
     client: viser.ClientHandle
@@ -169,4 +168,3 @@ class PageContext:
     drive_scene: DriveScene
     uploads: Uploads
     scenarios: ScenarioCache
-    limits: PageLimits

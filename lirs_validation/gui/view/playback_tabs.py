@@ -385,9 +385,7 @@ class ReplayTab(PlaybackTab[FinishedRun]):
         self._page.worker.submit("replay", lambda: self._unpack(content))
 
     def _unpack(self, content: bytes) -> None:
-        self._show(
-            unpacked_run(content, self._page.uploads.folder / "replayed", self._page.limits), uploaded=True
-        )
+        self._show(unpacked_run(content, self._page.uploads.folder / "replayed"), uploaded=True)
 
     def _show(self, folder: Path, *, uploaded: bool) -> None:
         self.pause()

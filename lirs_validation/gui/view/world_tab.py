@@ -12,10 +12,11 @@ from lirs_validation.gui.session.construction import Construction, Facts, Shown,
 from lirs_validation.gui.session.controls import read_controls
 from lirs_validation.gui.view.page_context import PageContext
 from lirs_validation.gui.view.widgets import OptionControls, ProgressLine, add_drop_zone, as_table
-from lirs_wct.errors import ConfigError, WctError
+from lirs_wct.errors import ConfigError
 from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import find_source
 
 FIRST = (
     *("size", "height", "invert", "smoothing", "z_scale", "wall_height", "unknown", "speckle"),
@@ -103,29 +104,27 @@ class WorldTab:
         self._page.worker.submit(f"open {name}", lambda: self._open_now(name, content))
 
     def _open_now(self, name: str, content: bytes) -> None:
-        """Show an uploaded file; one that is refused changes nothing."""
-        sources = dict(self._sources)
+        """Show an uploaded file; world and controls stay if it is refused."""
         path = Path(self._keep(name, content))
+        self._show_preview(str(path), path.name)
+        self._show_controls(str(path))
         self._sources[path.name] = str(path)
-        try:
-            self._preview(path.name)
-        except WctError:
-            self._sources = sources
-            self._page.uploads.undo()
-            self._construction.forget()
-            if self.shown is not None:
-                self._options.show_for(self._construction.kind(self.shown.source, self.shown.options))
-            raise
         self._source.options = tuple(self._sources)
         self._source.value = path.name  # type: ignore[misc]
 
-    def _read(self, name: str) -> tuple[str, Any]:
-        return self._sources[name], read_controls(self._options.values(), self._page.limits.pixels)
+    def _read(self) -> BuildOptions:
+        return read_controls(self._options.values())
 
-    def _preview(self, name: str = "") -> None:
-        name = name or self._source.value
-        source, options = self._read(name)
-        self._options.show_for(self._construction.kind(source, options))
+    def _preview(self) -> None:
+        name = self._source.value
+        self._show_controls(self._sources[name])
+        self._show_preview(self._sources[name], name)
+
+    def _show_controls(self, source: str) -> None:
+        self._options.show_for(find_source(source, self._read()).kind)
+
+    def _show_preview(self, source: str, name: str) -> None:
+        options = self._read()
         with self._progress.show(name) as progress:
             shown = self._construction.preview(source, options, progress)
             triangles = self._page.scene.show_world(shown.world, coarse=True)
@@ -134,7 +133,7 @@ class WorldTab:
 
     def _build_now(self) -> None:
         try:
-            source, options = self._read(self._source.value)
+            source, options = self._sources[self._source.value], self._read()
             formats = [name for name, box in self._formats.items() if box.value]
             if not formats:
                 raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")

@@ -17,10 +17,9 @@ PATIENCE = 90_000
 def server() -> Iterator[Any]:
     pytest.importorskip("viser", reason="viser is not installed (extra [gui])")
     from lirs_validation.gui.server import Server
-    from lirs_validation.gui.session.uploads import PageLimits
     from lirs_validation.gui.view.scene import Detail
 
-    server = Server(port=0, limits=PageLimits(upload=2 * 2**20), detail=Detail(preview=6_000, built=8_000))
+    server = Server(port=0, detail=Detail(preview=6_000, built=8_000))
     yield server
     server.stop()
     working = [thread for thread in threading.enumerate() if thread.name.startswith("page ")]

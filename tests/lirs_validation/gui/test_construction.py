@@ -14,7 +14,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Construction, zip_folder
 from lirs_validation.gui.session.glb import world_glb
-from lirs_validation.gui.session.uploads import PageLimits, Uploads
+from lirs_validation.gui.session.uploads import Uploads
 from lirs_wct import build_world, write_package
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.sources.options import BuildOptions
@@ -111,7 +111,7 @@ def test_a_budget_of_triangles_is_shown_as_it_is(tmp_path: Path, dunes: str) -> 
 
 
 def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
-    uploads = Uploads(PageLimits())
+    uploads = Uploads()
     pixels = np.full((60, 80), 254, np.uint8)
     pixels[:2] = pixels[-2:] = pixels[:, :2] = pixels[:, -2:] = 0
     yaml = b"image: /home/me/maps/my room.pgm\nresolution: 0.1\norigin: [1, 2, 0]\n"

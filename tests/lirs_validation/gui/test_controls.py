@@ -6,11 +6,9 @@ from typing import Any
 import pytest
 
 from lirs_validation.gui.session.controls import controls, read_controls
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.options import BuildOptions, SourceKind
-
-MANY = 10**9
 
 
 def test_every_option_has_one_control() -> None:
@@ -18,7 +16,7 @@ def test_every_option_has_one_control() -> None:
 
 
 def test_untouched_controls_are_the_defaults() -> None:
-    assert read_controls({c.name: c.initial for c in controls(BuildOptions)}, MANY) == BuildOptions()
+    assert read_controls({c.name: c.initial for c in controls(BuildOptions)}) == BuildOptions()
 
 
 @pytest.mark.parametrize(
@@ -43,7 +41,7 @@ def test_untouched_controls_are_the_defaults() -> None:
     ],
 )
 def test_a_control_says_what_it_shows(name: str, given: Any, meant: Any) -> None:
-    found = read_controls({name: given}, MANY)
+    found = read_controls({name: given})
     assert getattr(found, name) == meant
     assert found == BuildOptions(**{name: meant})
 
@@ -60,12 +58,7 @@ def test_a_control_says_what_it_shows(name: str, given: Any, meant: Any) -> None
 )
 def test_what_no_option_is(name: str, given: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        read_controls({name: given}, MANY)
-
-
-def test_the_server_limits_pixels() -> None:
-    with pytest.raises(SourceError, match="up to 1000 pixels"):
-        read_controls({"max_pixels": "2000"}, 1000)
+        read_controls({name: given})
 
 
 def test_the_papers_controls_have_the_papers_names() -> None:

@@ -19,7 +19,6 @@ from lirs_validation.gui.session.controls import to_goal
 from lirs_validation.gui.session.finished_run import FinishedRun, runs_in, unpacked_run
 from lirs_validation.gui.session.live_drive import LiveDrive
 from lirs_validation.gui.session.playback import ate
-from lirs_validation.gui.session.uploads import PageLimits
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.schema import schema_error
 from lirs_validation.record.verdict import judge
@@ -282,7 +281,7 @@ def test_a_finished_run_shows_what_the_drive_showed(folder: Path, scenarios: Sce
 
 
 def test_an_uploaded_run_opens_no_file_of_the_server(folder: Path, tmp_path: Path, picture: Path) -> None:
-    unpacked = unpacked_run(zip_folder(folder), tmp_path / "run", PageLimits())
+    unpacked = unpacked_run(zip_folder(folder), tmp_path / "run")
     record = json.loads((unpacked / "record.json").read_text())
     record["config"]["source"] = str(picture)
     (unpacked / "record.json").write_text(json.dumps(record))
@@ -294,13 +293,11 @@ def test_an_uploaded_run_opens_no_file_of_the_server(folder: Path, tmp_path: Pat
 
 
 def test_a_run_is_sent_as_a_zip(folder: Path, tmp_path: Path, scenarios: ScenarioCache) -> None:
-    unpacked = unpacked_run(zip_folder(folder), tmp_path / "run", PageLimits())
+    unpacked = unpacked_run(zip_folder(folder), tmp_path / "run")
     assert FinishedRun(unpacked, scenarios).scans == 76
     assert runs_in(folder.parent) == {folder.name: folder}
     assert runs_in(folder) == {folder.name: folder}
-    with pytest.raises(SourceError, match="unpacks to more"):
-        unpacked_run(zip_folder(folder), tmp_path / "small", PageLimits(upload=1000))
     with pytest.raises(SourceError, match="cannot be read"):
-        unpacked_run(b"no zip", tmp_path / "none", PageLimits())
+        unpacked_run(b"no zip", tmp_path / "none")
     with pytest.raises(SourceError, match="holds no run"):
-        unpacked_run(zip_folder(unpacked.parent / "none"), tmp_path / "none", PageLimits())
+        unpacked_run(zip_folder(unpacked.parent / "none"), tmp_path / "none")
