@@ -87,7 +87,7 @@ class Painter:
         except WctError as error:
             canvas, note = Canvas.over(bounds_shown(truth, true_pose), tile), f"without its terrain: {error}"
             ground = canvas.grid_picture(true_pose)
-        panels = [_with_paths(ground, canvas, truth, estimate), canvas.grid_picture(true_pose)]
+        panels = [with_paths(ground, canvas, truth.xy, estimate.xy) / 255.0, canvas.grid_picture(true_pose)]
         if isinstance(built, OccupancyGrid):
             made = canvas.grid_picture(built)
             wrong = contradicted(built, true_pose)
@@ -111,14 +111,22 @@ def _read_built_map(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
     return read_elevation(run.folder / ELEVATION)[0]
 
 
-def _with_paths(picture: FloatArray, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> FloatArray:
-    painted = np.ascontiguousarray(picture * 255, dtype=np.uint8)
+def with_paths(picture: FloatArray, canvas: Canvas, truth: FloatArray, estimate: FloatArray) -> ByteArray:
+    """Return a picture (rows, cols, 3) in [0, 1] as bytes, with the true and the estimated path.
+
+    Args:
+        picture: Picture on the canvas.
+        canvas: Place of the picture in the world.
+        truth: (n, 2) true positions, meters.
+        estimate: (m, 2) estimated positions, meters.
+    """
+    painted: ByteArray = np.ascontiguousarray(picture * 255, dtype=np.uint8)
     for track, color, width in ((truth, BLUE, 7), (estimate, VERMILLION, 2)):
-        xy = (track.xy - (canvas.bounds[0], canvas.bounds[3])) / (canvas.pixel, -canvas.pixel) - 0.5
+        xy = (track - (canvas.bounds[0], canvas.bounds[3])) / (canvas.pixel, -canvas.pixel) - 0.5
         points = np.round(xy * 2**FINE).astype(np.int32)
         shade = tuple(round(255 * c) for c in rgb(color))
         cv2.polylines(painted, [points], False, shade, width, cv2.LINE_AA, FINE)
-    return painted / 255.0
+    return painted
 
 
 def _beside(panels: Sequence[FloatArray]) -> FloatArray:

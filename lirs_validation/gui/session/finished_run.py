@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import io
-import math
 import zipfile
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
-
-import numpy as np
 
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config
@@ -18,8 +15,7 @@ from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.record.run_record import maps_clouds, read_record, succeeded
 from lirs_validation.record.verdict import judge
-from lirs_wct import LaserScan, Pose3, SourceError, WctError, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct import Pose3, SourceError, WctError, World
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -31,103 +27,64 @@ MAP_FILES = ("map.yaml", "map.pgm")
 """Additional files of planar mappers."""
 
 
-class FinishedRun(Playback):
-    """The drive of a run's folder.
-
-    Attributes:
-        record: of the run, nested dicts.
-        robot: its name.
-        world: world of the run; None if its source no longer exists.
-        missing: reason for a missing world.
+def read_playback(
+    folder: Path, scenarios: ScenarioCache | None = None, *, uploaded: bool = False
+) -> Playback:
+    """Read the drive of a run's folder; its map is the final one.
 
     Args:
-        folder: of the run.
-        scenarios: worlds that the page built before.
-        uploaded: whether a browser sent the run; its record then names no file of this machine.
+        folder: Folder of the run.
+        scenarios: Worlds that the page built before.
+        uploaded: Whether a browser sent the run; its record then names no file of this machine.
 
     Raises:
         SourceError: it is no run's folder, damaged, or of a run without a result.
     """
-
-    def __init__(
-        self, folder: Path, scenarios: ScenarioCache | None = None, *, uploaded: bool = False
-    ) -> None:
-        self.record = read_record(folder)
-        if not self.record.get("trajectory"):
-            raise SourceError(f"{folder}: this run has no result ({self.record['reason']})")
-        self.robot = str(self.record["config"]["robot"])
-        self._truth, self._estimate = recorded_truth(folder), read_tum(folder / "estimate.tum")
-        mount = make_robot(self.robot).T_base_laser
-        self._scans = [replace(s, T_base_laser=mount) for s in read_carmen(folder / "scans.clf.gz").scans]
-        if len(self._scans) != len(self._truth) or len(self._estimate) < 2:
-            raise SourceError(
-                f"{folder}: not one drive: {len(self._scans)} scans, {len(self._truth)} true and "
-                f"{len(self._estimate)} estimated poses"
-            )
-        self._map, self._curve = None, []
-        if not maps_clouds(self.record):
-            self._map = MapSnapshot.of(read_map(folder / "map.yaml"), float(self._truth.stamps[-1]))
-        self.world, self.missing = self._find_world(scenarios or ScenarioCache(), uploaded)
-
-    def _find_world(self, scenarios: ScenarioCache, uploaded: bool) -> tuple[World | None, str]:
-        try:
-            config = recorded_world_config(self.record)
-            if uploaded and (config.source not in RECIPES or config.build.texture is not None):
-                return None, f"{config.source}: not looked for on this machine, as the run was uploaded"
-            return scenarios.scenario(config).world, ""
-        except WctError as error:
-            return None, str(error)
-
-    @property
-    def scans(self) -> int:
-        """Number of scans."""
-        return len(self._scans)
-
-    def scan_at(self, scan: int) -> tuple[LaserScan, Pose3]:
-        """Return a scan and the true pose at it, world frame."""
-        pose = Pose3.from_arrays(self._truth.positions[scan], self._truth.quaternions[scan])
-        return replace(self._scans[scan], stamp=float(self._truth.stamps[scan])), pose
-
-    def last_scan(self, time: float) -> int:
-        """Return the last scan until a time, seconds since the start."""
-        return max(0, int(np.searchsorted(self._truth.stamps, time, side="right")) - 1)
-
-    def paths_until(self, scan: int) -> tuple[FloatArray, FloatArray]:
-        """Return (k, 3) true and (k, 2) estimated positions until a scan, world frame, meters."""
-        until = slice(scan + 1)
-        return self._truth.positions[until], self._estimate.planar_at(self._truth.stamps[until])[:, :2]
-
-    def map_at(self, time: float) -> MapSnapshot | None:
-        """Return the final map."""
-        return self._map
-
-    def rtf_at(self, time: float) -> float:
-        """Return the recorded real-time factor of a second; NaN beyond the record."""
-        series = self.record["rtf"]["series"]
-        return float(series[min(int(time - 1e-6), len(series) - 1)]) if series else math.nan
-
-    def verdict_at(self, scan: int) -> str:
-        """Return the verdict on the whole run."""
-        return f"Verdict: {judge(self.record)}"
-
-    @property
-    def marks(self) -> tuple[tuple[float, str], ...]:
-        """The end of a run that failed."""
-        return () if succeeded(self.record) else ((float(self._truth.stamps[-1]), self.record["status"]),)
-
-    def facts(self, scan: int, ate: float) -> Facts:
-        """Return the figures until a scan."""
-        held: dict[str, Any] = self.record
-        stamp = float(self._truth.stamps[scan])
-        c, final = held["config"], held["trajectory"].get("ate_rmse")
-        return (
-            ("run", f"{held['world']['name']}, {c['robot']}, {c['mapper']}, seed {held['seed']}"),
-            ("time", f"{stamp:.1f} of {self._truth.stamps[-1]:.1f} s"),
-            ("RTF", f"{self.rtf_at(stamp):.1f} (mean {held['rtf']['mean']:.1f})"),
-            ("ATE", f"{ate:.3f} m" + ("" if final is None else f" (in all {final:.3f} m)")),
-            ("map F1", "-" if held["map"].get("f1") is None else f"{held['map']['f1']:.2f}"),
-            ("status", held["status"] + (f": {held['reason']}" if held["reason"] else "")),
+    record = read_record(folder)
+    if not record.get("trajectory"):
+        raise SourceError(f"{folder}: this run has no result ({record['reason']})")
+    truth, estimate = recorded_truth(folder), read_tum(folder / "estimate.tum")
+    scans = read_carmen(folder / "scans.clf.gz").scans
+    if len(scans) != len(truth) or len(estimate) < 2:
+        raise SourceError(
+            f"{folder}: not one drive: {len(scans)} scans, {len(truth)} true and "
+            f"{len(estimate)} estimated poses"
         )
+    world, note = _find_world(record, scenarios or ScenarioCache(), uploaded)
+    run = Playback(str(record["config"]["robot"]), world, float(truth.stamps[-1]))
+    mount, estimated = make_robot(run.robot).T_base_laser, estimate.planar_at(truth.stamps)[:, :2].tolist()
+    for k, scan in enumerate(scans):
+        pose = Pose3.from_arrays(truth.positions[k], truth.quaternions[k])
+        run.add(replace(scan, stamp=float(truth.stamps[k]), T_base_laser=mount), pose, estimated[k])
+    if not maps_clouds(record):
+        run.maps = [MapSnapshot.of(read_map(folder / "map.yaml"), 0.0)]
+    run.marks = [] if succeeded(record) else [(run.time, record["status"])]
+    run.rtf, run.verdict, run.note = list(record["rtf"]["series"]), f"Verdict: {judge(record)}", note
+    run.status = record["status"] + (f": {record['reason']}" if record["reason"] else "")
+    run.results = _results(record)
+    return run
+
+
+def _find_world(record: dict[str, Any], scenarios: ScenarioCache, uploaded: bool) -> tuple[World | None, str]:
+    """Return the world of a run, or None and the reason."""
+    try:
+        config = recorded_world_config(record)
+        if uploaded and (config.source not in RECIPES or config.build.texture is not None):
+            return None, f"{config.source}: not looked for on this machine, as the run was uploaded"
+        return scenarios.scenario(config).world, ""
+    except WctError as error:
+        return None, str(error)
+
+
+def _results(record: dict[str, Any]) -> Facts:
+    """Return the figures of the whole run."""
+    c, final, f1 = record["config"], record["trajectory"].get("ate_rmse"), record["map"].get("f1")
+    return (
+        ("run", f"{record['world']['name']}, {c['robot']}, {c['mapper']}, seed {record['seed']}"),
+        ("mean RTF", f"{record['rtf']['mean']:.1f}"),
+        ("final ATE", "-" if final is None else f"{final:.3f} m"),
+        ("map F1", "-" if f1 is None else f"{f1:.2f}"),
+    )
 
 
 def unpacked_run(content: bytes, folder: Path) -> Path:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from lirs_envs.robots.robot import Robot, Twist, clip
 from lirs_validation.config import MANUAL, RunConfig, run_name
@@ -18,11 +15,9 @@ from lirs_validation.experiment.evaluation import evaluate_maps, verdict_so_far
 from lirs_validation.experiment.loop import Drive
 from lirs_validation.experiment.run import Run, conclude, prepare
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.record.run_record import SUCCEEDED
-from lirs_wct import LaserScan, MapperError, Pose2, Pose3, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct import MapperError, Pose2, World
 from lirs_wct.progress import Progress, no_progress
 
 MAP_SECONDS, MAP_WALL_SECONDS = 1.0, 0.5
@@ -75,16 +70,13 @@ class LiveDrive(Playback):
     """One drive of a page, from its first scan on.
 
     Attributes:
-        config: of the run.
-        seconds: simulated time of the drive, standing included.
-        world: world of the drive.
-        robot: its name.
-        driver: the config's, from which a person can take over.
+        config: Config of the run.
+        driver: Driver of the config, from which a person can take over.
 
     Args:
-        config: of the run, as `validate` takes it.
-        scenarios: worlds that the page built before.
-        progress: of the preparation.
+        config: Config of the run, as `validate` takes it.
+        scenarios: Worlds that the page built before.
+        progress: Progress of the preparation.
 
     Raises:
         WctError: the config cannot be run.
@@ -96,19 +88,18 @@ class LiveDrive(Playback):
         self, config: RunConfig, scenarios: ScenarioCache | None = None, progress: Progress = no_progress
     ) -> None:
         ready = prepare(config, progress, scenarios)
-        self.config, self.robot, self.seconds = config, config.robot, ready.seconds
+        super().__init__(config.robot, ready.scenario.world, ready.seconds)
+        self.config, self.status = config, "driving"
         self.driver = HandOverDriver(ready.driver, ready.simulation.robot)
         self._ready = replace(ready, driver=self.driver)
-        self.world = ready.scenario.world
         self._meter = CostMeter()
         self._drive = Drive(
             ready.simulation, self.driver, ready.mapper, ready.seconds, wall_limit=config.wall_limit
         )
         self._steps = iter(self._drive)
         self._T_world_map = self._drive.log.truth[0].to_pose2()
-        self._maps: list[MapSnapshot] = []
-        self._curve, self._marks = [], list[tuple[float, str]]()
         self._counted = {"loop closed": 0, "lost": 0}
+        self._follow()
         self._take_stock()
 
     @property
@@ -129,16 +120,6 @@ class LiveDrive(Playback):
         by_hand = replace(self.config, driver=MANUAL)
         return replace(self.config, driver=f"replay:{run_name(by_hand, self.world.name)}")
 
-    @property
-    def time(self) -> float:
-        """Simulated seconds since the start."""
-        return self._drive.time
-
-    @property
-    def scans(self) -> int:
-        """Number of scans so far."""
-        return len(self._drive.log.truth)
-
     def step(self) -> None:
         """Drive until the next scan; nothing more once the drive is over.
 
@@ -149,75 +130,20 @@ class LiveDrive(Playback):
         log, waited = self._drive.log, time.monotonic() - self._drawn_at
         try:
             next(self._steps, None)
+            self._follow()
             if self.over or (self.time - self._stock_time >= MAP_SECONDS and waited >= MAP_WALL_SECONDS):
                 self._take_stock()
         except MapperError as error:
             log.status, log.reason, self._drive.over = "error", str(error), True
             self._judge({})
         if log.status not in SUCCEEDED:
-            self._marks.append((self.time, log.status))
+            self.marks.append((self.time, log.status))
 
-    def go_on(self, until: float, time_limit: float) -> bool:
-        """Continue the drive; return whether it reached `time_limit`.
-
-        Args:
-            until: reading of `time.monotonic` at which the method returns.
-            time_limit: simulated time at which the drive pauses, seconds.
-        """
+    def drive_on(self, until: float, time_limit: float) -> None:
+        """Continue the drive until a wall time or a simulated time (see `Playback`)."""
         with cpu_contention():  # other runs on this machine notice, and say so in their records
-            while not self.over and time.monotonic() < until:
-                if self.time >= time_limit:
-                    return True
+            while not self.over and time.monotonic() < until and self.time < time_limit:
                 self.step()
-        return False
-
-    def scan_at(self, scan: int) -> tuple[LaserScan, Pose3]:
-        """Return a scan and the true pose at it, world frame."""
-        return self._drive.log.scans[scan], self._drive.log.truth[scan]
-
-    def paths_until(self, scan: int) -> tuple[FloatArray, FloatArray]:
-        """Return (k, 3) true and (k, 2) estimated positions until a scan, world frame, meters."""
-        log, until = self._drive.log, scan + 1
-        estimates = [log.in_plane(pose) for pose in log.estimates[:until]]
-        truth = np.array([log.truth[k].position for k in range(until)])
-        return truth, self._T_world_map.apply([(p.x, p.y) for p in estimates])
-
-    def map_at(self, time: float) -> MapSnapshot | None:
-        """Return the map at a time; None before the first."""
-        return next((found for found in reversed(self._maps) if found.time <= time + 1e-9), None)
-
-    def rtf_at(self, time: float) -> float:
-        """Return the real-time factor of the second before a time; NaN at the start."""
-        period = self._ready.simulation.period
-        last = round(time / period)
-        walls = self._drive.log.walls[max(0, last - round(1.0 / period)) : last]
-        return len(walls) * period / sum(walls) if walls else math.nan
-
-    @property
-    def marks(self) -> tuple[tuple[float, str], ...]:
-        """Seconds and names of events, such as a closed loop, a lost place, a failure."""
-        return tuple(self._marks)
-
-    def verdict_at(self, scan: int) -> str:
-        """Return the verdict on the whole drive so far.
-
-        The quality of the map counts at the end of the drive.
-        """
-        return self._verdict
-
-    def facts(self, scan: int, ate: float) -> Facts:
-        """Return the figures until a scan."""
-        log = self._drive.log
-        walls = sum(log.walls[:scan])
-        stamp, seconds = log.scans[scan].stamp, self.seconds
-        speed = f"{scan * self._ready.simulation.period / walls:.1f}" if walls > 0 else "-"
-        ended = f"{log.status}{': ' if log.reason else ''}{log.reason}" if self.over else "driving"
-        return (
-            ("time", f"{stamp:.1f} of {seconds:g} s ({100 * stamp / seconds:.0f} %)"),
-            ("RTF", speed),
-            ("ATE online", f"{ate:.3f} m"),
-            ("status", ended),
-        )
 
     def save(self, out: Path, progress: Progress = no_progress) -> Run:
         """Evaluate and write the drive so far like `validate`; the drive can continue.
@@ -243,6 +169,16 @@ class LiveDrive(Playback):
         finally:
             log.status, log.reason, log.concurrent, log.final = status, reason, concurrent, None
 
+    def _follow(self) -> None:
+        """Take the scans from the log that are new, and the real-time factor of a new second."""
+        log, period = self._drive.log, self._ready.simulation.period
+        for k in range(self.scans, len(log.truth)):
+            estimate = self._T_world_map @ log.in_plane(log.estimates[k])
+            self.add(log.scans[k], log.truth[k], (estimate.x, estimate.y))
+        ticks = round(1.0 / period)
+        if len(log.walls) == ticks * (len(self.rtf) + 1):
+            self.rtf.append(ticks * period / sum(log.walls[-ticks:]))
+
     def _take_stock(self) -> None:
         """Keep the map, mark events and judge.
 
@@ -252,12 +188,12 @@ class LiveDrive(Playback):
         mapper, log, scores = self._ready.mapper, self._drive.log, dict[str, Any]()
         if not mapper.reads_clouds:  # these have no occupancy map
             grid = mapper.map()
-            self._maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
+            self.maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
             scores["occupied_cells"] = int(grid.occupied.sum())
         stats = mapper.stats
         for name, count in (("loop closed", stats.counts.get("loops", 0)), ("lost", stats.lost)):
             if count > self._counted[name]:
-                self._marks.append((self.time, name))
+                self.marks.append((self.time, name))
             self._counted[name] = count
         if self.over and log.walls:
             log.final = mapper.trajectory()
@@ -269,5 +205,7 @@ class LiveDrive(Playback):
         """Judge the drive until now."""
         log, ready = self._drive.log, self._ready
         verdict = verdict_so_far(ready.scenario, ready.simulation, log, map_scores)
-        self._verdict = f"Verdict{'' if self.over else ' so far'}: {verdict}"
+        self.verdict = f"Verdict{'' if self.over else ' so far'}: {verdict}"
+        if self.over:
+            self.status = f"{log.status}{': ' if log.reason else ''}{log.reason}"
         log.final = None

@@ -1,44 +1,37 @@
-"""Playback of a drive: its state at each scan, and the picture of its map."""
+"""Playback of a drive, finished or in progress: its state at each scan."""
 
 from __future__ import annotations
 
 import math
 import zlib
-from abc import ABC, abstractmethod
+from array import array
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.metrics.alignment import rigid_alignment, rms
-from lirs_wct import HeightField, LaserScan, OccupancyGrid, Pose2, Pose3, World
-from lirs_wct.arrays import ByteArray, Float32Array, FloatArray
-from lirs_wct.drawing.canvas import BLUE, rgb
-from lirs_wct.geometry.grid import FREE, OCCUPIED
+from lirs_wct import LaserScan, OccupancyGrid, Pose2, Pose3, World
+from lirs_wct.arrays import Float32Array, FloatArray
 
-BLACK, WHITE, UNKNOWN = 0, 254, 205
-"""Pixels of occupied, free and unknown cells, as in a map's file."""
-LEAST_SCALE = 0.1
-"""Smallest error at the upper end of the color scale, meters."""
-SIDE = 480
-"""Pixels of the longer side."""
-DARK = (40, 40, 40)
-MARGIN = 1.0
-"""Meters around the map."""
+LOG_ODDS = np.array((np.nan, 5.0, -5.0), np.float32)
+"""Log-odds of unknown (0), occupied (1) and free cells (-1)."""
+ROW = 5
+"""Numbers of a scan in the paths: true x, y, z and estimated x, y."""
 
 
 @dataclass(frozen=True)
 class MapSnapshot:
-    """Compressed map at one moment of a drive.
+    """Compressed map at one moment of a drive, which may have thousands.
 
     Attributes:
-        time: seconds since the start.
-        shape: rows and columns.
-        resolution: edge of a cell, meters.
-        origin: of the cells in the world frame.
-        packed: (rows, cols) pixels of the part that is known, row 0 = south.
+        time: Seconds since the start.
+        shape: Rows and columns.
+        resolution: Edge of a cell, meters.
+        origin: Pose of the cells in the world frame.
+        packed: Compressed cells: occupied, free or unknown.
     """
 
     time: float
@@ -49,36 +42,15 @@ class MapSnapshot:
 
     @staticmethod
     def of(grid: OccupancyGrid, time: float) -> MapSnapshot:
-        """Compress the known part of a map in the world frame."""
-        pixels = np.full(grid.shape, UNKNOWN, np.uint8)
-        p = grid.probability
-        pixels[p > OCCUPIED] = BLACK
-        pixels[p < FREE] = WHITE
-        rows, cols = (np.flatnonzero((pixels != UNKNOWN).any(axis=axis)) for axis in (1, 0))
-        if len(rows) == 0:
-            return MapSnapshot(time, (0, 0), grid.resolution, grid.origin, zlib.compress(b""))
-        known = pixels[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-        corner = Pose2(float(cols[0]) * grid.resolution, float(rows[0]) * grid.resolution)
-        shape = known.shape[0], known.shape[1]
-        return MapSnapshot(
-            time, shape, grid.resolution, grid.origin @ corner, zlib.compress(known.tobytes(), 1)
-        )
+        """Compress a map in the world frame."""
+        cells = grid.occupied.astype(np.int8) - grid.free
+        return MapSnapshot(time, grid.shape, grid.resolution, grid.origin, zlib.compress(cells.tobytes(), 1))
 
     @property
-    def pixels(self) -> ByteArray:
-        """(rows, cols) pixels as in a map's file, row 0 = south."""
-        return np.frombuffer(zlib.decompress(self.packed), np.uint8).reshape(self.shape)
-
-    @property
-    def walls(self) -> FloatArray:
-        """(n, 2) centers of the occupied cells, world frame, meters."""
-        cells = np.argwhere(self.pixels == BLACK)
-        return self.origin.apply((cells[:, ::-1] + 0.5) * self.resolution)
-
-    @property
-    def known(self) -> int:
-        """Number of known cells."""
-        return int((self.pixels != UNKNOWN).sum())
+    def grid(self) -> OccupancyGrid:
+        """Map in the world frame."""
+        cells = np.frombuffer(zlib.decompress(self.packed), np.int8).reshape(self.shape)
+        return OccupancyGrid(LOG_ODDS[cells], self.resolution, self.origin)
 
 
 @dataclass(frozen=True)
@@ -94,7 +66,7 @@ class Moment:
         estimate: (k, 2) estimated positions until then, world frame.
         map: the latest one; None before the first.
         facts: figures until then.
-        verdict: verdict until then, after its heading.
+        verdict: verdict on the drive so far, after its heading.
     """
 
     time: float
@@ -110,180 +82,112 @@ class Moment:
     @property
     def errors(self) -> FloatArray:
         """(k,) distances between true and estimated positions, meters."""
-        found: FloatArray = np.linalg.norm(self.truth[:, :2] - self.estimate, axis=1)
-        return found
+        distances: FloatArray = np.linalg.norm(self.truth[:, :2] - self.estimate, axis=1)
+        return distances
 
 
-class Playback(ABC):
-    """A drive for the page: moments by scan.
+class Playback:
+    """A drive that a page shows scan by scan: a finished run, or a drive in progress.
 
     Attributes:
-        robot: its name.
-        world: world of the drive; None if it is no longer known.
+        robot: Name of the robot.
+        world: World of the drive; None if it is no longer known.
+        seconds: Simulated time of the whole drive.
+        maps: Snapshots of the map, in the order of their time.
+        marks: Seconds and names of events, such as a closed loop, a lost place, a failure.
+        rtf: Real-time factor of each simulated second.
+        status: State of the drive in words.
+        verdict: Verdict on the drive so far, after its heading.
+        results: Figures of the whole run; empty while it is driven.
+        note: Reason for a missing world; empty without one.
     """
 
-    robot: str
-    world: World | None
-    _curve: list[tuple[float, float, float]]
+    def __init__(self, robot: str, world: World | None, seconds: float) -> None:
+        self.robot, self.world, self.seconds = robot, world, seconds
+        self.maps: list[MapSnapshot] = []
+        self.marks: list[tuple[float, str]] = []
+        self.rtf: list[float] = []
+        self.status = self.verdict = self.note = ""
+        self.results: Facts = ()
+        self._scans: list[LaserScan] = []
+        self._poses: list[Pose3] = []
+        self._paths = array("d")
+        self._curve: list[tuple[float, float, float]] = []
 
     @property
-    @abstractmethod
+    def over(self) -> bool:
+        """Whether the drive has ended."""
+        return True
+
+    def drive_on(self, until: float, time_limit: float) -> None:
+        """Continue a drive in progress; a finished run has all its scans.
+
+        Args:
+            until: Reading of `time.monotonic` at which the method returns.
+            time_limit: Simulated time at which the drive pauses, seconds.
+        """
+
+    def add(self, scan: LaserScan, T_world_base: Pose3, estimate: Sequence[float]) -> None:
+        """Append a scan with its true pose and its estimated x and y, world frame."""
+        self._scans.append(scan)
+        self._poses.append(T_world_base)
+        self._paths.extend((T_world_base.x, T_world_base.y, T_world_base.z, *estimate))
+
+    @property
     def scans(self) -> int:
-        """Number of scans."""
+        """Number of scans so far."""
+        return len(self._scans)
 
-    @abstractmethod
-    def scan_at(self, scan: int) -> tuple[LaserScan, Pose3]:
-        """Return a scan and the true pose at it, world frame."""
+    @property
+    def time(self) -> float:
+        """Stamp of the last scan, seconds since the start."""
+        return self._scans[-1].stamp
 
-    @abstractmethod
+    def last_scan(self, time: float) -> int:
+        """Return the last scan until a time, seconds since the start."""
+        return max(0, bisect_right(self._scans, time + 1e-6, key=lambda scan: scan.stamp) - 1)
+
     def paths_until(self, scan: int) -> tuple[FloatArray, FloatArray]:
         """Return (k, 3) true and (k, 2) estimated positions until a scan, world frame, meters."""
+        paths = np.array(self._paths[: ROW * (scan + 1)]).reshape(-1, ROW)
+        return paths[:, :3], paths[:, 3:]
 
-    @abstractmethod
-    def map_at(self, time: float) -> MapSnapshot | None:
-        """Return the map at a time; None before the first."""
-
-    @abstractmethod
-    def facts(self, scan: int, ate: float) -> Facts:
-        """Return the figures until a scan; `ate` is the error of the estimate, meters."""
-
-    @abstractmethod
     def rtf_at(self, time: float) -> float:
         """Return the real-time factor of the second that ends at a time; NaN if unknown."""
-
-    @abstractmethod
-    def verdict_at(self, scan: int) -> str:
-        """Return the verdict until a scan, after its heading."""
-
-    @property
-    @abstractmethod
-    def marks(self) -> tuple[tuple[float, str], ...]:
-        """Seconds and names of events."""
+        return self.rtf[min(int(time - 1e-6), len(self.rtf) - 1)] if self.rtf else math.nan
 
     def curve(self) -> FloatArray:
         """Return (n, 3) time, ATE until then in meters, and RTF, once a second."""
-        if self.scans < 2:
-            return np.empty((0, 3))
-        step = max(1, round(1.0 / (self.scan_at(1)[0].stamp - self.scan_at(0)[0].stamp)))
-        for scan in range((len(self._curve) + 1) * step, self.scans, step):
-            time, (truth, estimate) = self.scan_at(scan)[0].stamp, self.paths_until(scan)
-            self._curve.append((time, ate(truth[:, :2], estimate), self.rtf_at(time)))
+        for second in range(len(self._curve) + 1, int(self.time + 1e-6) + 1):
+            truth, estimate = self.paths_until(self.last_scan(second))
+            self._curve.append((second, ate(truth, estimate), self.rtf_at(second)))
         return np.array(self._curve).reshape(-1, 3)
 
     def moment(self, scan: int) -> Moment:
         """Return the drive at a scan, 0 = before the first motion."""
-        reading, T_world_base = self.scan_at(scan)
+        reading, T_world_base = self._scans[scan], self._poses[scan]
         truth, estimate = self.paths_until(scan)
+        T_world_laser, time = T_world_base @ reading.T_base_laser, reading.stamp
         return Moment(
-            time=reading.stamp,
+            time=time,
             T_world_base=T_world_base,
-            lidar=(T_world_base @ reading.T_base_laser).position,
-            scan=(T_world_base @ reading.T_base_laser).apply(reading.points).astype(np.float32),
+            lidar=T_world_laser.position,
+            scan=T_world_laser.apply(reading.points).astype(np.float32),
             truth=truth,
             estimate=estimate,
-            map=self.map_at(reading.stamp),
-            facts=self.facts(scan, ate(truth[:, :2], estimate)),
-            verdict=self.verdict_at(scan),
+            map=next((found for found in reversed(self.maps) if found.time <= time + 1e-6), None),
+            facts=(
+                ("time", f"{time:.1f} of {self.seconds:g} s ({100 * time / self.seconds:.0f} %)"),
+                ("RTF", f"{self.rtf_at(time):.1f}" if self.rtf else "-"),
+                ("ATE", f"{ate(truth, estimate):.3f} m"),
+                ("status", self.status),
+                *self.results,
+            ),
+            verdict=self.verdict,
         )
 
 
-def round_length(length: float) -> float:
-    """Return the largest of 1, 2, 5, 10, 20, ... meters up to a length, also below 1."""
-    power = 10.0 ** math.floor(math.log10(length))
-    return power * max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= length)
-
-
-def ate(true: FloatArray, estimated: FloatArray) -> float:
-    """Return the root mean square error of positions (n, 2) after rigid alignment, meters."""
-    aligned = rigid_alignment(estimated, true).apply(estimated)
-    return rms(np.linalg.norm(aligned - true, axis=1))
-
-
-def error_scale(errors: FloatArray) -> float:
-    """Return the error at the upper end of the color scale, meters."""
-    return max(LEAST_SCALE, float(errors.max()))
-
-
-def error_colors(errors: FloatArray) -> ByteArray:
-    """Return (k, 3) RGB colors of errors: dark violet for 0, yellow for the largest."""
-    levels = np.clip(255 * errors / error_scale(errors), 0, 255).astype(np.uint8)
-    colors: ByteArray = cv2.applyColorMap(levels[:, None], cv2.COLORMAP_PLASMA)[:, 0, ::-1]
-    return colors
-
-
-def ground_point(surface: HeightField, origin: ArrayLike, direction: ArrayLike) -> tuple[float, float] | None:
-    """Return x, y in whole centimeters where a ray first meets the ground; None if it misses."""
-    begin, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
-    west, south, east, north = surface.bounds
-    middle = (west + east) / 2, (south + north) / 2, float(surface.z.min())
-    reach = float(np.linalg.norm(begin - middle)) + math.hypot(east - west, north - south)
-    steps = np.arange(0.0, reach, min(surface.cell) / 2)
-    points = begin + steps[:, None] * along
-    below = np.flatnonzero(points[:, 2] <= surface.height_at(points[:, 0], points[:, 1]))
-    if len(below) == 0 or below[0] == 0:
-        return None
-    x, y = points[below[0], :2].tolist()
-    return round(x, 2), round(y, 2)
-
-
-def map_picture(moment: Moment) -> ByteArray:
-    """Return (rows, cols, 3) RGB of the map, north up, with both paths and a scale bar.
-
-    The true path is blue, the estimated one has the colors of its errors.
-    """
-    found = moment.map
-    if found is None or not found.known:
-        return np.full((SIDE, SIDE, 3), UNKNOWN, np.uint8)
-    rows, cols = found.shape
-    corners = found.origin.apply(
-        [(x * cols * found.resolution, y * rows * found.resolution) for x in (0, 1) for y in (0, 1)]
-    )
-    low, high = corners.min(axis=0) - MARGIN, corners.max(axis=0) + MARGIN
-    scale = SIDE / float((high - low).max())
-    width, height = (math.ceil(side * scale) for side in (high - low).tolist())
-    picture = _draw_cells(found.pixels, found.origin, found.resolution, low, scale, (width, height))
-    walls = _pixels(found.walls, low, scale, height)  # thinner than a pixel, yet important
-    picture[np.clip(walls[:, 1], 0, height - 1), np.clip(walls[:, 0], 0, width - 1)] = BLACK
-    points = _pixels(moment.truth[:, :2], low, scale, height)
-    cv2.polylines(picture, [points], False, [int(255 * v) for v in rgb(BLUE)], 2, cv2.LINE_AA)
-    few = slice(None, None, max(1, len(moment.estimate) // SIDE))
-    points, colors = _pixels(moment.estimate[few], low, scale, height), error_colors(moment.errors)[few]
-    for begin, end, color in zip(points[:-1].tolist(), points[1:].tolist(), colors.tolist(), strict=False):
-        cv2.line(picture, begin, end, color, 2, cv2.LINE_AA)
-    _draw_scale(picture, scale)
-    return picture
-
-
-def _draw_scale(picture: ByteArray, scale: float) -> None:
-    """Draw a scale bar with its length, and N at the north edge."""
-    length = round_length(picture.shape[1] / scale / 4)
-    begin, y = 10, picture.shape[0] - 10
-    cv2.line(picture, (begin, y), (begin + round(length * scale), y), DARK, 3)
-    cv2.putText(picture, f"{length:g} m", (begin, y - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.5, DARK, 1, cv2.LINE_AA)
-    cv2.putText(picture, "N ^", (10, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, DARK, 1, cv2.LINE_AA)
-
-
-def _draw_cells(
-    pixels: ByteArray, origin: Pose2, resolution: float, low: FloatArray, scale: float, size: tuple[int, int]
-) -> ByteArray:
-    """Return the cells in world orientation, in a picture of the given size."""
-    width, height = size
-    c, s = math.cos(origin.yaw) * resolution * scale, math.sin(origin.yaw) * resolution * scale
-    x, y = (origin.x - low[0]) * scale, (origin.y - low[1]) * scale
-    onto = np.array(((c, -s, x), (-s, -c, height - 1 - y)))
-    drawn = cv2.warpAffine(
-        pixels,
-        onto,
-        (width, height),
-        flags=cv2.INTER_NEAREST,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=UNKNOWN,
-    )
-    return np.repeat(drawn[..., None], 3, axis=-1).astype(np.uint8)
-
-
-def _pixels(
-    path: FloatArray, low: FloatArray, scale: float, height: int
-) -> np.ndarray[tuple[int, ...], np.dtype[np.int32]]:
-    at = (path - low) * scale
-    return np.stack((at[:, 0], height - 1 - at[:, 1]), axis=-1).round().astype(np.int32)
+def ate(truth: FloatArray, estimate: FloatArray) -> float:
+    """Return the absolute trajectory error of positions in the plane, meters."""
+    aligned = rigid_alignment(estimate, truth[:, :2]).apply(estimate)
+    return rms(np.linalg.norm(aligned - truth[:, :2], axis=1))

@@ -8,11 +8,10 @@ import viser
 
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Shown
-from lirs_validation.gui.session.playback import ground_point
 from lirs_validation.gui.session.uploads import Uploads
 from lirs_validation.gui.view.page_context import Guard, PageContext, PageWorker
 from lirs_validation.gui.view.playback_tabs import DriveTab, ReplayTab
-from lirs_validation.gui.view.scene import Detail, DriveScene, WorldScene
+from lirs_validation.gui.view.scene import Detail, DriveScene, WorldScene, ground_point
 from lirs_validation.gui.view.world_tab import WorldTab, first_sources
 
 

@@ -12,7 +12,7 @@ import viser
 from lirs_validation.config import RunConfig
 from lirs_validation.gui.session.construction import Shown, zip_folder
 from lirs_validation.gui.session.controls import read_run_controls, to_goal
-from lirs_validation.gui.session.finished_run import FinishedRun, runs_in, unpacked_run
+from lirs_validation.gui.session.finished_run import read_playback, runs_in, unpacked_run
 from lirs_validation.gui.session.live_drive import LiveDrive
 from lirs_validation.gui.session.playback import Playback
 from lirs_validation.gui.view.page_context import Guard, PageContext
@@ -56,7 +56,7 @@ class Player:
     """A timeline with figures below it.
 
     Attributes:
-        scan: that is shown.
+        time: Shown time, seconds since the start.
 
     Args:
         gui: of the page.
@@ -76,15 +76,15 @@ class Player:
     ) -> None:
         self._scene, self._moved, self._submit = scene, moved, submit
         self.playback: Playback | None = None
-        self.scan, self._shown_at = 0, 0.0
+        self.time = self._shown_at = 0.0
         self._slider = gui.add_slider("timeline [s]", 0.0, 1.0, 0.1, 0.0, visible=False)
         self._slider.on_update(guard(self._go_to_slider))
         self._facts = gui.add_markdown("")
 
-    def begin(self, playback: Playback, seconds: float) -> None:
-        """Show another drive with a timeline of the given length."""
-        self.playback, self.scan, self._shown_at = None, 0, 0.0
-        self._slider.max = max(0.1, seconds)
+    def begin(self, playback: Playback) -> None:
+        """Show another drive."""
+        self.playback = None
+        self._slider.max = max(0.1, playback.seconds)
         self._slider.visible = True
         self.playback = playback
         self._scene.begin(playback.robot, playback.world)
@@ -104,8 +104,8 @@ class Player:
         """Show a moment, and move the timeline there."""
         if self.playback is None:
             return
-        self.scan = max(0, min(scan, self.playback.scans - 1))
-        moment = self.playback.moment(self.scan)
+        moment = self.playback.moment(scan)
+        self.time = moment.time
         self._scene.show(moment)
         self._scene.show_course(self.playback.curve(), self.playback.marks)
         slider: Any = self._slider
@@ -126,9 +126,8 @@ class Player:
         self._submit("timeline", lambda: self._show_time(wanted))
 
     def _show_time(self, time: float) -> None:
-        if self.playback is not None and self.playback.scans > 1:
-            period = self.playback.moment(1).time - self.playback.moment(0).time
-            self.show(round(time / period))
+        if self.playback is not None:
+            self.show(self.playback.last_scan(time))
 
 
 class PlaybackTab(Generic[AnyPlayback]):
@@ -159,6 +158,18 @@ class PlaybackTab(Generic[AnyPlayback]):
         """Go on or pause, as the button does."""
         self._play.press()
 
+    def go_on(self) -> None:
+        """Drive on where the drive is; of a finished run, play from the shown moment."""
+        if self.playback is None:
+            return
+        if not self.playback.over:
+            self._player.time = self.playback.time
+        elif self._player.time >= self.playback.time:
+            self._player.time = 0.0
+        self._pace.wind()
+        self._show_state(running=True)
+        self._page.worker.repeat(self._play_slice)
+
     def forget(self) -> None:
         """Drop the drive, since the page shows something else."""
         self.pause()
@@ -166,17 +177,32 @@ class PlaybackTab(Generic[AnyPlayback]):
         self._player.end()
         self._show_state()
 
-    def _begin(self, playback: AnyPlayback, seconds: float) -> None:
-        """Show another drive with a timeline of the given length."""
+    def _begin(self, playback: AnyPlayback) -> None:
+        """Show another drive."""
+        self._follow()
         self.playback = playback
-        self._player.begin(playback, seconds)
+        self._player.begin(playback)
         self._page.drive_scene.approach(playback.moment(0).T_world_base.position)
         self._show_state()
 
-    def _run(self, slice_of_work: Callable[[], None]) -> None:
-        self._pace.wind()
-        self._show_state(running=True)
-        self._page.worker.repeat(slice_of_work)
+    def _play_slice(self) -> None:
+        """Continue for a moment of wall time, and show the last scan if a picture is due."""
+        playback = self.playback
+        if playback is None or not self._play.running:
+            return
+        until, wanted = time.monotonic() + SLICE, self._pace.time(SLICE)
+        playback.drive_on(until, wanted)
+        ended = playback.over and wanted >= playback.time
+        if ended or self._player.due:
+            self._player.show(playback.last_scan(wanted))
+        if ended:
+            self._end()
+        else:
+            time.sleep(max(0.0, until - time.monotonic()))
+
+    def _end(self) -> None:
+        """Stop at the end of the drive."""
+        self.pause()
 
     def _show_state(self, *, running: bool = False) -> None:
         self._play.show(running)
@@ -213,7 +239,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
         self._save.on_click(self._page.guard(lambda _: self._page.worker.submit("save", self._save_now)))
 
     def _add_by_hand(self, gui: viser.GuiApi) -> None:
-        self._pace = Pace(gui, self._page.guard, tuple(SPEEDS), "2 x", self._time)
+        self._pace = Pace(gui, self._page.guard, tuple(SPEEDS), "2 x", lambda: self._player.time)
         self._follow = add_follow(gui, self._page.guard, self._page.drive_scene)
         self._by_hand = gui.add_checkbox("drive by hand", False)
         self._by_hand.on_update(self._page.guard(lambda _: self._apply()))
@@ -239,11 +265,6 @@ class DriveTab(PlaybackTab[LiveDrive]):
         self._clicked, self._hint.content = None, CLICK
         self._page.worker.submit("start", lambda: self._start_now(route))
 
-    def go_on(self) -> None:
-        """Drive on from where the drive is, wherever the timeline was."""
-        if self.playback is not None and not self.playback.over:
-            self._run(self._drive_slice)
-
     def _start_now(self, route: tuple[Place, Place] | None) -> None:
         shown = self._world()
         if shown is None:
@@ -255,29 +276,15 @@ class DriveTab(PlaybackTab[LiveDrive]):
         with self._progress.show(config.robot) as progress:
             drive = LiveDrive(config, self._page.scenarios, progress)
             self._page.scene.show_world(drive.world, coarse=False)
-        self._follow()
-        self._begin(drive, drive.seconds)
+        self._begin(drive)
         self._show_command()
         self._apply()
         self._page.guard.done()
         self.go_on()
 
-    def _drive_slice(self) -> None:
-        drive = self.playback
-        if drive is None or not self._play.running:
-            return
-        until = time.monotonic() + SLICE
-        ahead = drive.go_on(until, self._pace.time(SLICE))
-        if drive.over or self._player.due:
-            self._player.show(drive.scans - 1)
-        if drive.over:
-            self._end()
-        elif ahead:
-            time.sleep(max(0.0, min(SLICE, until - time.monotonic())))
-
     def _end(self) -> None:
         """Stop, and name what can be done next."""
-        self.pause()
+        super()._end()
         if self.playback is not None:
             self._hint.content = FAILED if self.playback.failed else NEXT
             self._player.stop_at(self.playback.time)
@@ -323,9 +330,6 @@ class DriveTab(PlaybackTab[LiveDrive]):
         if self.playback is not None:
             self.playback.driver.by_hand = self._by_hand.value
 
-    def _time(self) -> float:
-        return 0.0 if self.playback is None else self.playback.time
-
     def _show_state(self, *, running: bool = False) -> None:
         super()._show_state(running=running)
         idle = self.playback is None or self.playback.over
@@ -334,7 +338,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
         self._save.disabled = self.playback is None or self.playback.failed
 
 
-class ReplayTab(PlaybackTab[FinishedRun]):
+class ReplayTab(PlaybackTab[Playback]):
     """Controls of a replay.
 
     Args:
@@ -348,8 +352,8 @@ class ReplayTab(PlaybackTab[FinishedRun]):
         self._runs = runs
         gui = page.client.gui
         self._add_choice(gui)
-        self._play = PlayButton(gui, page.guard, "Play", self.play, self.pause, color="green")
-        self._pace = Pace(gui, page.guard, tuple(SPEEDS)[:-1], "5 x", self._time)
+        self._play = PlayButton(gui, page.guard, "Play", self.go_on, self.pause, color="green")
+        self._pace = Pace(gui, page.guard, tuple(SPEEDS)[:-1], "5 x", lambda: self._player.time)
         self._follow = add_follow(gui, page.guard, page.drive_scene)
         self._progress = ProgressLine(gui)
         self._player = self._add_player(gui)
@@ -392,35 +396,12 @@ class ReplayTab(PlaybackTab[FinishedRun]):
         self._begun()
         with self._progress.show("run") as progress:
             progress("read", 0.0)
-            run = FinishedRun(folder, self._page.scenarios, uploaded=uploaded)
+            run = read_playback(folder, self._page.scenarios, uploaded=uploaded)
             if run.world is not None:
                 self._page.scene.show_world(run.world, coarse=False)
             else:
                 self._page.scene.clear()
-        self._follow()
-        self._begin(run, run.moment(run.scans - 1).time)
+        self._begin(run)
         if run.world is None:
-            self._page.guard.note(f"The run is shown without its world: {run.missing}")
+            self._page.guard.note(f"The run is shown without its world: {run.note}")
         self._page.guard.done()
-
-    def play(self) -> None:
-        """Continue from the shown moment; after the last one, from the start."""
-        if self.playback is None:
-            return
-        if self._player.scan >= self.playback.scans - 1:
-            self._player.scan = 0
-        self._run(self._play_slice)
-
-    def _play_slice(self) -> None:
-        run = self.playback
-        if run is None or not self._play.running:
-            return
-        scan = run.last_scan(self._pace.time())
-        self._player.show(scan)
-        if scan >= run.scans - 1:
-            self.pause()
-        else:
-            time.sleep(PERIOD)
-
-    def _time(self) -> float:
-        return 0.0 if self.playback is None else self.playback.moment(self._player.scan).time

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import viser
+from numpy.typing import ArrayLike
 
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.gui.session.glb import PREVIEW_TEXTURE, TEXTURE, robot_glb, world_glb
-from lirs_validation.gui.session.playback import (
-    MapSnapshot,
-    Moment,
-    error_colors,
-    error_scale,
-    map_picture,
-    round_length,
-)
-from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import BLUE, rgb
+from lirs_validation.gui.session.playback import MapSnapshot, Moment
+from lirs_validation.report.pictures import with_paths
+from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of, rgb
+from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
+SIDE = 320
+"""Pixels of the longer side of the map."""
+UNSEEN = np.full((8, 8, 3), 205, np.uint8)
+"""Picture of an empty map."""
+MIN_SCALE = 0.1
+"""Smallest error at the upper end of the color scale, meters."""
 POINTS = 1500
 """Largest number of drawn path points."""
 ABOVE = 0.15
@@ -45,7 +50,8 @@ SERIES: tuple[Any, ...] = (
 SCALES: dict[str, Any] = {"x": {"time": False}, "y": {}, "rtf": {}, "event": {"range": (0, 1.1)}}
 AXES: tuple[Any, ...] = ({}, {"size": 65}, {"scale": "rtf", "side": 1, "size": 35, "grid": {"show": False}})
 LEGEND = (
-    "black: occupied, white: free, <b style='color:#0072B2'>true path</b><br>error of the estimate: 0 "
+    "black: occupied, white: free; <b style='color:#0072B2'>true</b> and "
+    "<b style='color:#D55E00'>estimated</b> path; north is up, {}<br>error of the estimate in the scene: 0 "
     "<span style='background:linear-gradient(90deg,#0d0887,#cc4778,#f0f921);padding:0 1.2em'></span> {:.2f} m"
 )
 BEHIND = np.array((0.0, -9.0, 7.0))
@@ -152,11 +158,13 @@ class DriveScene:
         self._root: viser.FrameHandle | None = None
         self._robot: viser.FrameHandle | None = None
         self._map: MapSnapshot | None = None
+        self._canvas: Canvas | None = None
+        self._cells = np.empty((0, 0, 3))
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
         with self._panel.add_tab("Map", viser.Icon.MAP):
             self._verdict = gui.add_markdown("")
-            self._picture = gui.add_image(np.full((8, 8, 3), 205, np.uint8), format="png")
+            self._picture = gui.add_image(UNSEEN, format="png")
             self._legend = gui.add_markdown("")
             empty = (np.zeros(1),) * len(SERIES)
             self._chart = gui.add_uplot(empty, SERIES, axes=AXES, scales=SCALES, height=190)
@@ -179,7 +187,7 @@ class DriveScene:
         """Remove the drive from the scene."""
         if self._root is not None:
             self._root.remove()
-        self._root = self._robot = self._map = None
+        self._root = self._robot = self._map = self._canvas = None
         self._panel.visible = False
 
     def approach(self, position: FloatArray) -> None:
@@ -187,7 +195,7 @@ class DriveScene:
         self._turning_until = time.monotonic() + TURNING
         self._look_at(position, BEHIND)
 
-    def show_course(self, curve: FloatArray, marks: tuple[tuple[float, str], ...]) -> None:
+    def show_course(self, curve: FloatArray, marks: Sequence[tuple[float, str]]) -> None:
         """Show error and real-time factor over time, and events."""
         self._marks.content = ", ".join(f"{name} at {time:.0f} s" for time, name in marks)
         if len(curve) == 0:
@@ -212,11 +220,10 @@ class DriveScene:
             _add_path(scene, "/drive/truth", lifted, np.array([int(255 * v) for v in rgb(BLUE)]))
             on_ground = self._on_ground(moment.estimate, T.z)
             _add_path(scene, "/drive/estimate", on_ground, error_colors(moment.errors))
-            self._show_walls(moment.map)
+            self._take_map(moment.map)
             self._follow(T.position)
-        self._picture.image = map_picture(moment)
+        self._show_picture(moment)
         self._verdict.content = "**" + moment.verdict.replace(": ", ":** ", 1)
-        self._legend.content = LEGEND.format(error_scale(moment.errors))
 
     def _show_fan(self, moment: Moment) -> None:
         """Show the beams that hit something."""
@@ -225,11 +232,15 @@ class DriveScene:
         scene = self._client.scene
         scene.add_line_segments("/drive/fan", beams, FAN, thickness=1.0, thickness_units="screen")
 
-    def _show_walls(self, found: MapSnapshot | None) -> None:
-        if found is self._map:
+    def _take_map(self, snapshot: MapSnapshot | None) -> None:
+        """Show the walls of another map, and keep its picture."""
+        if snapshot is self._map:
             return
-        self._map = found
-        walls = np.empty((0, 2)) if found is None else found.walls
+        self._map, self._canvas, walls = snapshot, None, np.empty((0, 2))
+        if snapshot is not None:
+            grid = snapshot.grid
+            walls = grid.occupied_points()
+            self._canvas, self._cells = _map_picture(grid)
         walls = walls[:: max(1, -(-len(walls) // WALLS))]
         self._client.scene.add_point_cloud(
             "/drive/walls",
@@ -238,6 +249,16 @@ class DriveScene:
             point_size=0.06,
             precision="float32",
         )
+
+    def _show_picture(self, moment: Moment) -> None:
+        """Show the kept picture of the map with the paths."""
+        if self._canvas is None:
+            self._picture.image, size = UNSEEN, "nothing is mapped"
+        else:
+            west, south, east, north = self._canvas.bounds
+            size = f"{east - west:.0f} x {north - south:.0f} m"
+            self._picture.image = with_paths(self._cells, self._canvas, moment.truth[:, :2], moment.estimate)
+        self._legend.content = LEGEND.format(size, error_scale(moment.errors))
 
     def _on_ground(self, points: FloatArray, otherwise: float) -> FloatArray:
         """Return points (n, 3) slightly above the ground, or above `otherwise` without ground."""
@@ -263,6 +284,48 @@ class DriveScene:
         camera = self._client.camera
         with self._client.atomic():
             camera.position, camera.look_at = position + away, position
+
+
+def _map_picture(grid: OccupancyGrid) -> tuple[Canvas | None, FloatArray]:
+    """Return the picture (rows, cols, 3) of a map and where it lies; no canvas of an empty map."""
+    bounds = bounds_of(grid)
+    if bounds is None:
+        return None, np.empty((0, 0, 3))
+    canvas = Canvas.over(bounds, SIDE)
+    return canvas, canvas.grid_picture(grid)
+
+
+def round_length(length: float) -> float:
+    """Return the largest of 1, 2, 5, 10, 20, ... meters up to a length, also below 1."""
+    power = 10.0 ** math.floor(math.log10(length))
+    return power * max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= length)
+
+
+def error_scale(errors: FloatArray) -> float:
+    """Return the error at the upper end of the color scale, meters."""
+    return max(MIN_SCALE, float(errors.max()))
+
+
+def error_colors(errors: FloatArray) -> ByteArray:
+    """Return (k, 3) RGB colors of errors: dark violet for 0, yellow for the largest."""
+    levels = np.clip(255 * errors / error_scale(errors), 0, 255).astype(np.uint8)
+    colors: ByteArray = cv2.applyColorMap(levels[:, None], cv2.COLORMAP_PLASMA)[:, 0, ::-1]
+    return colors
+
+
+def ground_point(surface: HeightField, origin: ArrayLike, direction: ArrayLike) -> tuple[float, float] | None:
+    """Return x, y in whole centimeters where a ray first meets the ground; None if it misses."""
+    begin, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
+    west, south, east, north = surface.bounds
+    middle = (west + east) / 2, (south + north) / 2, float(surface.z.min())
+    reach = float(np.linalg.norm(begin - middle)) + math.hypot(east - west, north - south)
+    steps = np.arange(0.0, reach, min(surface.cell) / 2)
+    points = begin + steps[:, None] * along
+    below = np.flatnonzero(points[:, 2] <= surface.height_at(points[:, 0], points[:, 1]))
+    if len(below) == 0 or below[0] == 0:
+        return None
+    x, y = points[below[0], :2].tolist()
+    return round(x, 2), round(y, 2)
 
 
 def _add_path(scene: viser.SceneApi, name: str, points: FloatArray, color: np.ndarray[Any, Any]) -> None:

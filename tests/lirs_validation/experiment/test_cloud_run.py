@@ -15,7 +15,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.drawing.run_overview import FULL, error_picture
 from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings, check_sensors
-from lirs_validation.gui.session.finished_run import FinishedRun
+from lirs_validation.gui.session.finished_run import read_playback
 from lirs_validation.metrics.elevation import MOST, CloudSample, ElevationMap, read_elevation
 from lirs_validation.record.run_record import damaged_files, read_record
 from lirs_validation.record.schema import schema_error
@@ -140,7 +140,7 @@ def test_the_folder_holds_what_there_is(still: Run) -> None:
 
 def test_the_live_page_shows_the_run_without_a_map(still: Run) -> None:
     assert still.folder is not None
-    shown = FinishedRun(still.folder)
+    shown = read_playback(still.folder)
     moment = shown.moment(shown.scans - 1)
     assert moment.map is None
     assert ("map F1", "-") in moment.facts

@@ -6,9 +6,10 @@ import pytest
 pytest.importorskip("viser")
 
 from lirs_validation.gui.session.controls import without_flags
-from lirs_validation.gui.session.playback import error_colors, ground_point, round_length
+from lirs_validation.gui.session.playback import MapSnapshot
 from lirs_validation.gui.view.page_context import ABSOLUTE_PATH
-from lirs_wct import HeightField
+from lirs_validation.gui.view.scene import error_colors, ground_point, round_length
+from lirs_wct import HeightField, OccupancyGrid, Pose2
 
 SLOPE = HeightField.centered(np.tile(np.linspace(0, 8, 41, dtype=np.float32), (41, 1)), (0.5, 0.5))
 """20 x 20 m, rising eastward from 0 to 8 m."""
@@ -22,6 +23,16 @@ def test_a_click_meets_the_ground_first_in_its_way() -> None:
         assert found == pytest.approx((x, y), abs=0.4)
     assert ground_point(SLOPE, camera, (0.0, 0.0, 1.0)) is None
     assert ground_point(SLOPE, camera, (1.0, 0.0, -0.3)) is None
+
+
+def test_a_kept_map_has_the_cells_of_a_maps_file() -> None:
+    p = [[np.nan, 0.9, 0.5], [0.1, 0.66, 0.24]]
+    grid = OccupancyGrid.from_probability(p, 0.05, Pose2(1.0, 2.0, 0.3))
+    kept = MapSnapshot.of(grid, 7.0).grid
+    np.testing.assert_array_equal(kept.occupied, grid.occupied)
+    np.testing.assert_array_equal(kept.free, grid.free)
+    np.testing.assert_array_equal(kept.known, grid.occupied | grid.free)
+    assert (kept.resolution, kept.origin) == (grid.resolution, grid.origin)
 
 
 @pytest.mark.parametrize(("length", "shorter"), [(10.0, 10.0), (9.9, 5.0), (0.7, 0.5), (2500, 2000), (4, 2)])

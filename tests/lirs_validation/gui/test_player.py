@@ -9,23 +9,18 @@ import pytest
 
 viser = pytest.importorskip("viser")
 
-from lirs_validation.gui.session.playback import Moment  # noqa: E402
+from lirs_validation.gui.session.playback import Moment, Playback  # noqa: E402
 from lirs_validation.gui.view.playback_tabs import Player  # noqa: E402
-from lirs_wct.geometry.pose import Pose3  # noqa: E402
+from lirs_wct import LaserScan, Pose3  # noqa: E402
 
 
-class _Drive:
-    robot, world, scans, marks = "husky", None, 51, ()
-
-    def curve(self) -> np.ndarray:
-        return np.empty((0, 3))
-
-    def moment(self, scan: int) -> Moment:
-        track = np.zeros((1, 3))
-        scanned = np.zeros((0, 3), np.float32)
-        return Moment(
-            scan * 0.1, Pose3(), np.zeros(3), scanned, track, track[:, :2], None, (), "Verdict: none"
-        )
+def drive() -> Playback:
+    """Return five seconds of standing, ten scans a second."""
+    standing = Playback("husky", None, 5.0)
+    for k in range(51):
+        scan = LaserScan(np.ones(3, np.float32), -0.1, 0.1, 0.1, 10.0, stamp=k * 0.1)
+        standing.add(scan, Pose3(), (0.0, 0.0))
+    return standing
 
 
 class _Scene:
@@ -59,11 +54,11 @@ def test_a_drag_keeps_its_time_while_another_moment_is_shown(gui: Any) -> None:
     scene: Any = _Scene()
     guard: Any = lambda callback: callback  # noqa: E731
     player = Player(gui, guard, scene, lambda: None, lambda kind, job: jobs.append(job))
-    player.begin(_Drive(), 5.0)
+    player.begin(drive())
     slider: Any = player._slider
     slider.value = 1.0
     player._go_to_slider(_Event(client_id=1))
     player.show(50)
     jobs.pop()()
-    assert player.scan == 10
+    assert player.time == pytest.approx(1.0)
     assert scene.times == pytest.approx([0.0, 5.0, 1.0])
