@@ -157,11 +157,18 @@ class Option:
         Raises:
             ConfigError: the text is no such value; the message begins with the label.
         """
-        if self.reader is not None:
-            return self.reader(text, label)
         if self.axis or self.is_list:
-            readers: dict[Any, Reader] = {int: read_numbers, float: read_factors}
-            return readers.get(self.types[0], read_names)(text, label)
+            return (self.reader or LISTS.get(self.types[0], read_names))(text, label)
+        return self.read_one(text, label)
+
+    def read_one(self, text: str, label: str) -> Any:
+        """Return the value of a text, of an axis one value.
+
+        Raises:
+            ConfigError: the text is no such value; the message begins with the label.
+        """
+        if self.reader is not None and not self.axis:
+            return self.reader(text, label)
         return _read(text, label, self)
 
 
@@ -335,3 +342,7 @@ def read_numbers(text: str, label: str) -> tuple[int, ...]:
             raise ConfigError(f"{label} must be a list such as 1-5 or 1,3,7-9, got {text!r}")
         found += range(first, last + 1)
     return tuple(dict.fromkeys(found))
+
+
+LISTS: Mapping[Any, Reader] = {int: read_numbers, float: read_factors}
+"""Readers of lists by the type of an element; others are lists of names."""

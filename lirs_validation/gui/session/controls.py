@@ -12,47 +12,73 @@ from typing import Any, Literal
 from lirs_validation.config import PRETRAINED, RunConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.option import Option, Options, Slider, declared
+from lirs_wct.option import Option, Options, declared
 from lirs_wct.sources.options import BuildOptions, SourceKind
 
-FIRST_PANEL = "Source"
-"""Heading of the options that the command line has without one."""
 DEFAULT = "not given"
 """Stands for "not given" among choices."""
 Kind = Literal["switch", "choice", "slider", "text", "file"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Control:
     """A control of one option; its value is a bool, a float, or text.
 
     Attributes:
-        name: of the option's field.
-        kind: of control.
-        title: its label; the paper's name if it has one.
-        panel: its heading.
-        hint: help.
-        initial: value of the control that stands for the default.
-        default: of the option.
-        choices: legal values of a choice.
-        slider: of a number.
+        option: Declaration of the option.
     """
 
-    name: str
-    kind: Kind
-    title: str
-    panel: str
-    hint: str
-    initial: bool | float | str
-    default: Any
-    choices: tuple[str, ...] = ()
-    slider: Slider | None = None
     option: Option
+
+    @property
+    def name(self) -> str:
+        """Name of the option's field."""
+        return self.option.name
+
+    @property
+    def title(self) -> str:
+        """Label; the paper's name if it has one."""
+        return self.option.title or self.option.label
 
     @property
     def name_in_errors(self) -> str:
         """The title without its unit."""
         return self.title.partition(" [")[0]
+
+    @property
+    def hint(self) -> str:
+        """Help of the option, with the form of a text."""
+        form = f" Form: {self.option.metavar}." if self.kind == "text" and self.option.metavar else ""
+        return without_flags(f"{self.option.help}{form}")
+
+    @property
+    def kind(self) -> Kind:
+        """Kind of control."""
+        if self.option.type is bool:
+            return "switch"
+        if self.option.slider is not None:
+            return "slider"
+        if Path in self.option.types:
+            return "file"
+        return "choice" if self.choices else "text"
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Legal values of a choice."""
+        names = self.option.choices
+        return (DEFAULT, *names) if names and self.option.default is None else names
+
+    @property
+    def initial(self) -> bool | float | str:
+        """Value of the control that stands for the default."""
+        default = self.option.default
+        if self.option.slider is not None:
+            return self.option.slider.neutral
+        if default is None:
+            return DEFAULT if self.kind == "choice" else ""
+        if self.option.type is bool:
+            return bool(default)
+        return f"{default:g}" if isinstance(default, float) else str(default)
 
     def shown_for(self, source: SourceKind) -> bool:
         """Whether the option has an effect on a source."""
@@ -67,49 +93,15 @@ class Control:
             ConfigError: the text is no such value.
         """
         if value == self.initial and not isinstance(value, bool):
-            return self.default
+            return self.option.default
         if not isinstance(value, str) or self.kind == "choice":
             return int(value) if self.option.types[0] is int else value
-        return self.option.read(value, self.name_in_errors)
+        return self.option.read_one(value, self.name_in_errors)
 
 
 def controls(options: type[Options]) -> Iterator[Control]:
     """Yield a control for every option of a class that the page offers."""
-    for name, option in declared(options).items():
-        if not option.on_page:
-            continue
-        kind, choices, initial = _kind(option)
-        form = f" Form: {option.metavar}." if kind == "text" and option.metavar else ""
-        yield Control(
-            name=name,
-            kind=kind,
-            title=option.title or option.label,
-            panel=option.panel or FIRST_PANEL,
-            hint=without_flags(f"{option.help}{form}"),
-            initial=initial,
-            default=option.default,
-            choices=choices,
-            slider=option.slider,
-            option=option,
-        )
-
-
-def _kind(option: Option) -> tuple[Kind, tuple[str, ...], Any]:
-    """Return kind of control, its choices and its first value."""
-    default = option.default
-    if option.type is bool:
-        return "switch", (), default
-    if option.slider is not None:
-        return "slider", (), option.slider.neutral
-    if Path in option.types:
-        return "file", (), ""
-    if option.choices:
-        return "choice", (DEFAULT, *option.choices) if default is None else option.choices, default or DEFAULT
-    return (
-        "text",
-        (),
-        "" if default is None else f"{default:g}" if isinstance(default, float) else str(default),
-    )
+    yield from (Control(option) for option in declared(options).values() if option.on_page)
 
 
 def read_controls(values: Mapping[str, bool | float | str]) -> BuildOptions:
@@ -133,7 +125,7 @@ def read_run_controls(
     """
     given = {}
     for control in controls(RunConfig):
-        value, slider = values[control.name], control.slider
+        value, slider = values[control.name], control.option.slider
         if slider is not None and not slider.low <= float(value) <= slider.high:
             raise ConfigError(
                 f"{control.name_in_errors} must be {slider.low:g} to {slider.high:g} here, got {value}"

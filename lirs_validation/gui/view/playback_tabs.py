@@ -2,33 +2,23 @@
 
 from __future__ import annotations
 
+import html
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import viser
 
 from lirs_validation.config import RunConfig
+from lirs_validation.gui.page_html import asset
 from lirs_validation.gui.session.construction import Shown, zip_folder
 from lirs_validation.gui.session.controls import read_run_controls, to_goal
 from lirs_validation.gui.session.finished_run import read_playback, runs_in, unpacked_run
 from lirs_validation.gui.session.live_drive import LiveDrive
 from lirs_validation.gui.session.playback import Playback
-from lirs_validation.gui.view.page_context import Guard, PageContext
-from lirs_validation.gui.view.scene import DriveScene
-from lirs_validation.gui.view.widgets import (
-    SPEEDS,
-    CommandLine,
-    OptionControls,
-    Pace,
-    PlayButton,
-    ProgressLine,
-    Stick,
-    add_drop_zone,
-    add_follow,
-    as_table,
-)
+from lirs_validation.gui.view.page_context import PageContext
+from lirs_validation.gui.view.widgets import OptionControls, ProgressLine, Stick, add_drop_zone, as_table
 from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError
 
@@ -36,6 +26,7 @@ PERIOD = 0.12
 """Seconds between two pictures."""
 SLICE = 0.05
 """Wall seconds of driving between two checks of the job queue."""
+SPEEDS = {"1 x real time": 1.0, "2 x": 2.0, "5 x": 5.0, "10 x": 10.0, "as fast as it goes": float("inf")}
 FIRST = ("robot", "mapper", "lidar", "driver", "seconds")
 """Options of a run above the folded ones."""
 NONE = "choose a run"
@@ -52,102 +43,43 @@ Place = tuple[float, float]
 AnyPlayback = TypeVar("AnyPlayback", bound=Playback)
 
 
-class Player:
-    """A timeline with figures below it.
+class PlaybackTab(Generic[AnyPlayback]):
+    """Tab that plays a drive, with a button, a speed, a timeline and a table of figures.
 
     Attributes:
-        time: Shown time, seconds since the start.
+        playback: Drive of the tab; None = none yet.
+        running: Whether it is being played.
 
     Args:
-        gui: of the page.
-        guard: of its callbacks.
-        scene: where the drive is shown.
-        moved: called when a person moves the timeline, before that moment is shown.
-        submit: queues work of the page.
+        page: Page of the tab.
+        begun: Called before another drive is shown.
     """
-
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        guard: Guard,
-        scene: DriveScene,
-        moved: Callable[[], None],
-        submit: Callable[[str, Callable[[], None]], None],
-    ) -> None:
-        self._scene, self._moved, self._submit = scene, moved, submit
-        self.playback: Playback | None = None
-        self.time = self._shown_at = 0.0
-        self._slider = gui.add_slider("timeline [s]", 0.0, 1.0, 0.1, 0.0, visible=False)
-        self._slider.on_update(guard(self._go_to_slider))
-        self._facts = gui.add_markdown("")
-
-    def begin(self, playback: Playback) -> None:
-        """Show another drive."""
-        self.playback = None
-        self._slider.max = max(0.1, playback.seconds)
-        self._slider.visible = True
-        self.playback = playback
-        self._scene.begin(playback.robot, playback.world)
-        self.show(0)
-
-    def stop_at(self, seconds: float) -> None:
-        """Let the timeline end where the drive ended."""
-        self._slider.max = max(0.1, round(seconds, 1))
-
-    def end(self) -> None:
-        """Show no drive."""
-        self.playback = None
-        self._slider.visible = False
-        self._facts.content = ""
-
-    def show(self, scan: int) -> None:
-        """Show a moment, and move the timeline there."""
-        if self.playback is None:
-            return
-        moment = self.playback.moment(scan)
-        self.time = moment.time
-        self._scene.show(moment)
-        self._scene.show_course(self.playback.curve(), self.playback.marks)
-        slider: Any = self._slider
-        slider.value = min(round(moment.time, 1), float(self._slider.max))
-        self._facts.content = as_table(moment.facts)
-        self._shown_at = time.monotonic()
-
-    @property
-    def due(self) -> bool:
-        """Whether another picture is due."""
-        return time.monotonic() - self._shown_at >= PERIOD
-
-    def _go_to_slider(self, event: Any) -> None:
-        if event.client_id is None or self.playback is None:
-            return  # moved by `show`
-        wanted = float(self._slider.value)  # now: a moment that is still being shown moves the timeline back
-        self._moved()
-        self._submit("timeline", lambda: self._show_time(wanted))
-
-    def _show_time(self, time: float) -> None:
-        if self.playback is not None:
-            self.show(self.playback.last_scan(time))
-
-
-class PlaybackTab(Generic[AnyPlayback]):
-    """Tab with a player of a drive, and a button that starts and pauses it.
-
-    Attributes:
-        playback: drive of the tab; None = none yet.
-    """
-
-    _player: Player
-    _play: PlayButton
-    _pace: Pace
-    _follow: Callable[[], None]
 
     def __init__(self, page: PageContext, begun: Callable[[], None]) -> None:
         self._page, self._begun = page, begun
         self.playback: AnyPlayback | None = None
+        self.running = False
+        self._time = self._shown_at = 0.0  # simulated time of the shown moment, wall time of its picture
+        self._started = 0.0, 0.0  # wall time and simulated time at which playing began
 
-    def _add_player(self, gui: viser.GuiApi) -> Player:
-        return Player(gui, self._page.guard, self._page.drive_scene, self.pause, self._page.worker.submit)
+    def _add_play(
+        self, label: str, speeds: tuple[str, ...], speed: str, color: Literal["green"] | None = None
+    ) -> None:
+        """Add the button that starts and pauses, the speeds, and a view that follows the robot."""
+        gui, guard = self._page.client.gui, self._page.guard
+        self._label = label
+        self._play = gui.add_button(label, color=color, icon=viser.Icon.PLAYER_PLAY, disabled=True)
+        self._play.on_click(guard(lambda _: self.press_play()))
+        self._speed = gui.add_dropdown("speed", speeds, initial_value=speed)
+        self._speed.on_update(guard(lambda _: self._restart_clock()))
+        self._follow = gui.add_checkbox("follow robot", True)
+        self._follow.on_update(guard(lambda _: self._apply()))
+
+    def _add_timeline(self) -> None:
+        gui = self._page.client.gui
+        self._slider = gui.add_slider("timeline [s]", 0.0, 1.0, 0.1, 0.0, visible=False)
+        self._slider.on_update(self._page.guard(self._go_to_slider))
+        self._facts = gui.add_markdown("")
 
     def pause(self) -> None:
         """Stop at the shown moment."""
@@ -156,17 +88,18 @@ class PlaybackTab(Generic[AnyPlayback]):
 
     def press_play(self) -> None:
         """Go on or pause, as the button does."""
-        self._play.press()
+        if not self._play.disabled:
+            self.pause() if self.running else self.go_on()
 
     def go_on(self) -> None:
         """Drive on where the drive is; of a finished run, play from the shown moment."""
         if self.playback is None:
             return
         if not self.playback.over:
-            self._player.time = self.playback.time
-        elif self._player.time >= self.playback.time:
-            self._player.time = 0.0
-        self._pace.wind()
+            self._time = self.playback.time
+        elif self._time >= self.playback.time:
+            self._time = 0.0
+        self._restart_clock()
         self._show_state(running=True)
         self._page.worker.repeat(self._play_slice)
 
@@ -174,27 +107,32 @@ class PlaybackTab(Generic[AnyPlayback]):
         """Drop the drive, since the page shows something else."""
         self.pause()
         self.playback = None
-        self._player.end()
+        self._slider.visible = False
+        self._facts.content = ""
         self._show_state()
 
     def _begin(self, playback: AnyPlayback) -> None:
         """Show another drive."""
-        self._follow()
+        self._apply()
+        self._slider.max = max(0.1, playback.seconds)
+        self._slider.visible = True
         self.playback = playback
-        self._player.begin(playback)
+        self._page.drive_scene.begin(playback.robot, playback.world)
+        self._show_scan(0)
         self._page.drive_scene.approach(playback.moment(0).T_world_base.position)
         self._show_state()
 
     def _play_slice(self) -> None:
         """Continue for a moment of wall time, and show the last scan if a picture is due."""
         playback = self.playback
-        if playback is None or not self._play.running:
+        if playback is None or not self.running:
             return
-        until, wanted = time.monotonic() + SLICE, self._pace.time(SLICE)
+        until, (wall, simulated) = time.monotonic() + SLICE, self._started
+        wanted = simulated + SPEEDS[self._speed.value] * (until - wall)
         playback.drive_on(until, wanted)
         ended = playback.over and wanted >= playback.time
-        if ended or self._player.due:
-            self._player.show(playback.last_scan(wanted))
+        if ended or time.monotonic() - self._shown_at >= PERIOD:
+            self._show_scan(playback.last_scan(wanted))
         if ended:
             self._end()
         else:
@@ -204,9 +142,42 @@ class PlaybackTab(Generic[AnyPlayback]):
         """Stop at the end of the drive."""
         self.pause()
 
+    def _show_scan(self, scan: int) -> None:
+        """Show a moment, and move the timeline there."""
+        if self.playback is None:
+            return
+        moment = self.playback.moment(scan)
+        self._time = moment.time
+        self._page.drive_scene.show(moment)
+        self._page.drive_scene.show_course(self.playback.curve(), self.playback.marks)
+        slider: Any = self._slider
+        slider.value = min(round(moment.time, 1), float(slider.max))
+        self._facts.content = as_table(moment.facts)
+        self._shown_at = time.monotonic()
+
+    def _go_to_slider(self, event: Any) -> None:
+        if event.client_id is None or self.playback is None:
+            return  # moved by `_show_scan`
+        wanted = float(self._slider.value)  # now: a moment that is still being shown moves the timeline back
+        self.pause()
+        self._page.worker.submit("timeline", lambda: self._show_time(wanted))
+
+    def _show_time(self, time: float) -> None:
+        if self.playback is not None:
+            self._show_scan(self.playback.last_scan(time))
+
+    def _restart_clock(self) -> None:
+        self._started = time.monotonic(), self._time
+
+    def _apply(self) -> None:
+        """Apply the switches to the drive."""
+        self._page.drive_scene.follow = self._follow.value
+
     def _show_state(self, *, running: bool = False) -> None:
-        self._play.show(running)
-        self._play.enable(self.playback is not None)
+        self.running = running
+        self._play.label = "Pause" if running else self._label
+        self._play.icon = viser.Icon.PLAYER_PAUSE if running else viser.Icon.PLAYER_PLAY
+        self._play.disabled = self.playback is None
 
 
 class DriveTab(PlaybackTab[LiveDrive]):
@@ -223,27 +194,22 @@ class DriveTab(PlaybackTab[LiveDrive]):
         self._controls = OptionControls(gui, page.guard, RunConfig, first=FIRST, more=MORE)
         self._add_buttons(gui)
         self._progress = ProgressLine(gui)
-        self._player = self._add_player(gui)
-        self._add_by_hand(gui)
-        self._command = CommandLine(gui)
+        self._add_timeline()
+        self._by_hand = gui.add_checkbox("drive by hand", False)
+        self._by_hand.on_update(page.guard(lambda _: self._apply()))
+        self._stick = Stick(gui, page.guard, self._steer)
+        self._command = gui.add_html("", visible=False)
 
     def _add_buttons(self, gui: viser.GuiApi) -> None:
         start = gui.add_button(
             "Start", color="green", icon=viser.Icon.PLAYER_PLAY, hint="From the start pose."
         )
         start.on_click(self._page.guard(lambda _: self.start()))
-        self._play = PlayButton(gui, self._page.guard, "Go on", self.go_on, self.pause)
+        self._add_play("Go on", tuple(SPEEDS), "2 x")
         self._step = gui.add_button("Step one scan", icon=viser.Icon.PLAYER_SKIP_FORWARD, disabled=True)
         self._step.on_click(self._page.guard(lambda _: self._step_one()))
         self._save = gui.add_button("Save the run", icon=viser.Icon.DOWNLOAD, disabled=True)
         self._save.on_click(self._page.guard(lambda _: self._page.worker.submit("save", self._save_now)))
-
-    def _add_by_hand(self, gui: viser.GuiApi) -> None:
-        self._pace = Pace(gui, self._page.guard, tuple(SPEEDS), "2 x", lambda: self._player.time)
-        self._follow = add_follow(gui, self._page.guard, self._page.drive_scene)
-        self._by_hand = gui.add_checkbox("drive by hand", False)
-        self._by_hand.on_update(self._page.guard(lambda _: self._apply()))
-        self._stick = Stick(gui, self._page.guard, self._steer)
 
     def click(self, place: Place) -> None:
         """Take a clicked place: first the start, then the goal, to which the robot drives."""
@@ -278,7 +244,6 @@ class DriveTab(PlaybackTab[LiveDrive]):
             self._page.scene.show_world(drive.world, coarse=False)
         self._begin(drive)
         self._show_command()
-        self._apply()
         self._page.guard.done()
         self.go_on()
 
@@ -287,14 +252,16 @@ class DriveTab(PlaybackTab[LiveDrive]):
         super()._end()
         if self.playback is not None:
             self._hint.content = FAILED if self.playback.failed else NEXT
-            self._player.stop_at(self.playback.time)
+            self._slider.max = max(0.1, round(self.playback.time, 1))
         self._show_command()
 
     def _show_command(self) -> None:
         """Show the command that repeats the drive; files stand under their own names."""
         drive, folder = self.playback, f"{self._page.uploads.folder}/"
         command = "" if drive is None else command_of(drive.repeated)
-        self._command.show("" if f"{folder}maps/" in command else command.replace(folder, ""))
+        command = "" if f"{folder}maps/" in command else command.replace(folder, "")
+        self._command.content = asset("command.html").replace("COMMAND", html.escape(command))
+        self._command.visible = bool(command)
 
     def _step_one(self) -> None:
         self.pause()
@@ -303,7 +270,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
     def _step_now(self) -> None:
         if self.playback is not None:
             self.playback.step()
-            self._player.show(self.playback.scans - 1)
+            self._show_scan(self.playback.scans - 1)
             self._end() if self.playback.over else self._show_state()
 
     def _save_now(self) -> None:
@@ -316,15 +283,14 @@ class DriveTab(PlaybackTab[LiveDrive]):
                 f"{folder.name}.zip", zip_folder(folder), save_immediately=True
             )
         self._show_command()
-        self._pace.wind()
+        self._restart_clock()
 
     def _steer(self, forward: float, left: float) -> None:
         if self.playback is not None:
             self.playback.driver.steer(forward, left)
 
     def _apply(self) -> None:
-        """Apply the switches to the drive."""
-        self._follow()
+        super()._apply()
         if self._stick.visible != self._by_hand.value:
             self._stick.visible = self._by_hand.value
         if self.playback is not None:
@@ -332,9 +298,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
 
     def _show_state(self, *, running: bool = False) -> None:
         super()._show_state(running=running)
-        idle = self.playback is None or self.playback.over
-        self._play.enable(not idle)
-        self._step.disabled = idle
+        self._play.disabled = self._step.disabled = self.playback is None or self.playback.over
         self._save.disabled = self.playback is None or self.playback.failed
 
 
@@ -352,11 +316,9 @@ class ReplayTab(PlaybackTab[Playback]):
         self._runs = runs
         gui = page.client.gui
         self._add_choice(gui)
-        self._play = PlayButton(gui, page.guard, "Play", self.go_on, self.pause, color="green")
-        self._pace = Pace(gui, page.guard, tuple(SPEEDS)[:-1], "5 x", lambda: self._player.time)
-        self._follow = add_follow(gui, page.guard, page.drive_scene)
+        self._add_play("Play", tuple(SPEEDS)[:-1], "5 x", "green")
         self._progress = ProgressLine(gui)
-        self._player = self._add_player(gui)
+        self._add_timeline()
 
     def _add_choice(self, gui: viser.GuiApi) -> None:
         self._choice = gui.add_dropdown("run", (NONE,), hint="Runs on the server.")

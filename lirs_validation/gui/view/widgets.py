@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,6 @@ from lirs_validation.gui.page_html import asset
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.controls import Control, controls
 from lirs_validation.gui.view.page_context import Guard
-from lirs_validation.gui.view.scene import DriveScene
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options
 from lirs_wct.progress import Progress
@@ -25,7 +23,8 @@ PATIENCE = 0.4
 """Seconds before a bar appears; shorter work shows none."""
 PERIOD = 0.1
 """Seconds between two updates."""
-SPEEDS = {"1 x real time": 1.0, "2 x": 2.0, "5 x": 5.0, "10 x": 10.0, "as fast as it goes": float("inf")}
+FIRST_PANEL = "Source"
+"""Heading of the options that the command line has without one."""
 LABEL = "stick"
 HINT = "Forward and left, -1 to 1 each. Drag the stick, hold W A S D or the arrow keys, or write here."
 
@@ -71,89 +70,6 @@ class ProgressLine:
             self._text.visible = self._bar.visible = False
 
 
-class Pace:
-    """Dropdown of speeds, and the simulated time at the chosen speed.
-
-    Args:
-        gui: of the page.
-        guard: of its callbacks.
-        speeds: names to choose from, of SPEEDS.
-        initial: name of the first.
-        now: returns the simulated time that is shown, seconds.
-    """
-
-    def __init__(
-        self, gui: viser.GuiApi, guard: Guard, speeds: tuple[str, ...], initial: str, now: Callable[[], float]
-    ) -> None:
-        self._now, self._clock = now, (0.0, 0.0)
-        self._speed = gui.add_dropdown("speed", speeds, initial_value=initial)
-        self._speed.on_update(guard(lambda _: self.wind()))
-
-    def wind(self) -> None:
-        """Restart the clock at the shown simulated time."""
-        self._clock = time.monotonic(), self._now()
-
-    def time(self, ahead: float = 0.0) -> float:
-        """Return the simulated time at `ahead` wall seconds from now."""
-        wall, simulated = self._clock
-        return simulated + SPEEDS[self._speed.value] * (time.monotonic() - wall + ahead)
-
-
-class PlayButton:
-    """Button that starts and pauses, labeled with its next action."""
-
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        guard: Guard,
-        label: str,
-        play: Callable[[], None],
-        pause: Callable[[], None],
-        color: str | None = None,
-    ) -> None:
-        self._label, self.running, self._start, self._pause = label, False, play, pause
-        self._button = gui.add_button(label, color=color, icon=viser.Icon.PLAYER_PLAY, disabled=True)  # type: ignore[arg-type]
-        self._button.on_click(guard(lambda _: self.press()))
-
-    def show(self, running: bool) -> None:
-        """Show whether the drive is running."""
-        self.running = running
-        self._button.label = "Pause" if running else self._label
-        self._button.icon = viser.Icon.PLAYER_PAUSE if running else viser.Icon.PLAYER_PLAY
-
-    def enable(self, enabled: bool) -> None:
-        """Enable or disable the button."""
-        self._button.disabled = not enabled
-
-    def press(self) -> None:
-        """Start or pause, unless disabled."""
-        if not self._button.disabled:
-            self._pause() if self.running else self._start()
-
-
-class CommandLine:
-    """Command that repeats a drive, with a button that copies it."""
-
-    def __init__(self, gui: viser.GuiApi) -> None:
-        self._html = gui.add_html("", visible=False)
-
-    def show(self, command: str) -> None:
-        """Show a command; none if it is empty."""
-        self._html.content = asset("command.html").replace("COMMAND", html.escape(command))
-        self._html.visible = bool(command)
-
-
-def add_follow(gui: viser.GuiApi, guard: Guard, scene: DriveScene) -> Callable[[], None]:
-    """Add a check box for a view that follows the robot; return its apply function."""
-    box = gui.add_checkbox("follow robot", True)
-
-    def apply() -> None:
-        scene.follow = box.value
-
-    box.on_update(guard(lambda _: apply()))
-    return apply
-
-
 class OptionControls:
     """Controls of the options of a class; `values` reads them.
 
@@ -183,7 +99,11 @@ class OptionControls:
         self._shown: list[tuple[Control, Any]] = []
         self._folders: dict[str, Any] = {}
         for control in sorted(controls(options), key=lambda c: c.name not in first):
-            with nullcontext() if control.name in first else self._folder(more or control.panel):
+            with (
+                nullcontext()
+                if control.name in first
+                else self._folder(more or control.option.panel or FIRST_PANEL)
+            ):
                 self._shown.append((control, self._add(control)))
 
     def values(self) -> dict[str, bool | float | str]:
@@ -199,7 +119,7 @@ class OptionControls:
         for control, handle in self._shown:
             handle.visible = control.shown_for(kind)
             if handle.visible:
-                legal.add(control.panel)
+                legal.add(control.option.panel or FIRST_PANEL)
         for panel, folder in self._folders.items():
             folder.visible = panel in legal
 
@@ -217,8 +137,8 @@ class OptionControls:
             handle = gui.add_dropdown(
                 control.title, control.choices, initial_value=str(control.initial), hint=hint
             )
-        elif control.slider is not None:
-            s = control.slider
+        elif control.option.slider is not None:
+            s = control.option.slider
             handle = gui.add_slider(control.title, s.low, s.high, s.step, s.neutral, hint=hint)
         elif control.kind == "file":
             return self._add_file(control)

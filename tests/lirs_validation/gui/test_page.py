@@ -41,7 +41,7 @@ def test_two_clicks_drive_and_the_end_says_what_is_next(open_page: Open, server:
     page.locator("canvas").first.focus()
     page.keyboard.press("Space")
     page.get_by_role("button", name="Go on").wait_for()
-    wait_for(lambda: not server.pages[0].drive._play.running)
+    wait_for(lambda: not server.pages[0].drive.running)
     stood = drive.time
     page.wait_for_timeout(500)
     assert drive.time - stood < 0.1

@@ -1,7 +1,7 @@
 """The timeline of a drive, without a browser."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 viser = pytest.importorskip("viser")
 
 from lirs_validation.gui.session.playback import Moment, Playback  # noqa: E402
-from lirs_validation.gui.view.playback_tabs import Player  # noqa: E402
+from lirs_validation.gui.view.playback_tabs import ReplayTab  # noqa: E402
 from lirs_wct import LaserScan, Pose3  # noqa: E402
 
 
@@ -26,20 +26,19 @@ def drive() -> Playback:
 class _Scene:
     def __init__(self) -> None:
         self.times: list[float] = []
+        self.follow = False
 
     def begin(self, robot: str, world: Any) -> None:
+        pass
+
+    def approach(self, position: np.ndarray) -> None:
         pass
 
     def show(self, moment: Moment) -> None:
         self.times.append(moment.time)
 
     def show_course(self, curve: np.ndarray, marks: Any) -> None:
-        pass
-
-
-@dataclass
-class _Event:
-    client_id: int | None
+        assert curve.shape == (5, 3)
 
 
 @pytest.fixture
@@ -49,16 +48,41 @@ def gui() -> Iterator[Any]:
     server.stop()
 
 
-def test_a_drag_keeps_its_time_while_another_moment_is_shown(gui: Any) -> None:
+def replay(gui: Any) -> tuple[Any, _Scene, list[Callable[[], None]]]:
+    """Return a tab, its scene and the jobs that it submits."""
     jobs: list[Callable[[], None]] = []
-    scene: Any = _Scene()
-    guard: Any = lambda callback: callback  # noqa: E731
-    player = Player(gui, guard, scene, lambda: None, lambda kind, job: jobs.append(job))
-    player.begin(drive())
-    slider: Any = player._slider
-    slider.value = 1.0
-    player._go_to_slider(_Event(client_id=1))
-    player.show(50)
+    scene = _Scene()
+    worker = SimpleNamespace(
+        submit=lambda kind, job: jobs.append(job), repeat=lambda job: job and jobs.append(job)
+    )
+    client, guard = SimpleNamespace(gui=gui), lambda callback: callback
+    page: Any = SimpleNamespace(client=client, guard=guard, drive_scene=scene, worker=worker)
+    return ReplayTab(page, None, lambda: None), scene, jobs
+
+
+def test_a_drag_keeps_its_time_while_another_moment_is_shown(gui: Any) -> None:
+    tab, scene, jobs = replay(gui)
+    tab._begin(drive())
+    tab._slider.value = 1.0
+    tab._go_to_slider(SimpleNamespace(client_id=1))
+    tab._show_scan(50)
     jobs.pop()()
-    assert player.time == pytest.approx(1.0)
     assert scene.times == pytest.approx([0.0, 5.0, 1.0])
+
+
+def test_a_run_plays_to_its_end_and_again_from_its_start(gui: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = SimpleNamespace(now=100.0)
+    monkeypatch.setattr("time.monotonic", lambda: clock.now)
+    monkeypatch.setattr("time.sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
+    tab, scene, jobs = replay(gui)
+    tab._begin(drive())
+    for _ in range(2):
+        scene.times.clear()
+        tab.press_play()
+        play = jobs.pop()
+        while tab.running:
+            play()
+        assert scene.times[0] < 1.5
+        assert scene.times == sorted(scene.times)
+        assert scene.times[-1] == pytest.approx(5.0)
+        assert len(scene.times) == pytest.approx(5.0 / 5 / 0.15, abs=2)  # 5 x, a picture each 0.12 s of wall
