@@ -64,9 +64,22 @@ class PagePicture:
 
 def page(report: Report, command: str) -> str:
     """Return the report as HTML."""
-    context = {"report_command": command} | _context(report)
-    context["contents"] = _contents(context)
-    return render("report.html.j2", **context)
+    pictures, note = _pictures(report.runs)
+    spread = _spread(report)
+    return render(
+        "report.html.j2",
+        title=report.title,
+        report=report,
+        report_command=command,
+        contents=_contents(report, drawn=bool(pictures), spread=bool(spread)),
+        tiles=_tiles(report),
+        intros=INTROS,
+        rtf=_rtf_over_time(report),
+        spread=spread,
+        pictures=pictures,
+        pictures_note=note,
+        succeeded=sum(map(succeeded, report.entries)),
+    )
 
 
 def render(template: str, package: str = __package__, **context: Any) -> str:
@@ -83,67 +96,30 @@ def render(template: str, package: str = __package__, **context: Any) -> str:
     return environment.get_template(template).render(style=style, worse_mark=WORSE_MARK, **context)
 
 
-def _context(report: Report) -> dict[str, Any]:
-    """Return the template's variables; tables without rows are None."""
-    pictures, note = _pictures(report.runs)
-    return {
-        "title": report.title,
-        "subtitle": report.subtitle,
-        "tiles": _tiles(report),
-        "verdicts": _table_or_none(report.verdicts),
-        "failures": _table_or_none(report.failures),
-        "checks_failed": _table_or_none(report.checks_failed),
-        "skipped": _table_or_none(report.skipped),
-        "summary": report.summary,
-        "methods": report.methods,
-        "paper": report.paper,
-        "sections": [_section(report, key, groups, runs) for key, groups, runs in report.sections],
-        "collisions": _table_or_none(report.collisions),
-        "spread": _spread(report),
-        "pictures": pictures,
-        "pictures_note": note,
-        "succeeded": sum(map(succeeded, report.entries)),
-        "command": report.command,
-        "origins": report.origins,
-        "commands": report.commands,
-    }
-
-
-def _table_or_none(table: ReportTable) -> ReportTable | None:
-    return table if table.rows else None
-
-
-def _section(report: Report, key: Section, groups: ReportTable, runs: ReportTable) -> dict[str, Any]:
-    made = rtf_chart(report.entries) if key == "rtf" else None
-    svg, left_out = made or ("", 0)
+def _rtf_over_time(report: Report) -> dict[str, str] | None:
+    drawn = rtf_chart(report.entries)
+    if drawn is None:
+        return None
     caption = (
         "RTF over simulated time, as in the paper's Fig. 13: mean and a band of one standard deviation, over "
         f"seeds; where a method has one seed, over {2 * AROUND + 1} s of its run."
     )
-    if left_out:
-        caption += f" {left_out} more panels are left out; their values stand in the table."
-    return {
-        "key": key,
-        "title": groups.title,
-        "intro": INTROS[key],
-        "groups": groups,
-        "runs": runs,
-        "chart": svg,
-        "chart_caption": caption,
-    }
+    if drawn[1]:
+        caption += f" {drawn[1]} more panels are left out; their values stand in the table."
+    return {"svg": drawn[0], "caption": caption}
 
 
 def _spread(report: Report) -> dict[str, str] | None:
-    made = distribution_chart(report.entries, metrics_selected("distribution"))
-    if made is None:
+    drawn = distribution_chart(report.entries, metrics_selected("distribution"))
+    if drawn is None:
         return None
     caption = (
         "Every run that finished is a dot, the bar their median, the dotted bar their odometry's median; "
         "one row a group."
     )
-    if made[1]:
-        caption += f" {made[1]} more groups are left out; their values stand in the tables."
-    return {"svg": made[0], "caption": caption}
+    if drawn[1]:
+        caption += f" {drawn[1]} more groups are left out; their values stand in the tables."
+    return {"svg": drawn[0], "caption": caption}
 
 
 def _pictures(runs: Sequence[RunFolder]) -> tuple[list[PagePicture], str]:
@@ -205,30 +181,20 @@ def _metric_tiles(good: Sequence[Entry]) -> list[dict[str, Any]]:
     return tiles
 
 
-def _contents(context: dict[str, Any]) -> list[tuple[str, str]]:
+def _contents(report: Report, *, drawn: bool, spread: bool) -> list[tuple[str, str]]:
     """Return anchors and names of the page's sections."""
-    failed = context["failures"] or context["checks_failed"] or context["skipped"]
     sections = [
-        ("failed", "Failures", failed),
-        ("overview", "Summary", context["summary"].rows),
-        ("methods", "As published", context["methods"]),
-        ("paper", "The paper", context["paper"]),
-        *((f"{g['key']}-section", g["title"], True) for g in context["sections"]),
-        ("collisions", "Collisions", context["collisions"]),
-        ("distributions", "Distributions", context["spread"]),
-        ("pictures", "Maps and paths", context["pictures"]),
+        ("failed", "Failures", report.failures.rows or report.checks_failed.rows or report.skipped.rows),
+        ("overview", "Summary", report.summary.rows),
+        ("methods", "As published", report.methods),
+        ("paper", "The paper", report.paper),
+        *((f"{key}-section", groups.title, True) for key, groups, _ in report.sections),
+        ("collisions", "Collisions", report.collisions.rows),
+        ("distributions", "Distributions", spread),
+        ("pictures", "Maps and paths", drawn),
         ("provenance", "Commands and versions", True),
     ]
     return [(key, name) for key, name, there in sections if there]
-
-
-@dataclass(frozen=True)
-class Paper:
-    """The paper's tables beside ours, and its findings."""
-
-    intro: str
-    tables: tuple[ReportTable, ...]
-    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +206,8 @@ class Report:
         sections: key, table by group and table by run of each section of metrics.
         checks: collision validations that passed, and all.
         methods: comparison of methods as published, or without attitude, with terrain-aware ones.
-        paper: comparison with the paper; None except for the paper's suite.
+        paper: the paper's tables beside ours; empty except for the paper's suite.
+        findings: the paper's findings, with the same exception.
         seeds: fewest and most successful seeds of a group; (0, 0) without any.
     """
 
@@ -256,7 +223,8 @@ class Report:
     collisions: ReportTable
     checks: tuple[int, int]
     methods: tuple[ReportTable, ...]
-    paper: Paper | None
+    paper: tuple[ReportTable, ...]
+    findings: tuple[Finding, ...]
     command: str
     origins: tuple[Origin, ...]
     commands: ReportTable
@@ -270,8 +238,8 @@ class Report:
     @property
     def tables(self) -> list[ReportTable]:
         """Every table that has rows."""
-        tables = [self.verdicts, self.failures, self.checks_failed, self.skipped, self.summary, *self.methods]
-        tables += self.paper.tables if self.paper else ()
+        tables = [self.verdicts, self.failures, self.checks_failed, self.skipped, self.summary]
+        tables += [*self.methods, *self.paper]
         tables += [table for _, groups, runs in self.sections for table in (groups, runs)]
         return [table for table in (*tables, self.collisions, self.commands) if table.rows]
 
@@ -298,7 +266,8 @@ def report_of(results: ResultFolder) -> Report:
         collisions=collision_table(results.collisions),
         checks=(len(results.collisions) - len(failed), len(results.collisions) + len(results.broken)),
         methods=method_tables(entries),
-        paper=_paper(entries) if suite == "paper" else None,
+        paper=paper_tables(entries) if suite == "paper" else (),
+        findings=findings(entries) if suite == "paper" else (),
         command=str(manifest.get("command", "")),
         origins=origins_of(entries),
         commands=commands_table(entries),
@@ -352,11 +321,3 @@ def _subtitle(entries: Sequence[Entry], seeds: tuple[int, int], missing: int) ->
     if missing > 0:
         parts.append(f"{missing} that were asked for are not there (yet)")
     return "; ".join(parts) + "."
-
-
-def _paper(entries: Sequence[Entry]) -> Paper:
-    intro = (
-        "LIRS-WCT's paper compared SLAM methods on three terrains, each as a heightmap and as a solid model, "
-        "by the real-time factor of a Husky. Here the same in MuJoCo, the paper's values beside it."
-    )
-    return Paper(intro, paper_tables(entries), findings(entries))
