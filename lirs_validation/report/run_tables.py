@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from rich.console import RenderableType
 from rich.text import Text
 
-from lirs_validation.analysis.as_published import (
-    MethodPair,
-    attitude_pairs,
-    conclusion,
-    outcome_of,
-    published_pairs,
-)
+from lirs_validation.analysis.as_published import Planar, method_pairs
 from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group, distinguishing_fields, unusual_fields
 from lirs_validation.analysis.statistics import repeats
 from lirs_validation.config import RUN_AXES
@@ -59,10 +53,7 @@ CAPTION = (
     "ATE [m], mean over the runs that finished, and verdicts of the runs (docs/results.md); those that were "
     f"not evaluated are not counted. {WORSE_MARK} {WORSE} in at least one run."
 )
-KINDS: tuple[tuple[str, str, Callable[[Iterable[Entry]], tuple[MethodPair, ...]]], ...] = (
-    ("as-published", "As published, with attitude, odometry alone", published_pairs),
-    ("without-attitude", "Without attitude, with attitude, odometry alone", attitude_pairs),
-)
+KINDS: tuple[Planar, ...] = ("as published", "without attitude")
 FACTS = {"world": "world.name", **{name: f"config.{name}" for name in RUN_AXES}, "status": "status"}
 """Columns before the metrics, and their keys in the record."""
 ALWAYS = ("world", "robot", "mapper", "seed", "status")
@@ -214,37 +205,29 @@ def _existing(metrics: Sequence[Metric], entries: Sequence[Entry]) -> tuple[Metr
 
 def method_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
     """Return the tables of methods as published and of mappers without attitude."""
-    tables = (_table(key, title, pairs_of(entries)) for key, title, pairs_of in KINDS)
+    tables = (_method_table(kind, entries) for kind in KINDS)
     return tuple(table for table in tables if table.rows)
 
 
-def _table(key: str, title: str, pairs: Sequence[MethodPair]) -> ReportTable:
+def _method_table(kind: Planar, entries: Sequence[Entry]) -> ReportTable:
+    pairs = method_pairs(entries, kind)
     fields = _method_fields([pair.group for pair in pairs])
-    how = pairs[0].how if pairs else ""
-    headings = (
-        *fields,
-        how,
-        f"verdicts {how}",
-        "with attitude",
-        "verdicts with attitude",
-        "odometry",
-        "what follows",
-    )
-    rows = tuple((*group_texts(pair.group, fields), *_row(pair)) for pair in pairs)
-    return ReportTable(key, title, CAPTION, headings, rows, len(fields), remarks=True)
+    rows = []
+    for pair in pairs:
+        cells: list[Content] = [*group_texts(pair.group, fields)]
+        for runs in (pair.planar, pair.aware):
+            cells += (over_runs(ERROR, [e for e in runs if succeeded(e)]), _verdict_counts(runs))
+        driven = {entry["seed"]: entry for entry in pair.runs if succeeded(entry)}
+        rows.append((*cells, over_runs(ODOMETRY_ERROR, list(driven.values()))))
+    columns = (kind, f"verdicts {kind}", "with attitude", "verdicts with attitude", "odometry")
+    title = f"{kind.capitalize()}, with attitude, odometry alone"
+    return ReportTable(kind.replace(" ", "-"), title, CAPTION, (*fields, *columns), tuple(rows), len(fields))
 
 
-def _row(pair: MethodPair) -> tuple[Content, ...]:
-    planar, aware = outcome_of(pair.planar), outcome_of(pair.aware)
-    driven = {entry["seed"]: entry for entry in pair.runs if succeeded(entry)}
-    return (
-        over_runs(ERROR, [entry for entry in pair.planar if succeeded(entry)]),
-        str(planar),
-        over_runs(ERROR, [entry for entry in pair.aware if succeeded(entry)]),
-        str(aware),
-        over_runs(ODOMETRY_ERROR, list(driven.values())),
-        conclusion(planar, aware, pair.how),
-    )
+def _verdict_counts(entries: Sequence[Entry]) -> str:
+    """Return the verdicts of the evaluated runs as text."""
+    verdicts = [verdict for verdict in map(judge, entries) if verdict.kind != "not evaluated"]
+    return class_counts(verdicts) or "not evaluated"
 
 
 def _method_fields(groups: Sequence[RunGroup]) -> tuple[str, ...]:

@@ -7,13 +7,7 @@ import pytest
 from rich.console import Console
 
 from lirs_validation.record.metric_catalog import picture_lines
-from lirs_validation.report.run_tables import (
-    failure_lines,
-    method_tables,
-    results_table,
-    summary_table,
-    verdict_lines,
-)
+from lirs_validation.report.run_tables import failure_lines, results_table, summary_table, verdict_lines
 from lirs_validation.report.table import ReportTable
 from tests.lirs_validation.records import entry
 
@@ -72,10 +66,11 @@ def test_no_name_is_broken_and_hidden_columns_are_listed(width: int) -> None:
 
 
 def test_remarks_stand_below_with_the_names_of_their_rows() -> None:
-    (table,) = method_tables(ENTRIES)
+    rows = (("simple", "hector", "1", "works 5"), ("medium", "hector", "0", "failed 5"))
+    table = ReportTable("t", "", "", ("world", "mapper", "n", "verdicts"), rows, 2, remarks=True)
     text = " ".join(shown(table).split())
-    assert "simple, cartographer: As published: loses its way. With attitude: works." in text
-    assert "what follows" not in text
+    assert "simple, hector: works 5 medium, hector: failed 5" in text
+    assert "verdicts" not in text
 
 
 def test_a_screen_too_narrow_for_names_breaks_them_and_shows_two_columns_of_numbers() -> None:
