@@ -1,4 +1,4 @@
-"""Pairs of a planar and a terrain-aware method in one world: as published, or without attitude."""
+"""Pairs of planar and terrain-aware runs of a method, by world."""
 
 from __future__ import annotations
 

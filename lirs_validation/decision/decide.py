@@ -79,7 +79,7 @@ def decide(
     report: Callable[[Trial], None] = lambda trial: None,
     retry_failed: bool = False,
 ) -> tuple[Answer, ...]:
-    """Drive every config until its method is decided, then its changes, until the budget is over.
+    """Drive every config until its method is decided, then its changes.
 
     Args:
         configs: one per method and world; seeds count up from theirs.
@@ -228,7 +228,7 @@ class Change:
 
 
 def changes(config: RunConfig, *, works: bool) -> tuple[Change, ...]:
-    """Return changes that may make a method work; of one that works, those that may make it fail."""
+    """Return changes that may reverse whether a method works."""
     found = [_attitude_change(config), _lidar_change(config, works=works)]
     factor = MORE if works else LESS
     odometry = replace(config, odometry_noise=config.odometry_noise * factor)
@@ -252,7 +252,7 @@ def _attitude_change(config: RunConfig) -> Change | None:
 
 
 def _lidar_change(config: RunConfig, *, works: bool) -> Change | None:
-    """Return the run with the lidar of the next longer range; for a method that works, the next shorter."""
+    """Return the run with the lidar of the next longer range, or the next shorter."""
     own = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
     others = [preset for preset in map(make_lidar_preset, LIDARS) if preset.rings == own.rings]
     if works:

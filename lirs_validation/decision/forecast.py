@@ -42,7 +42,7 @@ REVISIT, AFTER = 1.0, 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class SiteFeatures:
-    """Features of a site for a robot and a lidar; shares are of a scan's beams, quantiles over the scans.
+    """Features of a site: shares of a scan's beams, and quantiles over the scans.
 
     Attributes:
         walls: median share of hits on walls.
@@ -110,7 +110,7 @@ def _poses(path: FloatArray) -> list[Pose2]:
 
 
 def _shares(hits: list[FloatArray], world: World, beams: int) -> tuple[FloatArray, FloatArray]:
-    """Return shares of beams on walls and on ground of scans with hits (n, 2) in the world frame each."""
+    """Return shares of beams on walls and on ground, by scan, of hits (n, 2)."""
     # All scans together: each call copies the surface.
     near = near_obstacle(np.concatenate(hits), world.surface, world.walls, NEAR)
     scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
@@ -135,9 +135,9 @@ def _look_around(
 def _cast(
     caster: Caster, preset: LidarPreset, laser: Pose3, directions: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return end points (n, 3) of beams relative to the sensor, axes of the world, and which are hits.
+    """Return end points (n, 3) of beams relative to the sensor, and which hit.
 
-    The points of the others are NaN.
+    Axes are those of the world; the points of the others are NaN.
     """
     turned = np.ascontiguousarray(directions @ laser.rotation.T)
     ranges = caster.ranges(laser.position, turned, preset.range_max)
@@ -255,7 +255,7 @@ def _models() -> dict[str, LogisticModel]:
 
 
 def forecast(world: World, robot: Robot, config: RunConfig) -> float | None:
-    """Return the probability that a drive gets the verdict `works`; None for what was not studied.
+    """Return the probability that a drive works; None for what was not studied.
 
     The study drove tours of 60 s with the default sensors; docs/measured.md has its calibration.
 

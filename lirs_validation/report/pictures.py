@@ -112,10 +112,10 @@ def _read_built_map(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
 
 
 def with_paths(picture: FloatArray, canvas: Canvas, truth: FloatArray, estimate: FloatArray) -> ByteArray:
-    """Return a picture (rows, cols, 3) in [0, 1] as bytes, with the true and the estimated path.
+    """Return a picture with the true and the estimated path, as bytes.
 
     Args:
-        picture: Picture on the canvas.
+        picture: (rows, cols, 3) levels in [0, 1].
         canvas: Place of the picture in the world.
         truth: (n, 2) true positions, meters.
         estimate: (m, 2) estimated positions, meters.

@@ -287,7 +287,7 @@ def _remarks(entries: Sequence[Entry]) -> str:
 
 
 def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:
-    """Return the verdicts by group: the sentence of a single run, the count of each class of more."""
+    """Return the verdicts by group: a sentence of one run, counts of more."""
     groups = by_group(entries)
     named = ("world", "robot", "mapper")  # a sentence names these three
     varied = tuple(name for name in _fields(groups) if name not in named)

@@ -170,7 +170,7 @@ class LiveDrive(Playback):
             log.status, log.reason, log.concurrent, log.final = status, reason, concurrent, None
 
     def _follow(self) -> None:
-        """Take the scans from the log that are new, and the real-time factor of a new second."""
+        """Take new scans from the log, and the real-time factor of a new second."""
         log, period = self._drive.log, self._ready.simulation.period
         for k in range(self.scans, len(log.truth)):
             estimate = self._T_world_map @ log.in_plane(log.estimates[k])

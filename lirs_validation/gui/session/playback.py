@@ -87,7 +87,7 @@ class Moment:
 
 
 class Playback:
-    """A drive that a page shows scan by scan: a finished run, or a drive in progress.
+    """A drive that a page shows scan by scan, finished or in progress.
 
     Attributes:
         robot: Name of the robot.

@@ -44,7 +44,7 @@ AnyPlayback = TypeVar("AnyPlayback", bound=Playback)
 
 
 class PlaybackTab(Generic[AnyPlayback]):
-    """Tab that plays a drive, with a button, a speed, a timeline and a table of figures.
+    """Tab with a drive, its play button, speed, timeline and figures.
 
     Attributes:
         playback: Drive of the tab; None = none yet.
@@ -65,7 +65,7 @@ class PlaybackTab(Generic[AnyPlayback]):
     def _add_play(
         self, label: str, speeds: tuple[str, ...], speed: str, color: Literal["green"] | None = None
     ) -> None:
-        """Add the button that starts and pauses, the speeds, and a view that follows the robot."""
+        """Add the play button, the speeds and the switch that follows the robot."""
         gui, guard = self._page.client.gui, self._page.guard
         self._label = label
         self._play = gui.add_button(label, color=color, icon=viser.Icon.PLAYER_PLAY, disabled=True)
@@ -123,7 +123,7 @@ class PlaybackTab(Generic[AnyPlayback]):
         self._show_state()
 
     def _play_slice(self) -> None:
-        """Continue for a moment of wall time, and show the last scan if a picture is due."""
+        """Play for a moment of wall time; show the last scan when due."""
         playback = self.playback
         if playback is None or not self.running:
             return

@@ -287,7 +287,7 @@ class DriveScene:
 
 
 def _map_picture(grid: OccupancyGrid) -> tuple[Canvas | None, FloatArray]:
-    """Return the picture (rows, cols, 3) of a map and where it lies; no canvas of an empty map."""
+    """Return place and picture (rows, cols, 3) of a map; None of an empty one."""
     bounds = bounds_of(grid)
     if bounds is None:
         return None, np.empty((0, 0, 3))
@@ -314,7 +314,7 @@ def error_colors(errors: FloatArray) -> ByteArray:
 
 
 def ground_point(surface: HeightField, origin: ArrayLike, direction: ArrayLike) -> tuple[float, float] | None:
-    """Return x, y in whole centimeters where a ray first meets the ground; None if it misses."""
+    """Return x, y where a ray first meets the ground; None if it misses."""
     begin, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
     west, south, east, north = surface.bounds
     middle = (west + east) / 2, (south + north) / 2, float(surface.z.min())

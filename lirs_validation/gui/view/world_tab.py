@@ -82,7 +82,7 @@ class WorldTab:
             )
 
     def _chosen(self, event: viser.GuiEvent[Any]) -> None:
-        """Show the chosen source; the name of an opened file is set when it is shown already."""
+        """Show the source that a person chose."""
         if event.client_id is not None:
             self.preview()
 
