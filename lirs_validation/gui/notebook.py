@@ -23,7 +23,7 @@ class EmbeddedPage:
 
     Attributes:
         address: URL of the page, for browsers on this machine.
-        height: of the frame, pixels.
+        height: Height of the frame, pixels.
     """
 
     address: str
@@ -45,8 +45,8 @@ def show(shown: World | str | Path, *, height: int = 640, port: int = 0) -> Embe
 
     Args:
         shown: a world, or a source of `build_world`.
-        height: of the frame, pixels.
-        port: to listen at, on this machine alone; 0 = any free one.
+        height: Height of the frame, pixels.
+        port: Port to listen at, on this machine alone; 0 = any free one.
 
     Raises:
         WctError: there is no such source, the port is taken, or viser is not installed.

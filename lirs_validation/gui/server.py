@@ -15,7 +15,6 @@ import viser
 
 from lirs_validation.gui.page_html import served_from, write_page
 from lirs_validation.gui.view.page import Page
-from lirs_validation.gui.view.scene import Detail
 from lirs_wct.errors import ConfigError
 
 
@@ -26,8 +25,7 @@ class Server:
         source: source shown first; None = the first bundled world.
         runs: folder of finished runs that pages may open; None = no folder.
         host: address to listen at.
-        port: to listen at; 0 = any free one.
-        detail: numbers of triangles sent to browsers.
+        port: Port to listen at; 0 = any free one.
 
     Raises:
         ConfigError: the address cannot be listened at.
@@ -40,9 +38,8 @@ class Server:
         runs: Path | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
-        detail: Detail | None = None,
     ) -> None:
-        self._source, self._runs, self._detail = source, runs, detail or Detail()
+        self._source, self._runs = source, runs
         self._pages: dict[int, Page] = {}
         self._lock = threading.Lock()
         _check_free(host, port)
@@ -106,7 +103,7 @@ class Server:
             page.guard.note(str(message))
 
     def _open(self, client: Any) -> None:
-        page = Page(client, self._source, self._runs, self._detail)
+        page = Page(client, self._source, self._runs)
         with self._lock:
             self._pages[client.client_id] = page
         if client.client_id not in self._viser.get_clients():  # gone while its page was made

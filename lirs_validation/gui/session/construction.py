@@ -34,33 +34,26 @@ PREVIEW_NODES = 129
 
 def preview_facts(world: World) -> Facts:
     """Return the facts of a world before it is built."""
-    surface = world.surface
+    surface, walls = world.surface, world.walls
     width, depth = surface.size
-    facts = [("world", f"{world.name} ({world.kind})"), ("size", f"{width:.5g} x {depth:.5g} m")]
-    walls = world.walls
-    if walls is None:
-        low, high = float(surface.z.min()), float(surface.z.max())
-        facts.append(("heights", f"{low:.2f} to {high:.2f} m"))
-    else:
-        facts.append(
-            ("walls", f"{int(walls.solid.sum())} cells of {walls.resolution:g} m, {walls.height:g} m high")
-        )
-    return tuple(facts)
+    relief = ("heights", f"{float(surface.z.min()):.2f} to {float(surface.z.max()):.2f} m")
+    if walls is not None:
+        cells = f"{int(walls.solid.sum())} cells of {walls.resolution:g} m"
+        relief = ("walls", f"{cells}, {walls.height:g} m high")
+    return ("world", f"{world.name} ({world.kind})"), ("size", f"{width:.5g} x {depth:.5g} m"), relief
 
 
 def built_facts(world: World) -> Facts:
     """Return the facts of a built world, with mesh, mesh error and source of scale."""
-    surface, mesh = world.surface, world.file_mesh
-    error = "exact" if world.walls is not None else f"{mesh_error(world, mesh):.4f} m at the nodes"
-    grid = () if world.walls is not None else (("grid", f"{surface.shape[1]} x {surface.shape[0]} nodes"),)
-    place = () if world.place is None else (("place on earth", world.place.label()),)
+    (rows, cols), mesh = world.surface.shape, world.file_mesh
+    terrain = world.walls is None
     return (
         *preview_facts(world),
-        *place,
-        *grid,
+        *(() if world.place is None else (("place on earth", world.place.label()),)),
+        *((("grid", f"{cols} x {rows} nodes"),) if terrain else ()),
         ("meters", world.scale),
         ("triangles", f"{len(mesh.faces):,}"),
-        ("mesh error", error),
+        ("mesh error", f"{mesh_error(world, mesh):.4f} m at the nodes" if terrain else "exact"),
         ("watertight", "yes" if mesh.is_watertight_as_written else "no"),
         ("start poses", str(len(world.spawn_poses))),
     )
@@ -89,9 +82,9 @@ class Construction:
     """Makes previews and packages of one page's source.
 
     Args:
-        folder: of the page, for packages and the maps of logs.
-        nodes: of a preview along its longer side, at most.
-        scenarios: worlds that the page's drives keep.
+        folder: Folder of the page, for packages and the maps of logs.
+        nodes: Most nodes of a preview along its longer side.
+        scenarios: Worlds that the page's drives keep.
     """
 
     def __init__(

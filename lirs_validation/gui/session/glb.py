@@ -32,7 +32,7 @@ def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, i
     """Return a world as GLB, z up, and its number of triangles.
 
     Args:
-        world: of any kind.
+        world: World of any kind.
         most: triangles; a surface with more is shown on a coarser grid.
         texture: pixels of its longer side, at most.
     """

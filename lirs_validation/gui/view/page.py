@@ -11,7 +11,7 @@ from lirs_validation.gui.session.construction import Shown
 from lirs_validation.gui.session.uploads import Uploads
 from lirs_validation.gui.view.page_context import Guard, PageContext, PageWorker
 from lirs_validation.gui.view.playback_tabs import DriveTab, ReplayTab
-from lirs_validation.gui.view.scene import Detail, DriveScene, WorldScene, ground_point
+from lirs_validation.gui.view.scene import DriveScene, WorldScene, ground_point
 from lirs_validation.gui.view.world_tab import WorldTab, first_sources
 
 
@@ -22,12 +22,9 @@ class Page:
         client: the page.
         source: source shown first; None = the first bundled world.
         runs: folder of finished runs on the server; None = no folder.
-        detail: numbers of triangles sent to the browser.
     """
 
-    def __init__(
-        self, client: viser.ClientHandle, source: str | None, runs: Path | None, detail: Detail
-    ) -> None:
+    def __init__(self, client: viser.ClientHandle, source: str | None, runs: Path | None) -> None:
         self.client_id = client.client_id
         self.uploads = Uploads()
         self.guard = Guard(client)
@@ -37,7 +34,7 @@ class Page:
             client,
             self.worker,
             self.guard,
-            WorldScene(client, detail),
+            WorldScene(client),
             self._drive_scene,
             self.uploads,
             ScenarioCache(),

@@ -81,7 +81,7 @@ class PageWorker:
 
     Args:
         on_error: called with the exception of a job; the thread continues.
-        name: of the thread.
+        name: Name of the thread.
     """
 
     def __init__(self, on_error: Callable[[Exception], None], name: str = "page") -> None:

@@ -306,7 +306,7 @@ class ReplayTab(PlaybackTab[Playback]):
     """Controls of a replay.
 
     Args:
-        page: whose tab it is.
+        page: Page of the tab.
         runs: folder of runs on the server, or of one; None = there is none.
         begun: called before another run is shown.
     """

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -25,6 +24,8 @@ from lirs_wct.world import World
 
 SIDE = 320
 """Pixels of the longer side of the map."""
+PREVIEW_TRIANGLES, BUILT_TRIANGLES = 33_000, 200_000
+"""Triangles sent to a browser while controls are moved, and after Build."""
 UNSEEN = np.full((8, 8, 3), 205, np.uint8)
 """Picture of an empty map."""
 MIN_SCALE = 0.1
@@ -60,24 +61,11 @@ TURNING = 2.0
 """Seconds during which the browser may still report the old camera pose."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Detail:
-    """Numbers of triangles sent to a browser.
-
-    Attributes:
-        preview: triangles while controls are moved.
-        built: triangles after Build.
-    """
-
-    preview: int = 33_000
-    built: int = 200_000
-
-
 class WorldScene:
     """The world of a page."""
 
-    def __init__(self, client: viser.ClientHandle, detail: Detail) -> None:
-        self._client, self._detail = client, detail
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
         self._bounds: tuple[float, ...] | None = None
         self._world: viser.GlbHandle | None = None
         client.scene.set_up_direction("+z")
@@ -85,9 +73,8 @@ class WorldScene:
 
     def show_world(self, world: World, *, coarse: bool) -> int:
         """Show a world instead of the last one; return its number of triangles."""
-        detail = self._detail
-        most, texture = (detail.preview, PREVIEW_TEXTURE) if coarse else (detail.built, TEXTURE)
-        content, triangles = world_glb(world, most, texture)
+        limits = (PREVIEW_TRIANGLES, PREVIEW_TEXTURE) if coarse else (BUILT_TRIANGLES, TEXTURE)
+        content, triangles = world_glb(world, *limits)
         self._world = self._client.scene.add_glb("/world", content)
         self._look_at(world)
         return triangles

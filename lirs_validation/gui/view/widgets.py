@@ -33,7 +33,7 @@ def with_script(name: str, label: str) -> str:
     """Return HTML from our assets with its script, a function of the element around `SCRIPT`.
 
     Args:
-        name: of the files.
+        name: Name of the files.
         label: text that replaces `LABEL` in the script.
     """
     script = asset(f"{name}.js").replace("LABEL", label).replace('"', "&quot;").replace("\n", " ")
@@ -74,8 +74,8 @@ class OptionControls:
     """Controls of the options of a class; `values` reads them.
 
     Args:
-        gui: of the page.
-        guard: of its callbacks.
+        gui: Controls of the page.
+        guard: Guard of the callbacks.
         options: the class.
         changed: called after a change.
         keep_file: keeps an uploaded file and returns its path.
@@ -165,8 +165,8 @@ def add_drop_zone(gui: viser.GuiApi, label: str) -> None:
     Of several files, such as a map's picture and its YAML, the YAML is sent last because it names the others.
 
     Args:
-        gui: of the page.
-        label: of the upload button that they go to, or a part of it that no other button has.
+        gui: Controls of the page.
+        label: Label of the upload button that they go to, or a part that no other button has.
     """
     gui.add_html(with_script("drop", label))
 
@@ -178,8 +178,8 @@ class Stick:
     page gets an event for each change of the field.
 
     Args:
-        gui: of the page.
-        guard: of its callbacks.
+        gui: Controls of the page.
+        guard: Guard of the callbacks.
         steer: called with forward and left, -1 to 1 each.
     """
 

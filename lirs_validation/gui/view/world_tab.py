@@ -33,7 +33,7 @@ class WorldTab:
         shown: the world that the page shows; None before the first.
 
     Args:
-        page: whose tab it is.
+        page: Page of the tab.
         sources: sources by name; the first one is shown.
         changed: called with each world that is shown.
     """

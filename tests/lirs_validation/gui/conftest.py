@@ -14,12 +14,13 @@ PATIENCE = 90_000
 
 
 @pytest.fixture
-def server() -> Iterator[Any]:
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     pytest.importorskip("viser", reason="viser is not installed (extra [gui])")
     from lirs_validation.gui.server import Server
-    from lirs_validation.gui.view.scene import Detail
 
-    server = Server(port=0, detail=Detail(preview=6_000, built=8_000))
+    monkeypatch.setattr("lirs_validation.gui.view.scene.PREVIEW_TRIANGLES", 6_000)
+    monkeypatch.setattr("lirs_validation.gui.view.scene.BUILT_TRIANGLES", 8_000)
+    server = Server(port=0)
     yield server
     server.stop()
     working = [thread for thread in threading.enumerate() if thread.name.startswith("page ")]
