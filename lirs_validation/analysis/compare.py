@@ -16,7 +16,7 @@ import numpy as np
 from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group
 from lirs_validation.analysis.statistics import Test, holm, paired_test
 from lirs_validation.record.formatting import Entry
-from lirs_validation.record.metric_catalog import Metric, worse_than_odometry
+from lirs_validation.record.metric_catalog import Metric
 from lirs_validation.record.run_record import succeeded
 from lirs_wct.errors import ConfigError, unknown_name
 
@@ -70,22 +70,16 @@ class Comparison:
     """All differences of two results.
 
     Attributes:
-        differences: by group and metric.
-        only_a: groups that only the first result has.
-        only_b: groups that only the second has.
-        failed_a: succeeded and failed runs of each common group in the first result.
-        failed_b: the same in the second.
-        worse_a: runs of each common group in the first result that are worse than their odometry.
-        worse_b: the same in the second.
+        differences: Differences by group and metric.
+        only_a: Groups that only the first result has.
+        only_b: Groups that only the second has.
+        common: Runs of each common group, failed ones included, of both results.
     """
 
     differences: tuple[Difference, ...]
     only_a: tuple[RunGroup, ...]
     only_b: tuple[RunGroup, ...]
-    failed_a: dict[RunGroup, tuple[int, int]]
-    failed_b: dict[RunGroup, tuple[int, int]]
-    worse_a: dict[RunGroup, int]
-    worse_b: dict[RunGroup, int]
+    common: dict[RunGroup, tuple[Sequence[Entry], Sequence[Entry]]]
 
 
 def compare(
@@ -119,10 +113,7 @@ def compare(
         differences=correct_p_values(found),
         only_a=tuple(group for group in runs_a if group not in runs_b),
         only_b=tuple(group for group in runs_b if group not in runs_a),
-        failed_a={group: _counts(runs_a[group]) for group in common},
-        failed_b={group: _counts(runs_b[group]) for group in common},
-        worse_a={group: sum(map(worse_than_odometry, runs_a[group].values())) for group in common},
-        worse_b={group: sum(map(worse_than_odometry, runs_b[group].values())) for group in common},
+        common={group: (list(runs_a[group].values()), list(runs_b[group].values())) for group in common},
     )
 
 
@@ -184,11 +175,6 @@ def _difference(
 def _open_fields(group: RunGroup, across: Sequence[str]) -> RunGroup:
     """Return the group with placeholders in the fields of `across`."""
     return group.replaced(**{name: 0.0 if name == "seconds" else "*" for name in FIELDS if name in across})
-
-
-def _counts(runs: dict[int, Entry]) -> tuple[int, int]:
-    good = sum(map(succeeded, runs.values()))
-    return good, len(runs) - good
 
 
 def _ambiguous(first: Entry, second: Entry, across: Sequence[str]) -> str:

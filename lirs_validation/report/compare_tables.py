@@ -13,6 +13,7 @@ from lirs_validation.analysis.groups import FIELDS, distinguishing_fields
 from lirs_validation.analysis.score import Score
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.record.metric_catalog import WORSE, metrics_in, worse_than_odometry
+from lirs_validation.record.run_record import succeeded
 from lirs_validation.record.verdict import Verdict
 from lirs_validation.report.table import ReportTable
 from lirs_wct.files import write_csv, write_json
@@ -87,18 +88,17 @@ def reading(comparison: Comparison) -> str:
     for name, groups in (("a", comparison.only_a), ("b", comparison.only_b)):
         if groups:
             lines.append(f"Only in {name}: {'; '.join(group.label() for group in groups)}.")
-    lines += _failures(comparison) + _worse(comparison)
-    return "\n".join(lines)
-
-
-def _worse(comparison: Comparison) -> list[str]:
-    """Return a line per group with runs that are worse than their odometry."""
-    return [
-        f"{group.label()}: {WORSE} in {in_a} of {sum(comparison.failed_a[group])} runs of a, "
-        f"{comparison.worse_b[group]} of {sum(comparison.failed_b[group])} of b."
-        for group, in_a in comparison.worse_a.items()
-        if in_a or comparison.worse_b[group]
-    ]
+    failed, worse = [], []
+    for group, (a, b) in comparison.common.items():
+        bad_a, bad_b = (sum(not succeeded(run) for run in runs) for runs in (a, b))
+        if bad_a or bad_b:
+            counts = f"{bad_a} of {len(a)} runs failed in a, {bad_b} of {len(b)} in b"
+            failed.append(f"{group.label()}: {counts}; their seeds are left out.")
+        worse_a, worse_b = (sum(map(worse_than_odometry, runs)) for runs in (a, b))
+        if worse_a or worse_b:
+            counts = f"{worse_a} of {len(a)} runs of a, {worse_b} of {len(b)} of b"
+            worse.append(f"{group.label()}: {WORSE} in {counts}.")
+    return "\n".join((*lines, *failed, *worse))
 
 
 def write_compare_csv(path: Path, comparison: Comparison) -> None:
@@ -138,19 +138,6 @@ def as_dict(d: Difference) -> dict[str, Any]:
         "real": d.significant,
         "verdict": verdict(d),
     }
-
-
-def _failures(comparison: Comparison) -> list[str]:
-    """Return a line per group with failed runs, which are in no mean."""
-    lines = []
-    for group, (good_a, failed_a) in comparison.failed_a.items():
-        good_b, failed_b = comparison.failed_b[group]
-        if failed_a or failed_b:
-            lines.append(
-                f"{group.label()}: {failed_a} of {good_a + failed_a} runs failed in a, "
-                f"{failed_b} of {good_b + failed_b} in b; their seeds are left out."
-            )
-    return lines
 
 
 def score_table(score: Score, record: Mapping[str, Any]) -> ReportTable:
