@@ -76,8 +76,7 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
-    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
+    svg = re.sub(r' (width|height)="[^"]*pt"', "", svg, count=2)
     svg = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1", svg)
     svg = re.sub(r' d="[^"]*"', lambda path: DIGITS.sub(r"\1", path.group()), svg)
     width = f"{figure.get_size_inches()[0] * 96:.0f}px"
@@ -90,17 +89,7 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
 
 
 def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
-    """Return RTF over time as SVG, and the number of omitted panels; None without RTF."""
-    drawn = rtf_figure(entries)
-    if drawn is None:
-        return None
-    figure, left_out = drawn
-    label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
-    return as_svg(figure, label, "rtf"), left_out
-
-
-def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
-    """Draw RTF over simulated time (see `rtf_chart`).
+    """Return RTF over time as SVG, and the number of omitted panels; None without RTF.
 
     A panel for each world, robot and representation; in it the methods, each with mean and a band of one
     standard deviation (see `series_band`).
@@ -109,10 +98,9 @@ def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
     panels: dict[RunGroup, dict[str, list[Entry]]] = {}
     for group, held in by_group(runs).items():
         panels.setdefault(group.replaced(mapper=""), {})[group["mapper"]] = held
-    panels = _together(panels)
     if not panels:
         return None
-    shown = dict(list(panels.items())[:MOST_PANELS])
+    shown = dict(_ordered(panels)[:MOST_PANELS])
     across = min(ACROSS, len(shown))
     rows = math.ceil(len(shown) / across)
     figure = Drawing(figsize=(3.4 * across + 0.3, 2.1 * rows + 0.5), layout="constrained")
@@ -120,13 +108,22 @@ def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
     for k, (group, methods) in enumerate(shown.items()):
         axes = figure.add_subplot(rows, across, k + 1)
         _rtf_panel(axes, methods, mappers)
-        plain(axes, _title(group, shown))
+        plain(axes, group.label({"world", *distinguishing_fields(shown)}))
         if k % across == 0:
             axes.set_ylabel("RTF")
         if k + across >= len(shown):
             axes.set_xlabel("simulated time [s]")
-    _legend(figure, mappers)
-    return figure, len(panels) - len(shown)
+    lines = [Line2D([], [], color=color_of(name, mappers), linewidth=2, label=name) for name in mappers]
+    figure.legend(
+        handles=lines,
+        loc="outside upper left",
+        ncols=len(lines),
+        frameon=False,
+        fontsize=SMALL,
+        labelcolor=INK,
+    )
+    label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
+    return as_svg(figure, label, "rtf"), len(panels) - len(shown)
 
 
 def series_band(runs: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:
@@ -178,14 +175,13 @@ def _strip(
         axes.plot(
             values, [row] * len(values), "o", color=color, markersize=3.5, alpha=0.75, markeredgewidth=0
         )
-        axes.plot([float(np.median(values))] * 2, (row - 0.33, row + 0.33), color=INK, linewidth=1.1)
         baseline = [
             metric.scale * float(v) for run in runs if (v := value_at(run, metric.baseline)) is not None
         ]
-        if baseline:
-            axes.plot(
-                [float(np.median(baseline))] * 2, (row - 0.33, row + 0.33), ":", color=INK, linewidth=1.4
-            )
+        for numbers, style, width in ((values, "-", 1.1), (baseline, ":", 1.4)):
+            if numbers:
+                middle = [float(np.median(numbers))] * 2
+                axes.plot(middle, (row - 0.33, row + 0.33), style, color=INK, linewidth=width)
     if metric.section == "rtf":
         values = [v for runs in groups.values() for v in _values(metric, runs)]
         if min(values) > 0 and max(values) / min(values) > WIDE:
@@ -216,26 +212,9 @@ def _rtf_panel(axes: Axes, held: Mapping[str, Sequence[Entry]], mappers: list[st
     axes.set_xlim(left=0)
 
 
-def _together(panels: dict[RunGroup, Any]) -> dict[RunGroup, Any]:
-    """Return the panels ordered by world and robot."""
-    first = list(dict.fromkeys((group["world"], group["robot"]) for group in panels))
+def _ordered(panels: dict[RunGroup, Any]) -> list[tuple[RunGroup, Any]]:
+    """Return the panels by world, then by robot, each in the order of appearance."""
     worlds = list(dict.fromkeys(group["world"] for group in panels))
-    order = sorted(panels, key=lambda c: (worlds.index(c["world"]), first.index((c["world"], c["robot"]))))
-    return {group: panels[group] for group in order}
-
-
-def _title(group: RunGroup, groups: Mapping[RunGroup, Any]) -> str:
-    """Return the title of a panel: its world and the fields that distinguish it."""
-    return group.label({"world", *distinguishing_fields(groups)})
-
-
-def _legend(figure: Figure, mappers: Sequence[str]) -> None:
-    lines = [Line2D([], [], color=color_of(m, list(mappers)), linewidth=2, label=m) for m in mappers]
-    figure.legend(
-        handles=lines,
-        loc="outside upper left",
-        ncols=len(lines),
-        frameon=False,
-        fontsize=SMALL,
-        labelcolor=INK,
-    )
+    robots = list(dict.fromkeys((group["world"], group["robot"]) for group in panels))
+    place = {pair: (worlds.index(pair[0]), robots.index(pair)) for pair in robots}
+    return sorted(panels.items(), key=lambda panel: place[panel[0]["world"], panel[0]["robot"]])
