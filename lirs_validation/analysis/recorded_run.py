@@ -25,6 +25,7 @@ from lirs_validation.record.provenance import with_recorded_source
 from lirs_validation.record.run_record import maps_clouds
 from lirs_wct import (
     ConfigError,
+    Imu,
     LaserScan,
     OccupancyGrid,
     Pose2,
@@ -37,6 +38,7 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.drive_csv import IMU_HEADER, read_imu
+from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.suffixes import Storage
 from lirs_wct.formats.tum import read_tum
@@ -49,8 +51,6 @@ if TYPE_CHECKING:
 
 SAME_STAMP = 1e-4
 """Largest difference between stamps of the same scan in two files, seconds."""
-FORMATS = ("bag", "csv", "npz", "carmen", "evalio")
-"""Export formats."""
 POSE_HEADER = "stamp,x,y,z,qw,qx,qy,qz"
 
 
@@ -122,6 +122,17 @@ def recorded_truth(folder: Path) -> Trajectory:
     return truth
 
 
+def _read_sensors(folder: Path) -> tuple[Trajectory, LaserLog, tuple[Imu, ...]]:
+    """Return true poses, scans and inertial readings of a run, one of each a scan."""
+    truth, log = recorded_truth(folder), read_carmen(folder / "scans.clf.gz")
+    stamps, imu = log.stamps, read_imu(folder / "imu.csv.gz")
+    if not len(stamps) == len(truth) == len(imu) or np.abs(stamps - truth.stamps).max() > SAME_STAMP:
+        raise SourceError(
+            f"{folder}: not one drive: {len(stamps)} scans, {len(truth)} true poses, {len(imu)} IMU readings"
+        )
+    return truth, log, imu
+
+
 def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> OccupancyGrid:
     """Return the map of the recorded scans at the true poses, world frame.
 
@@ -130,12 +141,7 @@ def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> Occupan
     Raises:
         SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
     """
-    truth, log = recorded_truth(folder), read_carmen(folder / "scans.clf.gz")
-    stamps, imu = log.stamps, read_imu(folder / "imu.csv.gz")
-    if not len(stamps) == len(truth) == len(imu) or np.abs(stamps - truth.stamps).max() > SAME_STAMP:
-        raise SourceError(
-            f"{folder}: not one drive: {len(stamps)} scans, {len(truth)} true poses, {len(imu)} IMU readings"
-        )
+    truth, log, imu = _read_sensors(folder)
     T_world_map, T_base_laser = truth.pose2(0), make_robot(config.robot).T_base_laser
     range_min = make_lidar_preset(config.lidar or make_robot(config.robot).lidar).range_min
     mapper = KnownPoseMapper(resolution=resolution)
@@ -154,16 +160,13 @@ def export_run(
     Args:
         run: recorded run.
         out: folder that receives a folder or file for each format.
-        formats: names of `FORMATS`.
-        storage: of the bag.
+        formats: Names of formats: bag, csv, npz, carmen or evalio.
+        storage: Storage of the bag.
         slam: whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
 
     Raises:
         WctError: there is no such format, the run cannot be read, or out is not writable.
     """
-    for name in formats:
-        if name not in FORMATS:
-            raise unknown_name("format", name, FORMATS)
     exporters: Mapping[str, Callable[[RunFolder, Path], Path]] = {
         "bag": partial(_export_bag, storage=storage, slam=slam),
         "csv": _export_csv,
@@ -171,6 +174,9 @@ def export_run(
         "carmen": _export_carmen,
         "evalio": lambda run, out: export_evalio(run, recorded_config(run.entry), out),
     }
+    for name in formats:
+        if name not in exporters:
+            raise unknown_name("format", name, exporters)
     return [exporters[name](run, out) for name in formats]
 
 
@@ -185,13 +191,8 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
     from lirs_wct.formats.rosbag.messages import BagTick
     from lirs_wct.formats.rosbag.writer import BagDrive
 
-    truth, log = recorded_truth(run.folder), read_carmen(run.folder / "scans.clf.gz")
-    imu, estimate = read_imu(run.folder / "imu.csv.gz"), read_tum(run.folder / "estimate.tum")
-    n = len(log.scans)
-    if not n == len(truth) == len(imu) or np.abs(log.stamps - truth.stamps).max() > SAME_STAMP:
-        raise SourceError(
-            f"{run.folder}: not one drive: {n} scans, {len(truth)} true poses, {len(imu)} IMU readings"
-        )
+    truth, log, imu = _read_sensors(run.folder)
+    estimate = read_tum(run.folder / "estimate.tum")
     T_map_world = truth.pose2(0).inverse()
     robot = make_robot((config := recorded_config(run.entry)).robot)
     range_min = make_lidar_preset(config.lidar or robot.lidar).range_min

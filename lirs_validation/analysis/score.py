@@ -359,9 +359,8 @@ def interpolate_poses(trajectory: Trajectory, stamps: FloatArray) -> Trajectory:
     known = stamps[inside & (own | (gaps[after - 1] <= most))]
     if not len(known):
         return trajectory
-    columns = [np.interp(known, trajectory.stamps, column) for column in trajectory.positions.T]
-    turns = Slerp(trajectory.stamps, Rotation.from_quat(trajectory.quaternions, scalar_first=True))
-    return Trajectory(known, np.column_stack(columns), turns(known).as_quat(scalar_first=True))
+    positions, turns = _poses_at(trajectory, known)
+    return Trajectory(known, positions, turns.as_quat(scalar_first=True))
 
 
 def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
@@ -418,15 +417,16 @@ def _motion(trajectory: Trajectory, stamps: FloatArray) -> FloatArray:
     """
     if len(trajectory) < 2:
         return np.empty((0, 2))
-    if len(trajectory) < 2:
-        return np.empty((0, 2))
-    turns = Slerp(trajectory.stamps, Rotation.from_quat(trajectory.quaternions, scalar_first=True))
     ends = [np.clip(stamps + shift, *trajectory.stamps[[0, -1]]) for shift in (-WINDOW / 2, WINDOW / 2)]
-    before, after = (
-        np.column_stack([np.interp(t, trajectory.stamps, c) for c in trajectory.positions.T]) for t in ends
-    )
-    angle = (turns(ends[0]).inv() * turns(ends[1])).magnitude()
-    return np.column_stack((np.linalg.norm(after - before, axis=1), angle))
+    (before, turn), (after, turned) = (_poses_at(trajectory, t) for t in ends)
+    return np.column_stack((np.linalg.norm(after - before, axis=1), (turn.inv() * turned).magnitude()))
+
+
+def _poses_at(trajectory: Trajectory, stamps: FloatArray) -> tuple[FloatArray, Rotation]:
+    """Return positions (n, 3) and attitudes, interpolated at stamps (n,) within the trajectory."""
+    positions = [np.interp(stamps, trajectory.stamps, column) for column in trajectory.positions.T]
+    turns = Slerp(trajectory.stamps, Rotation.from_quat(trajectory.quaternions, scalar_first=True))
+    return np.column_stack(positions), turns(stamps)
 
 
 def _difference(truth: Trajectory, estimate: Trajectory, offset: float) -> float:
