@@ -115,16 +115,14 @@ def _manifest(path: Path, skipped: list[tuple[str, str]]) -> Entry | None:
     try:
         entry = _json(path)
         cells = entry.get("cells", [])
-        if not (isinstance(cells, list) and all(map(_names_a_run, cells))):
+        if not isinstance(cells, list) or not all(
+            isinstance(cell, dict) and isinstance(cell.get("name"), str) for cell in cells
+        ):
             raise SourceError(f"{path}: damaged: cells must be a list of objects with a name")
         return entry
     except SourceError as error:
         skipped.append((path.name, str(error)))
         return None
-
-
-def _names_a_run(cell: object) -> bool:
-    return isinstance(cell, dict) and isinstance(cell.get("name"), str)
 
 
 def _json(path: Path) -> Entry:

@@ -52,10 +52,10 @@ def map_overview(
     """Draw a mapped log on one page.
 
     Args:
-        record: its metrics.
+        record: Record of the map.
         grid: the map.
         estimate: pose of every scan in the map.
-        reference: in its own frame.
+        reference: Reference in its own frame.
         accuracy: errors of each pose; missing ones are not drawn.
     """
     canvas = Canvas.over(bounds_shown(estimate, grid), round(WIDTH * PAGE_DPI))

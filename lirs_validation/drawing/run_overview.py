@@ -112,7 +112,7 @@ def overview_figure(
 
     Args:
         world: world of the run.
-        record: its metrics.
+        record: Record of the run.
         truth: true poses, world frame.
         estimate: estimated poses, world frame (moved by the true start pose).
         true_pose: map made with the true poses, world frame.
@@ -124,11 +124,15 @@ def overview_figure(
     rows, cols = canvas.shape
     tall = PANEL * min(max(rows / cols, 0.35), 1.5)
     heights, widths = (max(tall, 4.2), tall), (PANEL,) * 3
-    figure, grid = page_of_panels(f"{_headline(record)}\n{_wrapped_verdict(record)}", heights, widths)
+    figure, grid = page_of_panels(
+        f"{_headline(record)}\n{textwrap.fill(str(record.verdict), LINE)}", heights, widths
+    )
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
     value_list(figure.add_subplot(grid[0, 2]), picture_lines(record))
-    _reference(figure.add_subplot(grid[1, 0]), canvas, true_pose)
+    axes = figure.add_subplot(grid[1, 0])
+    map_axes(axes, canvas, canvas.grid_picture(true_pose))
+    title(axes, "Map at the true poses")
     if elevation is not None:
         panels = figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[1, 2])
         elevation_panels(panels, canvas, world, elevation)
@@ -167,11 +171,6 @@ def _headline(record: RunRecord) -> str:
     return f"{text} ({'' if record.status in SUCCEEDED else 'failed: '}{record.reason or record.status})"
 
 
-def _wrapped_verdict(record: RunRecord) -> str:
-    """Return the verdict in lines of the figure's width."""
-    return textwrap.fill(str(record.verdict), LINE)
-
-
 def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:
     map_axes(axes, canvas, shaded_heights(world, canvas))
     axes.set_anchor("N")
@@ -184,11 +183,6 @@ def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estima
         *path_ends(axes, truth),
     ]
     legend(axes, handles)
-
-
-def _reference(axes: Axes, canvas: Canvas, true_pose: OccupancyGrid) -> None:
-    map_axes(axes, canvas, canvas.grid_picture(true_pose))
-    title(axes, "Map at the true poses")
 
 
 def _draw_built_map(

@@ -37,6 +37,7 @@ from lirs_validation.report.run_tables import (
 )
 from lirs_validation.report.table import ReportTable
 
+SKIPPED = "Folders that are damaged or of another version: in no table below."
 MOST_PICTURES = 120
 """Largest number of runs with pictures; of more runs, the first seed of each group is shown."""
 INTROS: dict[Section, str] = {
@@ -260,7 +261,7 @@ def report_of(results: ResultFolder) -> Report:
         verdicts=verdicts_by_method(entries),
         failures=failures_table(entries),
         checks_failed=checks_failed_table(failed, results.broken),
-        skipped=_skipped_table(results),
+        skipped=ReportTable("skipped", "Not read", SKIPPED, ("folder", "reason"), results.skipped, 2),
         summary=summary_table(entries),
         sections=_sections(entries),
         collisions=collision_table(results.collisions),
@@ -285,11 +286,6 @@ def _missing(results: ResultFolder, manifest: Entry) -> int:
     held = len(results.runs) + len(results.collisions)
     asked = len(manifest.get("cells", ())) or held
     return asked - held - len(results.broken)
-
-
-def _skipped_table(results: ResultFolder) -> ReportTable:
-    caption = "Folders that are damaged or of another version: in no table below."
-    return ReportTable("skipped", "Not read", caption, ("folder", "reason"), results.skipped, 2)
 
 
 def _sections(entries: Sequence[Entry]) -> tuple[tuple[Section, ReportTable, ReportTable], ...]:

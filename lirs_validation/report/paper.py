@@ -11,7 +11,7 @@ from lirs_validation.record.formatting import Entry, significant, span
 from lirs_validation.record.metric_catalog import Metric, metrics_named
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.run_tables import EXTRAPOLATED, over_runs
-from lirs_validation.report.table import Content, MetricSpread, ReportTable
+from lirs_validation.report.table import Content, ReportTable
 
 HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
 VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}
@@ -84,17 +84,13 @@ def _robot_table(entries: Sequence[Entry]) -> ReportTable:
     for robot, value in ROBOT_MEANS.items():
         runs = [entry for entry in entries if entry["config"]["robot"] == robot]
         here = [over_runs(RTF, [e for e in runs if _view(e) == view]) for view in (SOLID, OURS)]
-        rows.append((robot, _published_text(value), *(_without_interval(spread) for spread in here)))
+        rows.append((robot, _published_text(value), *(spread.text_of(interval=False) for spread in here)))
     caption = (
         "Mean RTF over all worlds, methods and seeds; without an interval, since worlds and methods are no "
         "repeats. The paper's are means on its solid worlds (Section III-D)."
     )
     headings = ("robot", "paper", "solid-based, here", "ours")
     return ReportTable("robots", "Average RTF by robot", caption, headings, tuple(rows))
-
-
-def _without_interval(spread: MetricSpread) -> Content:
-    return RTF.formatted(None if spread.values is None else spread.values.mean) + spread.mark
 
 
 def _published_text(value: float | None) -> str:

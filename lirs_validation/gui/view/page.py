@@ -49,9 +49,9 @@ class Page:
         with tabs.add_tab("World", viser.Icon.MOUNTAIN):
             self.world = WorldTab(context, first_sources(source), self._world_changed)
         with tabs.add_tab("Drive", viser.Icon.STEERING_WHEEL):
-            self.drive = DriveTab(context, lambda: self.world.shown, self._drive_begins)
+            self.drive = DriveTab(context, lambda: self.world.shown, lambda: self._forget(self.replay))
         with tabs.add_tab("Replay", viser.Icon.HISTORY):
-            self.replay = ReplayTab(context, runs, self._replay_begins)
+            self.replay = ReplayTab(context, runs, lambda: self._forget(self.drive))
 
     def _press_play(self, _: object) -> None:
         """Pause the drive or the replay, or let it go on."""
@@ -68,17 +68,12 @@ class Page:
 
     def _world_changed(self, _: Shown) -> None:
         """Drop drive and replay: their world is no longer shown."""
-        self.drive.forget()
-        self.replay.forget()
+        self._forget(self.drive, self.replay)
         self._context.scene.unmark()
-        self._drive_scene.clear()
 
-    def _drive_begins(self) -> None:
-        self.replay.forget()
-        self._drive_scene.clear()
-
-    def _replay_begins(self) -> None:
-        self.drive.forget()
+    def _forget(self, *tabs: DriveTab | ReplayTab) -> None:
+        for tab in tabs:
+            tab.forget()
         self._drive_scene.clear()
 
     def close(self) -> None:

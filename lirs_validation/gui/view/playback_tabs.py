@@ -207,7 +207,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
         start.on_click(self._page.guard(lambda _: self.start()))
         self._add_play("Go on", tuple(SPEEDS), "2 x")
         self._step = gui.add_button("Step one scan", icon=viser.Icon.PLAYER_SKIP_FORWARD, disabled=True)
-        self._step.on_click(self._page.guard(lambda _: self._step_one()))
+        self._step.on_click(self._page.guard(lambda _: self._page.worker.submit("step", self._step_one)))
         self._save = gui.add_button("Save the run", icon=viser.Icon.DOWNLOAD, disabled=True)
         self._save.on_click(self._page.guard(lambda _: self._page.worker.submit("save", self._save_now)))
 
@@ -265,9 +265,6 @@ class DriveTab(PlaybackTab[LiveDrive]):
 
     def _step_one(self) -> None:
         self.pause()
-        self._page.worker.submit("step", self._step_now)
-
-    def _step_now(self) -> None:
         if self.playback is not None:
             self.playback.step()
             self._show_scan(self.playback.scans - 1)
@@ -332,7 +329,11 @@ class ReplayTab(PlaybackTab[Playback]):
             mime_type=".zip",
             hint="A run's folder as a zip archive, as Save the run gives it.",
         )
-        upload.on_upload(self._page.guard(lambda _: self._open_archive(upload.value.content)))
+        upload.on_upload(
+            self._page.guard(
+                lambda _: self._page.worker.submit("replay", lambda: self._unpack(upload.value.content))
+            )
+        )
         add_drop_zone(gui, "Open a zipped run")
         self._look()
 
@@ -346,9 +347,6 @@ class ReplayTab(PlaybackTab[Playback]):
             return
         folder = runs_in(self._runs)[name]
         self._page.worker.submit("replay", lambda: self._show(folder, uploaded=False))
-
-    def _open_archive(self, content: bytes) -> None:
-        self._page.worker.submit("replay", lambda: self._unpack(content))
 
     def _unpack(self, content: bytes) -> None:
         self._show(unpacked_run(content, self._page.uploads.folder / "replayed"), uploaded=True)

@@ -18,7 +18,6 @@ from lirs_validation.gui.session.playback import MapSnapshot, Moment
 from lirs_validation.report.pictures import with_paths
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of, rgb
-from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 
@@ -226,8 +225,10 @@ class DriveScene:
         self._map, self._canvas, walls = snapshot, None, np.empty((0, 2))
         if snapshot is not None:
             grid = snapshot.grid
-            walls = grid.occupied_points()
-            self._canvas, self._cells = _map_picture(grid)
+            walls, bounds = grid.occupied_points(), bounds_of(grid)
+            if bounds is not None:
+                self._canvas = Canvas.over(bounds, SIDE)
+                self._cells = self._canvas.grid_picture(grid)
         walls = walls[:: max(1, -(-len(walls) // WALLS))]
         self._client.scene.add_point_cloud(
             "/drive/walls",
@@ -271,15 +272,6 @@ class DriveScene:
         camera = self._client.camera
         with self._client.atomic():
             camera.position, camera.look_at = position + away, position
-
-
-def _map_picture(grid: OccupancyGrid) -> tuple[Canvas | None, FloatArray]:
-    """Return place and picture (rows, cols, 3) of a map; None of an empty one."""
-    bounds = bounds_of(grid)
-    if bounds is None:
-        return None, np.empty((0, 0, 3))
-    canvas = Canvas.over(bounds, SIDE)
-    return canvas, canvas.grid_picture(grid)
 
 
 def round_length(length: float) -> float:
