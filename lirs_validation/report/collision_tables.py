@@ -3,32 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from lirs_validation.collision.validation import Check, CollisionVerdict
 from lirs_validation.record.formatting import NOTHING
 from lirs_validation.report.table import ReportTable
 
-Columns = tuple[tuple[str, Callable[[CollisionVerdict], str]], ...]
-"""Headings and contents; the first columns hold text."""
-SHORT: Columns = (
+COLUMNS: tuple[tuple[str, Callable[[CollisionVerdict], str]], ...] = (
     ("world", lambda v: v.world),
     ("robot", lambda v: v.robot),
     ("terrain", lambda v: v.terrain),
     ("seed", lambda v: str(v.seed)),
-    ("", lambda v: "ok" if v.passed else "FAIL"),
-    ("99.9 % [mm]", lambda v: f"{1e3 * v.penetration_p999:.1f}"),
-    ("peak [mm]", lambda v: f"{1e3 * v.penetration_peak:.1f}"),
-    ("legal [mm]", lambda v: f"{1e3 * v.penetration_limit:.0f}"),
-    ("gain [%]", lambda v: f"{100 * v.energy_gain / v.energy_limit:.0f}"),
-    ("force [N]", lambda v: f"{v.force_peak:.0f}"),
-    ("slope [deg]", lambda v: _text(v.slope)),
-    ("tips", lambda v: str(v.tip_overs)),
-)
-"""For a screen; the gained energy is a share of its limit."""
-FULL: Columns = (
-    ("world", lambda v: v.world),
-    ("robot", lambda v: v.robot),
-    ("terrain", lambda v: v.terrain),
     ("verdict", lambda v: "pass" if v.passed else "FAIL"),
     ("penetration, 99.9 % [mm]", lambda v: f"{1e3 * v.penetration_p999:.2f}"),
     ("peak [mm]", lambda v: f"{1e3 * v.penetration_peak:.2f}"),
@@ -45,7 +30,7 @@ FULL: Columns = (
     ("stuck [s]", lambda v: f"{v.stuck:.1f}"),
     ("driven [m]", lambda v: f"{v.driven:.0f}"),
 )
-"""For a report."""
+"""Headings and contents; the first five columns hold text."""
 
 
 def verdicts_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
@@ -53,25 +38,19 @@ def verdicts_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
 
     Values that all verdicts share are in the title, so that the table fits a terminal of 80 characters.
     """
-    ordered = _failures_first(verdicts)
-    caption = "\n".join(line for verdict in ordered for line in over_limits(verdict))
-    table = _table("", caption, SHORT, ordered, text_columns=5)
+    lines = "\n".join(line for verdict in _failures_first(verdicts) for line in over_limits(verdict))
+    table = replace(collision_table(verdicts), title="", caption=lines)
     return table.with_common_in_title(("robot", "terrain", "seed"))
 
 
 def collision_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
-    """Return all metrics of the verdicts for a report."""
+    """Return all metrics of the verdicts, failures first."""
+    ordered = _failures_first(verdicts)
     caption = "Limits are explained in docs/results.md; tip-overs and stuck time have none."
-    return _table("Collision validation", caption, FULL, _failures_first(verdicts), text_columns=4)
-
-
-def _table(
-    title: str, caption: str, columns: Columns, verdicts: Sequence[CollisionVerdict], text_columns: int
-) -> ReportTable:
-    headings = tuple(heading for heading, _ in columns)
-    rows = tuple(tuple(text(verdict) for _, text in columns) for verdict in verdicts)
-    styles = tuple("" if verdict.passed else "bold red" for verdict in verdicts)
-    return ReportTable("collisions", title, caption, headings, rows, text_columns, styles=styles)
+    headings = tuple(heading for heading, _ in COLUMNS)
+    rows = tuple(tuple(text(verdict) for _, text in COLUMNS) for verdict in ordered)
+    styles = tuple("" if verdict.passed else "bold red" for verdict in ordered)
+    return ReportTable("collisions", "Collision validation", caption, headings, rows, 5, styles=styles)
 
 
 def _failures_first(verdicts: Sequence[CollisionVerdict]) -> list[CollisionVerdict]:
