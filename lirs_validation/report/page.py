@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import median
 from typing import Any
 
@@ -24,7 +24,7 @@ from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.charts import AROUND, distribution_chart, rtf_chart
 from lirs_validation.report.collision_tables import checks_failed_table, collision_table
 from lirs_validation.report.paper import Finding, findings, paper_tables
-from lirs_validation.report.pictures import Painter
+from lirs_validation.report.pictures import Painter, RunPicture
 from lirs_validation.report.provenance import Origin, commands_table, origins_of
 from lirs_validation.report.run_tables import (
     SECTIONS,
@@ -51,16 +51,6 @@ INTROS: dict[Section, str] = {
     "cost": "Processor time of the drive, peak memory of the process, compilation before the clock starts, "
     "and the mapper's time per scan.",
 }
-
-
-@dataclass(frozen=True)
-class PagePicture:
-    """A run's picture on the page."""
-
-    name: str
-    url: str
-    alt: str
-    note: str
 
 
 def page(report: Report, command: str) -> str:
@@ -123,7 +113,7 @@ def _spread(report: Report) -> dict[str, str] | None:
     return {"svg": drawn[0], "caption": caption}
 
 
-def _pictures(runs: Sequence[RunFolder]) -> tuple[list[PagePicture], str]:
+def _pictures(runs: Sequence[RunFolder]) -> tuple[list[RunPicture], str]:
     """Return the pictures of runs with maps, and a note on omitted ones."""
     drawn = [run for run in runs if run.entry["map"]]
     chosen, note = drawn, ""
@@ -133,12 +123,12 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[list[PagePicture], str]:
     painter = Painter(len(chosen))
     pictures = []
     for run in chosen:
-        picture, group = painter.paint(run), RunGroup.of(run.entry)
+        group = RunGroup.of(run.entry)
         shown = {"world", "robot", "mapper", "terrain", "rays", *unusual_fields([group])}
         name = f"{group.label(shown)}, seed {run.entry['seed']}"
         name += "" if run.entry["status"] == "ok" else f": {run.entry['status']}"
         name += f": {WORSE}" if worse_than_odometry(run.entry) else ""
-        pictures.append(PagePicture(name, picture.url, f"Paths and maps of {name}", picture.note))
+        pictures.append(replace(painter.paint(run), name=name))
     return pictures, note
 
 

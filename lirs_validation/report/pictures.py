@@ -43,6 +43,7 @@ class RunPicture:
 
     url: str
     note: str = ""
+    name: str = ""
 
 
 class Painter:
