@@ -86,11 +86,7 @@ def read_results(root: Path) -> ResultFolder:
 
 
 def _read_folder(folder: Path) -> RunFolder | CollisionVerdict | str | None:
-    """Return a run, a verdict, a failed validation's reason, or None for other folders.
-
-    Raises:
-        SourceError: it is damaged or of another version.
-    """
+    """Return a run, a verdict, a failed validation's reason, or None for other folders."""
     if is_mapped_log(folder):
         return None  # a source of runs, and none itself
     if (folder / "record.json").exists():

@@ -154,11 +154,7 @@ def score(
 def _offset(
     path: Path, truth: Trajectory, estimate: Trajectory, time_offset: float | Literal["auto"]
 ) -> float:
-    """Return the offset of an estimate's clock, seconds.
-
-    Raises:
-        SourceError: it is not found.
-    """
+    """Return the offset of an estimate's clock, seconds."""
     if time_offset != "auto":
         return time_offset
     try:

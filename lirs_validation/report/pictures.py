@@ -100,11 +100,7 @@ class Painter:
 
 
 def _read_built_map(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
-    """Read the built map; None for point-cloud mappers in worlds with overhangs.
-
-    Raises:
-        SourceError: it is missing or damaged.
-    """
+    """Read the built map; None for point-cloud mappers in worlds with overhangs."""
     if not maps_clouds(run.entry):
         return read_map(run.folder / "map.yaml")
     if ELEVATION not in run.entry.get("file_sizes", {}):
@@ -115,11 +111,7 @@ def _read_built_map(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
 def with_paths(picture: FloatArray, canvas: Canvas, truth: FloatArray, estimate: FloatArray) -> ByteArray:
     """Return a picture with the true and the estimated path, as bytes.
 
-    Args:
-        picture: (rows, cols, 3) levels in [0, 1].
-        canvas: Place of the picture in the world.
-        truth: (n, 2) true positions, meters.
-        estimate: (m, 2) estimated positions, meters.
+    The picture has levels (rows, cols, 3) in [0, 1], the paths positions (n, 2) in meters.
     """
     painted: ByteArray = np.ascontiguousarray(picture * 255, dtype=np.uint8)
     for track, color, width in ((truth, BLUE, 7), (estimate, VERMILLION, 2)):

@@ -79,13 +79,7 @@ class Shown:
 
 
 class Construction:
-    """Makes previews and packages of one page's source.
-
-    Args:
-        folder: Folder of the page, for packages and the maps of logs.
-        nodes: Most nodes of a preview along its longer side.
-        scenarios: Worlds that the page's drives keep.
-    """
+    """Makes previews and packages of one page's source in the page's folder."""
 
     def __init__(
         self, folder: Path, nodes: int = PREVIEW_NODES, scenarios: ScenarioCache | None = None

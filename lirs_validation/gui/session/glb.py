@@ -31,10 +31,8 @@ SECTIONS = 20
 def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, int]:
     """Return a world as GLB, z up, and its number of triangles.
 
-    Args:
-        world: World of any kind.
-        most: triangles; a surface with more is shown on a coarser grid.
-        texture: pixels of its longer side, at most.
+    A surface of more than `most` triangles is shown on a coarser grid, a texture with at most `texture` pixels
+    along its longer side.
     """
     shown, count = trimesh.Scene(), 0
     for part in world_parts(world, _shown_mesh(world, most)):

@@ -28,12 +28,8 @@ class HandOverDriver(WrappedDriver):
     """Driver that switches between another driver and manual control.
 
     Attributes:
-        by_hand: whether a person drives.
-        touched: whether a person drove at any time.
-
-    Args:
-        driver: automatic driver.
-        robot: robot whose speed limits also hold for manual control.
+        by_hand: Whether a person drives, within the robot's speed limits.
+        touched: Whether a person drove at any time.
     """
 
     def __init__(self, driver: Driver, robot: Robot) -> None:
@@ -72,11 +68,6 @@ class LiveDrive(Playback):
     Attributes:
         config: Config of the run.
         driver: Driver of the config, from which a person can take over.
-
-    Args:
-        config: Config of the run, as `validate` takes it.
-        scenarios: Worlds that the page built before.
-        progress: Progress of the preparation.
 
     Raises:
         WctError: the config cannot be run.
@@ -180,11 +171,7 @@ class LiveDrive(Playback):
             self.rtf.append(ticks * period / sum(log.walls[-ticks:]))
 
     def _take_stock(self) -> None:
-        """Keep the map, mark events and judge.
-
-        Raises:
-            MapperError: the mapper failed.
-        """
+        """Keep the map, mark events and judge."""
         mapper, log, scores = self._ready.mapper, self._drive.log, dict[str, Any]()
         if not mapper.reads_clouds:  # these have no occupancy map
             grid = mapper.map()

@@ -16,13 +16,7 @@ from lirs_validation.gui.view.world_tab import WorldTab, first_sources
 
 
 class Page:
-    """State and tabs of one client, separate from other clients.
-
-    Args:
-        client: the page.
-        source: source shown first; None = the first bundled world.
-        runs: folder of finished runs on the server; None = no folder.
-    """
+    """State and tabs of one client, separate from other clients."""
 
     def __init__(self, client: viser.ClientHandle, source: str | None, runs: Path | None) -> None:
         self.client_id = client.client_id

@@ -79,9 +79,7 @@ class Guard:
 class PageWorker:
     """Run the jobs of one page in sequence, so that its state needs no locks.
 
-    Args:
-        on_error: called with the exception of a job; the thread continues.
-        name: Name of the thread.
+    A job that fails is reported to `on_error`; the thread continues.
     """
 
     def __init__(self, on_error: Callable[[Exception], None], name: str = "page") -> None:

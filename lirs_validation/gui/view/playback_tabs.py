@@ -49,10 +49,6 @@ class PlaybackTab(Generic[AnyPlayback]):
     Attributes:
         playback: Drive of the tab; None = none yet.
         running: Whether it is being played.
-
-    Args:
-        page: Page of the tab.
-        begun: Called before another drive is shown.
     """
 
     def __init__(self, page: PageContext, begun: Callable[[], None]) -> None:
@@ -300,13 +296,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
 
 
 class ReplayTab(PlaybackTab[Playback]):
-    """Controls of a replay.
-
-    Args:
-        page: Page of the tab.
-        runs: folder of runs on the server, or of one; None = there is none.
-        begun: called before another run is shown.
-    """
+    """Controls of a replay."""
 
     def __init__(self, page: PageContext, runs: Path | None, begun: Callable[[], None]) -> None:
         super().__init__(page, begun)

@@ -30,12 +30,7 @@ HINT = "Forward and left, -1 to 1 each. Drag the stick, hold W A S D or the arro
 
 
 def with_script(name: str, label: str) -> str:
-    """Return HTML from our assets with its script, a function of the element around `SCRIPT`.
-
-    Args:
-        name: Name of the files.
-        label: text that replaces `LABEL` in the script.
-    """
+    """Return HTML and script of a name in our assets; the text `LABEL` is replaced."""
     script = asset(f"{name}.js").replace("LABEL", label).replace('"', "&quot;").replace("\n", " ")
     mark = f'<img src="data:," alt="" style="display:none" onerror="({script})(this.parentElement)">'
     return asset(f"{name}.html").replace("SCRIPT", mark)
@@ -73,14 +68,8 @@ class ProgressLine:
 class OptionControls:
     """Controls of the options of a class; `values` reads them.
 
-    Args:
-        gui: Controls of the page.
-        guard: Guard of the callbacks.
-        options: the class.
-        changed: called after a change.
-        keep_file: keeps an uploaded file and returns its path.
-        first: names of options above the folded ones.
-        more: heading of all folded options; empty = each option stands under its own heading.
+    The options in `first` stand above the folded ones, and those under the heading `more` or, without one,
+    under their own. `keep_file` keeps an uploaded file and returns its path.
     """
 
     def __init__(
@@ -162,11 +151,8 @@ class OptionControls:
 def add_drop_zone(gui: viser.GuiApi, label: str) -> None:
     """Accept files dropped onto the page while this part is visible.
 
-    Of several files, such as a map's picture and its YAML, the YAML is sent last because it names the others.
-
-    Args:
-        gui: Controls of the page.
-        label: Label of the upload button that they go to, or a part that no other button has.
+    They go to the upload button whose label has the given part. Of several files, such as a map's picture and
+    its YAML, the YAML is sent last because it names the others.
     """
     gui.add_html(with_script("drop", label))
 
@@ -175,12 +161,7 @@ class Stick:
     """Stick for manual driving, by pointer or the keys W A S D and arrows.
 
     viser has no such widget. The stick is HTML that writes its position into the text field below it; the
-    page gets an event for each change of the field.
-
-    Args:
-        gui: Controls of the page.
-        guard: Guard of the callbacks.
-        steer: called with forward and left, -1 to 1 each.
+    page calls `steer` with forward and left, -1 to 1 each, after each change of the field.
     """
 
     def __init__(self, gui: viser.GuiApi, guard: Guard, steer: Callable[[float, float], None]) -> None:

@@ -30,12 +30,7 @@ class WorldTab:
     """Controls of the construction, and the world that they make.
 
     Attributes:
-        shown: the world that the page shows; None before the first.
-
-    Args:
-        page: Page of the tab.
-        sources: sources by name; the first one is shown.
-        changed: called with each world that is shown.
+        shown: World that the page shows; None before the first.
     """
 
     def __init__(self, page: PageContext, sources: dict[str, str], changed: Callable[[Shown], None]) -> None:
