@@ -84,7 +84,7 @@ def _robot_table(entries: Sequence[Entry]) -> ReportTable:
     for robot, value in ROBOT_MEANS.items():
         runs = [entry for entry in entries if entry["config"]["robot"] == robot]
         here = [over_runs(RTF, [e for e in runs if _view(e) == view]) for view in (SOLID, OURS)]
-        rows.append((robot, _published_text(value), *(spread.text_of(interval=False) for spread in here)))
+        rows.append((robot, _published_text(value), *(spread.text(interval=False) for spread in here)))
     caption = (
         "Mean RTF over all worlds, methods and seeds; without an interval, since worlds and methods are no "
         "repeats. The paper's are means on its solid worlds (Section III-D)."

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from rich.console import RenderableType
@@ -326,7 +327,7 @@ def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:
     if len(groups) < len(entries) or not set(distinguishing_fields(groups)) <= SINGLE:
         if failures := failure_lines(entries):
             yield Text("\n".join(failures), style="bold red")
-        yield summary_table(entries).titled("")
+        yield replace(summary_table(entries), title="")
     elif entries:
         yield results_table(entries)
     yield from method_tables(entries)

@@ -48,18 +48,8 @@ class MetricSpread:
         """Whether only some of the runs have the metric."""
         return self.values is not None and self.values.count < self.of
 
-    @property
-    def has_interval(self) -> bool:
-        """Whether the mean has an interval."""
-        return self.values is not None and self.values.half_width is not None
-
-    @property
-    def text(self) -> str:
-        """Mean, half width of its 95 % interval, and the number of values if incomplete."""
-        return self.text_of(interval=True)
-
-    def text_of(self, *, interval: bool) -> str:
-        """Return the text, with or without the interval."""
+    def text(self, *, interval: bool = True) -> str:
+        """Return mean, half width of its 95 % interval, and the number of values if incomplete."""
         if self.values is None:
             return NOTHING
         mean = self.metric.formatted(self.values.mean)
@@ -108,11 +98,7 @@ class ReportTable:
 
     def texts(self, *, intervals: bool = True) -> list[list[str]]:
         """Return the rows as text, with or without the intervals of means."""
-        return [[c if isinstance(c, str) else c.text_of(interval=intervals) for c in r] for r in self.rows]
-
-    def titled(self, title: str) -> ReportTable:
-        """Return the table with another title."""
-        return replace(self, title=title)
+        return [[c if isinstance(c, str) else c.text(interval=intervals) for c in r] for r in self.rows]
 
     def with_common_in_title(self, names: Collection[str], unnamed: Collection[str] = ()) -> ReportTable:
         """Return the table whose columns in `names` with one value for all rows are in its title.
@@ -175,8 +161,7 @@ class ReportTable:
 
     def _hidden_in_order(self) -> list[str]:
         """Return what a narrow screen hides: intervals, then columns of numbers, the last one first."""
-        spreads = (cell for row in self.rows for cell in row if isinstance(cell, MetricSpread))
-        intervals = [INTERVALS] if any(spread.has_interval for spread in spreads) else []
+        intervals = [INTERVALS] if self.texts() != self.texts(intervals=False) else []
         numbers = [h for k, h in enumerate(self.headings) if not self.is_text(k) and h not in self.keep]
         return intervals + numbers[::-1][: len(numbers) if self.keep else max(0, len(numbers) - 2)]
 

@@ -13,6 +13,7 @@ from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
+from lirs_validation.gui.session.uploads import with_own_picture
 from lirs_validation.record.run_record import maps_clouds, read_record, succeeded
 from lirs_validation.record.verdict import judge
 from lirs_wct import Pose3, SourceError, WctError, World
@@ -87,7 +88,7 @@ def _results(record: dict[str, Any]) -> Facts:
     )
 
 
-def unpacked_run(content: bytes, folder: Path) -> Path:
+def unpacked_run(archived: bytes, folder: Path) -> Path:
     """Extract the needed files of a zipped run, under fixed names.
 
     Raises:
@@ -95,26 +96,20 @@ def unpacked_run(content: bytes, folder: Path) -> Path:
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        with zipfile.ZipFile(io.BytesIO(archived)) as archive:
             entries = {PurePosixPath(e.filename).name: e for e in archive.infolist() if not e.is_dir()}
             missing = [name for name in FILES if name not in entries]
             if missing:
                 raise SourceError(f"the archive holds no run: {', '.join(missing)} is not in it")
             taken = [name for name in (*FILES, *MAP_FILES) if name in entries]
             for name in taken:
-                (folder / name).write_bytes(archive.read(entries[name]))
+                content = archive.read(entries[name])
+                if name == "map.yaml":
+                    content = with_own_picture(name, content)
+                (folder / name).write_bytes(content)
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:
         raise SourceError(f"the archive cannot be read: {error}") from error
-    if "map.yaml" in taken:
-        _name_picture(folder)
     return folder
-
-
-def _name_picture(folder: Path) -> None:
-    """Set the picture of a map's YAML to `map.pgm`."""
-    lines = (folder / "map.yaml").read_text(encoding="utf-8", errors="replace").splitlines()
-    kept = [line for line in lines if not line.startswith("image:")]
-    (folder / "map.yaml").write_text("\n".join(["image: map.pgm", *kept]) + "\n", encoding="utf-8")
 
 
 def runs_in(folder: Path) -> dict[str, Path]:

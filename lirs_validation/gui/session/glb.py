@@ -31,7 +31,7 @@ SECTIONS = 20
 def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, int]:
     """Return a world as GLB, z up, and its number of triangles.
 
-    A surface of more than `most` triangles is shown on a coarser grid, a texture with at most `texture` pixels
+    A surface of more than `most` triangles is shown on a coarser grid; a texture has at most `texture` pixels
     along its longer side.
     """
     shown, count = trimesh.Scene(), 0

@@ -39,7 +39,7 @@ class Uploads:
         """
         path = self.folder / harmless(name)
         if path.suffix.lower() in MAPS:
-            content = _beside(path.name, content)
+            content = with_own_picture(path.name, content)
         path.write_bytes(content)
         return path
 
@@ -59,8 +59,12 @@ def harmless(name: str) -> str:
     return f"{stem.strip('._-')[:MAX_NAME] or 'file'}{dot}{suffix[:10]}"
 
 
-def _beside(name: str, content: bytes) -> bytes:
-    """Return a map's YAML whose picture is the uploaded file of that name."""
+def with_own_picture(name: str, content: bytes) -> bytes:
+    """Return a map's YAML whose picture is the file of that name beside it.
+
+    Raises:
+        SourceError: it is not the YAML of a map.
+    """
     try:
         entry = map_entries(Path(name), content)
         entry["image"] = harmless(str(entry["image"]))

@@ -7,7 +7,6 @@ import re
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import viser
@@ -145,24 +144,12 @@ class PageWorker:
             self._on_error(error)
 
 
-@dataclass(frozen=True)
 class PageContext:
-    """The parts of one page.
+    """Parts of one page that its tabs share: connection, thread, messages, scenes, files and worlds."""
 
-    Attributes:
-        client: connection to the browser.
-        worker: thread of the page's jobs.
-        guard: display of errors.
-        scene: display of the world.
-        drive_scene: display of the drive.
-        uploads: files of the page.
-        scenarios: cache of worlds.
-    """
-
-    client: viser.ClientHandle
-    worker: PageWorker
-    guard: Guard
-    scene: WorldScene
-    drive_scene: DriveScene
-    uploads: Uploads
-    scenarios: ScenarioCache
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self.client = client
+        self.guard = Guard(client)
+        self.worker = PageWorker(self.guard.show, name=f"page {client.client_id}")
+        self.scene, self.drive_scene = WorldScene(client), DriveScene(client)
+        self.uploads, self.scenarios = Uploads(), ScenarioCache()

@@ -90,4 +90,4 @@ def test_closing_the_page_frees_its_simulation(open_page: Open, server: Any) -> 
     assert served.worker.join(30)
     assert served.drive.playback is None
     assert not served.uploads.folder.exists()
-    assert f"page {served.client_id}" not in {thread.name for thread in threading.enumerate()}
+    assert f"page {served.client.client_id}" not in {thread.name for thread in threading.enumerate()}

@@ -89,7 +89,7 @@ class Client:
     async def upload(self, page: Any, name: str, content: bytes) -> None:
         from viser import _messages
 
-        handles = page._context.client.gui._gui_input_handle_from_uuid
+        handles = page.client.gui._gui_input_handle_from_uuid
         button = next(u for u, h in handles.items() if getattr(h, "label", "") == "Open a file ...")
         transfer = f"transfer {next(self.transfers)}"
         await self.send(_messages.FileTransferStartUpload(button, transfer, name, "", 1, len(content)))
@@ -129,7 +129,7 @@ async def a_round(
     clients = [Client(server) for _ in range(CLIENTS)]
     await asyncio.gather(*(client.connect() for client in clients))
     await until(lambda: len(server.pages) == CLIENTS)
-    pages = sorted(server.pages, key=lambda page: page.client_id)
+    pages = sorted(server.pages, key=lambda page: page.client.client_id)
     await until(lambda: all(page.world.shown is not None for page in pages))
     for kind, files in enumerate(zip(*(broken_files(picture, rng) for _ in clients), strict=True), 1):
         await asyncio.gather(

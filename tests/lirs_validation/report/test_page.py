@@ -126,13 +126,13 @@ def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
     spread = row[-1]
     assert isinstance(spread, MetricSpread)
     assert spread.values == expected
-    assert spread.text == f"{expected.mean:.3f} ± {expected.half_width:.3f}"
+    assert spread.text() == f"{expected.mean:.3f} ± {expected.half_width:.3f}"
     rows = list(csv.DictReader(io.StringIO(table.as_csv())))
     line = next(r for r in rows if r["world"] == "simple" and r["mapper"] == "gmapping")
     assert float(line["ATE [m]"]) == expected.mean
     assert float(line["ATE [m] std"]) == expected.std
     assert line["ATE [m] n"] == "3"
-    assert spread.text in table.as_markdown()
+    assert spread.text() in table.as_markdown()
     assert "3 seeds" in report.subtitle
 
 
@@ -144,7 +144,7 @@ def test_a_mean_says_how_many_values_it_holds(tmp_path: Path) -> None:
     heading = report.summary.headings.index("F1")
     spread = report.summary.rows[0][heading]
     assert isinstance(spread, MetricSpread)
-    assert spread.text == "0.800 (1 of 3)"
+    assert spread.text() == "0.800 (1 of 3)"
     assert "(n of N): n of the N runs have this value." in report.summary.caption
     assert "median F1 (1 of 3 runs)" in html
     line = next(csv.DictReader(io.StringIO(report.summary.as_csv())))
@@ -218,7 +218,7 @@ def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> N
     assert isinstance(here, MetricSpread)
     assert here.values == repeats([40.0, 42.0])
     assert isinstance(there, MetricSpread)
-    assert there.text == "0.0200†"
+    assert there.text() == "0.0200†"
     assert "1 concurrent run has no RTF here." in table.caption
     assert "† extrapolated" in table.caption
     assert table.rows[0][column + 1].values.count == 3  # type: ignore[union-attr]
@@ -326,7 +326,7 @@ def test_numbers_have_three_digits_that_count() -> None:
         "0",
         "10.00",
     ]
-    assert MetricSpread(metrics_in("rtf")[0], None).text == "-"
+    assert MetricSpread(metrics_in("rtf")[0], None).text() == "-"
     assert ReportTable("k", "T", "c", ("a|b",), (("x|y",),)).as_markdown().count("x\\|y") == 1
 
 

@@ -1,6 +1,7 @@
 """Tables: as wide as the screen allows, no name broken, failures first, figures as recorded."""
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -44,7 +45,7 @@ def run(world: str = "simple", status: str = "ok", reason: str = "", **more: Any
 
 @pytest.mark.parametrize("width", [60, 80, 200])
 def test_no_name_is_broken_and_hidden_columns_are_listed(width: int) -> None:
-    table = summary_table(ENTRIES).titled("")
+    table = replace(summary_table(ENTRIES), title="")
     text = shown(table, width)
     lines = text.splitlines()
     assert max(map(len, lines)) <= width
