@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -78,19 +77,16 @@ def failures_table(entries: Sequence[Entry]) -> ReportTable:
     return ReportTable("failures", "Failures", caption, headings, tuple(rows), len(headings))
 
 
-def failure_lines(entries: Sequence[Entry]) -> list[str]:
-    """Return a line per failed run with its reason, then their number."""
-    failed = [entry for entry in entries if not succeeded(entry)]
-    fields = distinguishing_fields(by_group(entries))
-    fields = tuple(field for field in FIELDS if field in {"world", "robot", "mapper", *fields})
-    lines = [
-        f"{RunGroup.of(e).label(fields)}, seed {e['seed']} failed: {e['status']}"
-        + (f": {e['reason']}" if e["reason"] else "")
-        for e in failed
-    ]
-    return (
-        [*lines, f"{len(failed)} of {len(entries)} runs failed; they are in no mean below."] if lines else []
-    )
+def ended_lines(entries: Sequence[Entry]) -> list[str]:
+    """Return a line per run that failed or was stopped, with its reason."""
+    fields = {"world", "robot", "mapper", *distinguishing_fields(map(RunGroup.of, entries))}
+    lines = []
+    for entry in entries:
+        if entry["status"] != "ok":
+            run = f"{RunGroup.of(entry).label(fields)}, seed {text_at(entry, FACTS['seed'])}"
+            failed = "" if succeeded(entry) else " failed"
+            lines.append(f"{run}{failed}: {entry.get('reason') or entry['status']}")
+    return lines
 
 
 def summary_table(entries: Sequence[Entry]) -> ReportTable:
@@ -187,7 +183,7 @@ def _worse(entries: Sequence[Entry]) -> list[str]:
     return [f"{WORSE_MARK} {WORSE}: {'; '.join(named[:MOST_NAMED])}{more}."] if named else []
 
 
-def _fields(groups: Mapping[RunGroup, Any]) -> tuple[str, ...]:
+def _fields(groups: Iterable[RunGroup]) -> tuple[str, ...]:
     """Return world, mapper and the fields that distinguish the groups."""
     different = {"world", "mapper", *distinguishing_fields(groups)}
     return tuple(field for field in FIELDS if field in different)
@@ -212,7 +208,7 @@ def method_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
 
 def _method_table(kind: Planar, entries: Sequence[Entry]) -> ReportTable:
     pairs = method_pairs(entries, kind)
-    fields = _method_fields([pair.group for pair in pairs])
+    fields = [field for field in _fields(pair.group for pair in pairs) if field != "attitude"]
     rows = []
     for pair in pairs:
         cells: list[Content] = [*group_texts(pair.group, fields)]
@@ -229,13 +225,6 @@ def _verdict_counts(entries: Sequence[Entry]) -> str:
     """Return the verdicts of the evaluated runs as text."""
     verdicts = [verdict for verdict in map(judge, entries) if verdict.kind != "not evaluated"]
     return class_counts(verdicts) or "not evaluated"
-
-
-def _method_fields(groups: Sequence[RunGroup]) -> tuple[str, ...]:
-    """Return world, mapper and distinguishing fields except the attitude, which has columns."""
-    different = distinguishing_fields(groups) if groups else ()
-    rest = (field for field in different if field not in ("world", "mapper", "attitude"))
-    return ("world", "mapper", *rest)
 
 
 def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
@@ -258,33 +247,16 @@ def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
     table = ReportTable(
         "runs",
         "",
-        _remarks(entries),
+        "\n".join((*ended_lines(entries), *worse_lines(entries), *_without_rtf(entries))),
         (*facts, "verdict", *(metric.short or metric.heading for metric in metrics)),
         tuple(rows),
         len(facts),
-        styles=tuple(map(_style, entries)),
+        styles=tuple(
+            "bold red" if not succeeded(e) else "yellow" if worse_than_odometry(e) else "" for e in entries
+        ),
         keep=DECIDING,
     )
     return table.with_common_in_title(RUN_AXES, unnamed=("robot", "mapper"))
-
-
-def _style(entry: Entry) -> str:
-    if not succeeded(entry):
-        return "bold red"
-    return "yellow" if worse_than_odometry(entry) else ""
-
-
-def _remarks(entries: Sequence[Entry]) -> str:
-    """Return a line per run that failed, was stopped or is worse than its odometry."""
-    ended = [entry for entry in entries if entry["status"] != "ok"]
-    lines = []
-    for entry in ended:
-        who = [text_at(entry, FACTS[fact]) for fact in ("world", "robot", "mapper")]
-        run = f"{', '.join(who)}, seed {text_at(entry, FACTS['seed'])}"
-        lines.append(
-            f"{run}{'' if succeeded(entry) else ' failed'}: {entry.get('reason') or entry['status']}"
-        )
-    return "\n".join((*lines, *worse_lines(entries), *_without_rtf(entries)))
 
 
 def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> list[str]:
@@ -292,16 +264,13 @@ def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> l
     groups = by_group(entries)
     named = ("world", "robot", "mapper")  # a sentence names these three
     varied = tuple(name for name in _fields(groups) if name not in named)
-    return [_verdict_line(group, runs, varied, limits) for group, runs in groups.items()]
-
-
-def _verdict_line(
-    group: RunGroup, runs: Sequence[Entry], varied: tuple[str, ...], limits: VerdictLimits
-) -> str:
-    if len(runs) > 1:
-        counts = class_counts(judge(run, limits) for run in runs)
-        return f"verdict, {group.label(('world', 'robot', 'mapper', *varied))}: {counts}"
-    return f"verdict{f', {group.label(varied)}' if varied else ''}: {judge(runs[0], limits)}"
+    lines = []
+    for group, runs in groups.items():
+        verdicts = [judge(run, limits) for run in runs]
+        fields = varied if len(runs) == 1 else (*named, *varied)
+        label = f", {group.label(fields)}" if fields else ""
+        lines.append(f"verdict{label}: {verdicts[0] if len(runs) == 1 else class_counts(verdicts)}")
+    return lines
 
 
 def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:
@@ -322,11 +291,11 @@ def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:
     """Yield tables of finished experiments: runs or groups, methods as published, verdicts."""
     finished = [found for found in sweep.experiments if found.name in sweep.outcomes]
     checks = [check for check in finished if isinstance(check, CollisionExperiment)]
-    entries = [_entry(sweep, run.name) for run in finished if run not in checks]
+    entries = [read_record(sweep.out / run.name) for run in finished if run not in checks]
     groups = by_group(entries)
     if len(groups) < len(entries) or not set(distinguishing_fields(groups)) <= SINGLE:
-        if failures := failure_lines(entries):
-            yield Text("\n".join(failures), style="bold red")
+        if lines := ended_lines(entries):
+            yield Text("\n".join(lines), style="bold red")
         yield replace(summary_table(entries), title="")
     elif entries:
         yield results_table(entries)
@@ -334,10 +303,3 @@ def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:
     verdicts = [read_verdict(sweep.out / c.name) for c in checks if sweep.outcomes[c.name].succeeded]
     if verdicts:
         yield verdicts_table(verdicts)
-
-
-def _entry(sweep: Sweep, name: str) -> dict[str, Any]:
-    """Return a record without its series, to save memory."""
-    entry = read_record(sweep.out / name)
-    entry["rtf"].pop("series", None)
-    return entry
