@@ -453,7 +453,7 @@ def end_of(stream: BoolArray) -> SequentialTest:
     for success in stream.tolist():
         if test.outcome is not None:
             break
-        test = test.add(success)
+        test = SequentialTest(test.successes + success, test.failures + (not success))
     return test
 
 

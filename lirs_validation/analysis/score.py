@@ -31,7 +31,7 @@ from lirs_validation.metrics.map import map_scores
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.verdict import Verdict, judge
-from lirs_wct import ConfigError, OccupancyGrid, Pose2, SourceError, Trajectory, unknown_name, wrap_angle
+from lirs_wct import ConfigError, OccupancyGrid, Pose2, SourceError, Trajectory, wrap_angle
 from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -175,18 +175,6 @@ def _place(truth: Trajectory, estimate: Trajectory | None, frame: Frame) -> Pose
         raise ConfigError("--frame align needs a trajectory to align, give --trajectory")
     i, j = associated(truth.stamps, estimate.stamps)
     return rigid_alignment(estimate.xy[j], truth.xy[i])
-
-
-def check_frame(frame: str) -> Frame:
-    """Return a frame's name.
-
-    Raises:
-        ConfigError: there is no such frame.
-    """
-    for legal in FRAMES:
-        if frame == legal:
-            return legal
-    raise unknown_name("frame", frame, FRAMES)
 
 
 def frame_of(

@@ -7,10 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from lirs_envs.lidar.presets import LIDARS, LidarPreset, make_lidar_preset
+from lirs_envs.lidar.presets import LIDARS, make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.analysis.as_published import SUFFIX
 from lirs_validation.config import RunConfig
@@ -187,18 +188,14 @@ def _changes_text(answer: Answer) -> str:
     """Return the changes that reverse the decision; empty without one."""
     wanted = "does not work" if answer.trial.decision == "works" else "works"
     found = [
-        f"{label} ({trial.test.successes} of {trial.test.successes + trial.test.failures})"
+        f"{'' if label.startswith(('with ', 'without ')) else 'with '}{label} "
+        f"({trial.test.successes} of {trial.test.successes + trial.test.failures})"
         for label, trial in answer.changed
         if trial.decision == wanted
     ]
     if not found:
         return ""
-    verb = "fails" if wanted == "does not work" else "works"
-    return f"It {verb} {', '.join(_with_preposition(text) for text in found)}."
-
-
-def _with_preposition(change: str) -> str:
-    return change if change.startswith(("with ", "without ")) else f"with {change}"
+    return f"It {'fails' if wanted == 'does not work' else 'works'} {', '.join(found)}."
 
 
 def _trial_dict(trial: Trial) -> dict[str, Any]:
@@ -255,16 +252,11 @@ def _lidar_change(config: RunConfig, *, works: bool) -> Change | None:
     """Return the run with the lidar of the next longer range, or the next shorter."""
     own = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
     others = [preset for preset in map(make_lidar_preset, LIDARS) if preset.rings == own.rings]
+    reach = attrgetter("range_max")
     if works:
-        shorter = [preset for preset in others if preset.range_max < own.range_max]
-        chosen = max(shorter, key=_range, default=None)
+        chosen = max((p for p in others if reach(p) < own.range_max), key=reach, default=None)
     else:
-        longer = [preset for preset in others if preset.range_max > own.range_max]
-        chosen = min(longer, key=_range, default=None)
+        chosen = min((p for p in others if reach(p) > own.range_max), key=reach, default=None)
     if chosen is None:
         return None
     return Change(f"lidar {chosen.name} ({chosen.range_max:g} m)", replace(config, lidar=chosen.name))
-
-
-def _range(preset: LidarPreset) -> float:
-    return preset.range_max

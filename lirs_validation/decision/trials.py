@@ -32,8 +32,8 @@ class SequentialTest:
     """State of Wald's sequential probability ratio test (Ann. Math. Stat. 16, 1945).
 
     Attributes:
-        successes: so far.
-        failures: so far.
+        successes: Number of successes so far.
+        failures: Number of failures so far.
     """
 
     successes: int = 0
@@ -58,10 +58,6 @@ class SequentialTest:
             return 0
         up = math.ceil((_BOUND - self.log_ratio) / _SUCCESS)
         return min(up, math.ceil((self.log_ratio + _BOUND) / -_FAILURE))
-
-    def add(self, success: bool) -> SequentialTest:
-        """Return the state after one more observation."""
-        return SequentialTest(self.successes + success, self.failures + (not success))
 
     @property
     def share(self) -> float | None:

@@ -84,27 +84,14 @@ def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatA
     plots = []
     constraints, reference = accuracy.constraints, accuracy.reference
     if reference is not None and len(reference.stamps):
-        ate = record.accuracy["reference"]["ate_rmse"]
-        plots.append((f"Against the reference (RMSE {ate:.3f} m)", "m", reference.stamps, reference.position))
+        name = f"Against the reference (RMSE {record.accuracy['reference']['ate_rmse']:.3f} m)"
+        plots.append((name, "m", reference.stamps, reference.position))
     if constraints is not None and len(constraints.stamps):
-        errors = record.accuracy["relations"]
-        mean, turn = errors["translation_mean"], errors["rotation_mean_deg"]
-        plots.append(
-            (
-                f"Relative-pose constraints (mean {mean:.3f} m)",
-                "m",
-                constraints.stamps,
-                constraints.translation,
-            )
-        )
-        plots.append(
-            (
-                f"... their rotation (mean {turn:.2f} deg)",
-                "deg",
-                constraints.stamps,
-                np.degrees(constraints.rotation),
-            )
-        )
+        errors, stamps = record.accuracy["relations"], constraints.stamps
+        name = f"Relative-pose constraints (mean {errors['translation_mean']:.3f} m)"
+        plots.append((name, "m", stamps, constraints.translation))
+        name = f"... their rotation (mean {errors['rotation_mean_deg']:.2f} deg)"
+        plots.append((name, "deg", stamps, np.degrees(constraints.rotation)))
     return plots
 
 

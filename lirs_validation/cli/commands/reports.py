@@ -79,12 +79,11 @@ class ScoreOptions(Options):
         metavar="FILE|BAG[:/TOPIC]",
     )
     map: Path | None = option(None, "ROS map: a YAML with its picture.", metavar="FILE.yaml")
-    frame: str = option(
+    frame: Literal["auto", "map", "world", "align"] = option(
         "auto",
         "Frame of both: map, whose origin is the first base pose; world, as the run's own files; "
         "auto: by where the trajectory begins; of a map alone, by where it fits; align: any, moved to "
         "the best fit.",
-        metavar="auto|map|world|align",
     )
     time_offset: float | Literal["auto"] = option(
         0.0,
@@ -192,7 +191,6 @@ def score(options: ScoreOptions) -> None:
     lirs-wct score out/RUN --trajectory est.tum --map map.yaml -o score.json
     """
     from lirs_validation.analysis.result_folders import read_run
-    from lirs_validation.analysis.score import check_frame
     from lirs_validation.analysis.score import score as scored
     from lirs_validation.report.compare_tables import score_table, write_score
 
@@ -201,7 +199,7 @@ def score(options: ScoreOptions) -> None:
         recorded,
         trajectory=options.trajectory,
         map_yaml=options.map,
-        frame=check_frame(options.frame),
+        frame=options.frame,
         time_offset=options.time_offset,
     )
     out.print(score_table(result, recorded.entry))

@@ -11,6 +11,7 @@ from lirs_envs.robots.robot import Robot, Twist, clip
 from lirs_validation.config import MANUAL, RunConfig, run_name
 from lirs_validation.driving.driver import Driver, WrappedDriver
 from lirs_validation.experiment.cost import CostMeter, cpu_contention
+from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import evaluate_maps, verdict_so_far
 from lirs_validation.experiment.loop import Drive
 from lirs_validation.experiment.run import Run, conclude, prepare
@@ -126,7 +127,7 @@ class LiveDrive(Playback):
                 self._take_stock()
         except MapperError as error:
             log.status, log.reason, self._drive.over = "error", str(error), True
-            self._judge({})
+            self._judge(log, {})
         if log.status not in SUCCEEDED:
             self.marks.append((self.time, log.status))
 
@@ -145,20 +146,13 @@ class LiveDrive(Playback):
         Raises:
             WctError: nothing was driven yet, or the folder cannot be written.
         """
-        log = self._drive.log
-        status, reason, concurrent = log.status, log.reason, log.concurrent
+        log, ready = replace(self._drive.log, concurrent=True), self._ready
         if not self.over:
             log.reason = f"stopped by hand at {self.time:.1f} s"
-        log.concurrent = True
-        ready = self._ready
         if self.driver.touched:
             driven = replace(self.config, driver=MANUAL)
             ready = replace(ready, scenario=replace(ready.scenario, config=driven))
-        cost = ready.cost(self._meter)
-        try:
-            return conclude(ready, log, cost, out, progress)
-        finally:
-            log.status, log.reason, log.concurrent, log.final = status, reason, concurrent, None
+        return conclude(ready, log, ready.cost(self._meter), out, progress)
 
     def _follow(self) -> None:
         """Take new scans from the log, and the real-time factor of a new second."""
@@ -183,16 +177,14 @@ class LiveDrive(Playback):
                 self.marks.append((self.time, name))
             self._counted[name] = count
         if self.over and log.walls:
-            log.final = mapper.trajectory()
+            log = replace(log, final=mapper.trajectory())
             scores = evaluate_maps(self.world, log, mapper).scores
-        self._judge(scores)
+        self._judge(log, scores)
         self._stock_time, self._drawn_at = self.time, time.monotonic()
 
-    def _judge(self, map_scores: dict[str, Any]) -> None:
+    def _judge(self, log: DriveLog, map_scores: dict[str, Any]) -> None:
         """Judge the drive until now."""
-        log, ready = self._drive.log, self._ready
-        verdict = verdict_so_far(ready.scenario, ready.simulation, log, map_scores)
+        verdict = verdict_so_far(self._ready.scenario, self._ready.simulation, log, map_scores)
         self.verdict = f"Verdict{'' if self.over else ' so far'}: {verdict}"
         if self.over:
             self.status = f"{log.status}{': ' if log.reason else ''}{log.reason}"
-        log.final = None

@@ -12,7 +12,8 @@ from lirs_validation.decision.trials import P0, P1, SequentialTest
 def outcome_of_stream(share: float, rng: np.random.Generator) -> tuple[str, int]:
     test, count = SequentialTest(), 0
     while test.outcome is None:
-        test, count = test.add(bool(rng.random() < share)), count + 1
+        success, count = bool(rng.random() < share), count + 1
+        test = SequentialTest(test.successes + success, test.failures + (not success))
     return test.outcome, count
 
 
