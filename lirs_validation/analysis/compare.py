@@ -87,11 +87,7 @@ def compare(
 ) -> Comparison:
     """Compare the runs of two results that succeeded, by group and seed.
 
-    Args:
-        a: records of the first result.
-        b: records of the second.
-        metrics: metrics to compare.
-        across: fields of a group in which the results may differ, such as `mapper`.
+    The results may differ in the fields of a group in `across`, such as `mapper`.
 
     Raises:
         ConfigError: a field has no such name, no group is in both, or one holds a seed twice.

@@ -334,12 +334,9 @@ class LirsWctRun(Dataset):
 
 
 def export_evalio(run: RunFolder, config: RunConfig, out: Path) -> Path:
-    """Write a module with a dataset of a run's bag; return its path.
+    """Write a module with a dataset of a run's bag into a folder `evalio`; return its path.
 
-    Args:
-        run: whose folder holds a bag with point clouds, their truth, and inertial readings.
-        config: of the run.
-        out: folder that receives the folder `evalio`.
+    The bag holds point clouds, their truth, and inertial readings.
 
     Raises:
         SourceError: the run holds no such bag.

@@ -80,15 +80,15 @@ def decide(
     report: Callable[[Trial], None] = lambda trial: None,
     retry_failed: bool = False,
 ) -> tuple[Answer, ...]:
-    """Drive every config until its method is decided, then its changes.
+    """Drive every config until its method is decided, then its changes (see `run_trials`).
 
     Args:
-        configs: one per method and world; seeds count up from theirs.
-        out: folder of the drives' folders; drives that are there already are not repeated.
-        perform: runs the drives.
-        budget: wall seconds.
-        report: called with a method's trial before its drives, and with any trial after each drive.
-        retry_failed: repeat drives that are there already and failed.
+        configs: One config per method and world; seeds count up from theirs.
+        out: Folder of the drives' folders.
+        perform: Function that runs the drives.
+        budget: Wall seconds.
+        report: Called with a method's trial before its drives, and with any trial after each drive.
+        retry_failed: Whether to repeat drives that failed.
 
     Raises:
         WctError: a config cannot be driven as it asks, or a drive not be written.

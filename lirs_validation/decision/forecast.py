@@ -74,10 +74,7 @@ FEATURES = tuple(entry.name for entry in fields(SiteFeatures))
 def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures:
     """Cast scans along tours of a site and return their features.
 
-    Args:
-        world: the site.
-        robot: that drives, with its lidar's mount.
-        config: mapper, lidar, seed and seconds of the drives.
+    The config gives mapper, lidar, seed and seconds of the drives.
 
     Raises:
         ConfigError: the robot fits nowhere in this world.

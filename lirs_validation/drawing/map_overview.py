@@ -51,12 +51,8 @@ def map_overview(
 ) -> Drawing:
     """Draw a mapped log on one page.
 
-    Args:
-        record: Record of the map.
-        grid: the map.
-        estimate: pose of every scan in the map.
-        reference: Reference in its own frame.
-        accuracy: errors of each pose; missing ones are not drawn.
+    The estimate has the pose of every scan in the map, the reference is in its own frame; missing errors are
+    not drawn.
     """
     canvas = Canvas.over(bounds_shown(estimate, grid), round(WIDTH * PAGE_DPI))
     rows, cols = canvas.shape

@@ -64,10 +64,7 @@ def plain(axes: Axes, title: str = "") -> None:
 def as_svg(figure: Figure, label: str, key: str) -> str:
     """Return a figure as an SVG element with a label for screen readers.
 
-    Args:
-        figure: figure; `INK` stands for the page's text color.
-        label: description of the figure.
-        key: prefix of the SVG's inner names, unique on the page.
+    `INK` stands for the page's text color; the inner names begin with `key`, which is unique on the page.
     """
     figure.patch.set_alpha(0.0)
     text = io.StringIO()

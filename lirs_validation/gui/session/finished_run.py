@@ -33,10 +33,7 @@ def read_playback(
 ) -> Playback:
     """Read the drive of a run's folder; its map is the final one.
 
-    Args:
-        folder: Folder of the run.
-        scenarios: Worlds that the page built before.
-        uploaded: Whether a browser sent the run; its record then names no file of this machine.
+    The record of a run that a browser uploaded names no file of this machine.
 
     Raises:
         SourceError: it is no run's folder, damaged, or of a run without a result.

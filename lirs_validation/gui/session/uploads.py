@@ -28,11 +28,7 @@ class Uploads:
         self.folder = Path(self._temporary.name)
 
     def add(self, name: str, content: bytes) -> Path:
-        """Keep a file; another of its name is replaced.
-
-        Args:
-            name: Name from the browser; folders and unsafe characters are removed.
-            content: Bytes of the file.
+        """Keep a file under its name without folders and unsafe characters; another is replaced.
 
         Raises:
             SourceError: A YAML is not that of a map.
