@@ -68,32 +68,21 @@ def read_results(root: Path) -> ResultFolder:
     skipped: list[tuple[str, str]] = []
     for folder in sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
         try:
-            found = _read_folder(folder)
+            if is_mapped_log(folder):
+                continue  # a source of runs, and none itself
+            if (folder / "record.json").exists():
+                runs.append(read_run(folder))
+            elif (folder / STATUS).exists() and (reason := _failure(folder / STATUS)) is not None:
+                broken.append((folder.name, reason))
+            elif (folder / STATUS).exists():
+                verdicts.append(read_verdict(folder))
         except SourceError as error:
             skipped.append((folder.name, str(error).removeprefix(f"{folder}/")))
-            continue
-        if isinstance(found, RunFolder):
-            runs.append(found)
-        elif isinstance(found, CollisionVerdict):
-            verdicts.append(found)
-        elif found is not None:
-            broken.append((folder.name, found))
     manifest = _manifest(root / MANIFEST, skipped)
     if not runs and not verdicts:
         named = "".join(f"; {name}: {reason}" for name, reason in skipped[:3])
         raise SourceError(f"{root}: holds no readable record of a run (folders with a record.json){named}")
     return ResultFolder(root, tuple(runs), tuple(verdicts), tuple(broken), tuple(skipped), manifest)
-
-
-def _read_folder(folder: Path) -> RunFolder | CollisionVerdict | str | None:
-    """Return a run, a verdict, a failed validation's reason, or None for other folders."""
-    if is_mapped_log(folder):
-        return None  # a source of runs, and none itself
-    if (folder / "record.json").exists():
-        return read_run(folder)
-    if not (folder / STATUS).exists():
-        return None
-    return _failure(folder / STATUS) or read_verdict(folder)
 
 
 def _failure(path: Path) -> str | None:

@@ -31,7 +31,7 @@ from lirs_validation.metrics.map import map_scores
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.verdict import Verdict, judge
-from lirs_wct import ConfigError, OccupancyGrid, Pose2, SourceError, Trajectory, wrap_angle
+from lirs_wct import ConfigError, Pose2, SourceError, Trajectory, wrap_angle
 from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
@@ -136,7 +136,9 @@ def score(
     T_world_frame = _place(truth, estimate, frame)
     errors, alignment, lacking = dict[str, Any](), None, None
     if estimate is not None:
-        errors = _score_trajectory(run, truth, estimate, T_world_frame)
+        errors = asdict(trajectory_errors(truth, estimate, T_world_map=T_world_frame))
+        odometry = read_tum(run.folder / "odometry.tum")
+        errors["odometry_ate_rmse"] = trajectory_errors(truth, odometry).ate_rmse
         alignment = start_alignment(truth, estimate.moved(T_world_frame))
         lacking = incompleteness(errors["scan_coverage"])
     return Score(
@@ -191,7 +193,12 @@ def frame_of(
     true, first = truth.pose2(int(i[0])), estimate.pose2(int(j[0]))
     driven = float(np.linalg.norm(np.diff(truth.xy[: int(i[0]) + 1], axis=0), axis=1).sum())
     there = {"map": truth.pose2(0).inverse() @ true, "world": true}
-    fits = [name for name, pose in there.items() if _near(first, pose, driven)]
+    fits = [
+        name
+        for name, pose in there.items()
+        if first.distance(pose) <= NEAR + NEAR_SHARE * driven
+        and abs(wrap_angle(first.yaw - pose.yaw)) <= NEAR_YAW
+    ]
     if frame in fits or (frame == "auto" and fits):
         return "map" if (frame if frame in fits else fits[0]) == "map" else "world"
     places = " or ".join(
@@ -248,7 +255,10 @@ def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map"
         SourceError: it agrees as well, or as badly, in the other frame.
     """
     built, reference = read_map(path), read_map(run.folder / "map_true_pose.yaml")
-    in_map, in_world = (_f1(grid, reference) for grid in (built.moved(truth.pose2(0)), built))
+    in_map, in_world = (
+        agreement(as_stored(grid), as_stored(reference)).f1 or 0.0
+        for grid in (built.moved(truth.pose2(0)), built)
+    )
     if in_map == in_world:  # the frames are the same, or the map is of another place
         return "map"
     if abs(in_map - in_world) < TOLD_APART:
@@ -257,14 +267,6 @@ def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map"
             "frame: --frame map (origin: the first base pose) or --frame world (as the run's own files)"
         )
     return "map" if in_map > in_world else "world"
-
-
-def _f1(built: OccupancyGrid, reference: OccupancyGrid) -> float:
-    return agreement(as_stored(built), as_stored(reference)).f1 or 0.0
-
-
-def _near(a: Pose2, b: Pose2, driven: float) -> bool:
-    return a.distance(b) <= NEAR + NEAR_SHARE * driven and abs(wrap_angle(a.yaw - b.yaw)) <= NEAR_YAW
 
 
 def _pose_text(pose: Pose2) -> str:
@@ -288,15 +290,6 @@ def _check_stamps(path: Path, estimate: Trajectory, truth: Trajectory) -> None:
     )
 
 
-def _score_trajectory(
-    run: RunFolder, truth: Trajectory, estimate: Trajectory, T_world_frame: Pose2
-) -> dict[str, Any]:
-    odometry = read_tum(run.folder / "odometry.tum")
-    return asdict(trajectory_errors(truth, estimate, T_world_map=T_world_frame)) | {
-        "odometry_ate_rmse": trajectory_errors(truth, odometry).ate_rmse
-    }
-
-
 def _score_map(
     run: RunFolder, path: Path, T_world_frame: Pose2, alignment: StartAlignment | None
 ) -> dict[str, Any]:
@@ -310,21 +303,17 @@ def _score_map(
     reference = read_map(run.folder / "map_true_pose.yaml")
     if abs(reference.resolution - built.resolution) > SAME_RESOLUTION:
         reference = true_pose_map(run.folder, config, built.resolution)
-    _check_place(path, built, reference)
-    world = build_scenario(config).world
-    scores = map_scores(
-        built, reference, surface=world.surface, walls=world.walls, truth=world.truth, alignment=alignment
-    )
-    return asdict(scores)
-
-
-def _check_place(path: Path, built: OccupancyGrid, reference: OccupancyGrid) -> None:
     there = ~np.isnan(sample_like(as_stored(built), as_stored(reference)))
     if not (there & as_stored(reference).known).any():
         raise SourceError(
             f"{path}: knows no cell of where the run took place: is its origin given in the map frame, "
             "that of the first base pose?"
         )
+    world = build_scenario(config).world
+    scores = map_scores(
+        built, reference, surface=world.surface, walls=world.walls, truth=world.truth, alignment=alignment
+    )
+    return asdict(scores)
 
 
 def interpolate_poses(trajectory: Trajectory, stamps: FloatArray) -> Trajectory:

@@ -284,8 +284,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
 
     def _apply(self) -> None:
         super()._apply()
-        if self._stick.visible != self._by_hand.value:
-            self._stick.visible = self._by_hand.value
+        self._stick.show(self._by_hand.value)
         if self.playback is not None:
             self.playback.driver.by_hand = self._by_hand.value
 

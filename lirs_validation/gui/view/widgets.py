@@ -169,16 +169,12 @@ class Stick:
         self._field = gui.add_text(LABEL, "0.00 0.00", hint=HINT, visible=False)
         self._field.on_update(guard(lambda _: steer(*read_stick(self._field.value))))
 
-    @property
-    def visible(self) -> bool:
-        """Whether it can be used."""
-        return bool(self._html.visible)
-
-    @visible.setter
-    def visible(self, visible: bool) -> None:
-        self._field.visible = self._html.visible = visible
-        field: Any = self._field
-        field.value = "0.00 0.00"
+    def show(self, visible: bool) -> None:
+        """Show the stick in its middle, or hide it."""
+        if visible != self._html.visible:
+            self._field.visible = self._html.visible = visible
+            field: Any = self._field
+            field.value = "0.00 0.00"
 
 
 def read_stick(text: str) -> tuple[float, float]:
