@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Final, Literal
 
 from lirs_validation.record.formatting import Entry, significant, span
@@ -135,14 +135,11 @@ def findings(entries: Sequence[Entry]) -> tuple[Finding, ...]:
 
 def _means(entries: Sequence[Entry]) -> Means:
     """Return the mean RTF by world, mapper and view, where there is one."""
-    found = {}
-    for world in WORLDS:
-        for mapper in MAPPERS:
-            for view in VIEWS:
-                values = over_runs(RTF, husky_runs(entries, world, mapper, view)).values
-                if values is not None:
-                    found[(world, mapper, view)] = values.mean
-    return found
+    return {
+        key: values.mean
+        for key in product(WORLDS, MAPPERS, VIEWS)
+        if (values := over_runs(RTF, husky_runs(entries, *key)).values) is not None
+    }
 
 
 def _answer(yes: int, of: int) -> Answer:
@@ -192,12 +189,11 @@ def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable
     """Check the finding that one method is always the fastest, or the slowest."""
     claim = f"{MAPPERS[mapper]} is the {rank} of the three methods."
     won: dict[str, list[str]] = {m: [] for m in MAPPERS}
-    for world in WORLDS:
-        for view in VIEWS:
-            values = {m: means[(world, m, view)] for m in MAPPERS if (world, m, view) in means}
-            if len(values) == len(MAPPERS):
-                wanted = best(values.values())
-                won[next(m for m, v in values.items() if v == wanted)].append(f"{world} {view}")
+    for world, view in product(WORLDS, VIEWS):
+        values = {m: means[(world, m, view)] for m in MAPPERS if (world, m, view) in means}
+        if len(values) == len(MAPPERS):
+            wanted = best(values.values())
+            won[next(m for m, v in values.items() if v == wanted)].append(f"{world} {view}")
     asked = sum(map(len, won.values()))
     if not asked:
         return Finding(claim, "cannot be said", "no world has runs of all three.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,13 +28,12 @@ class Origin:
 
 def origins_of(entries: Sequence[Entry]) -> tuple[Origin, ...]:
     """Return the software and machines of the runs."""
-    found: dict[tuple[str, str], int] = {}
+    runs = Counter[tuple[str, str]]()
     for entry in entries:
         versions = ", ".join(f"{name} {version}" for name, version in entry["versions"].items())
-        machine = entry["machine"]
-        text = f"{machine['processor']}, {machine['cores']} cores, {machine['system']}"
-        found[(versions, text)] = found.get((versions, text), 0) + 1
-    return tuple(Origin(n, versions, machine) for (versions, machine), n in found.items())
+        machine = "{processor}, {cores} cores, {system}".format(**entry["machine"])
+        runs[versions, machine] += 1
+    return tuple(Origin(n, versions, machine) for (versions, machine), n in runs.items())
 
 
 def commands_table(entries: Sequence[Entry]) -> ReportTable:
