@@ -51,7 +51,7 @@ SCALES: dict[str, Any] = {"x": {"time": False}, "y": {}, "rtf": {}, "event": {"r
 AXES: tuple[Any, ...] = ({}, {"size": 65}, {"scale": "rtf", "side": 1, "size": 35, "grid": {"show": False}})
 LEGEND = (
     "black: occupied, white: free; <b style='color:#0072B2'>true</b> and "
-    "<b style='color:#D55E00'>estimated</b> path; north is up, {}<br>error of the estimate in the scene: 0 "
+    "<b style='color:#D55E00'>estimated</b> path; north is up, {}<br>its error in the scene: 0 "
     "<span style='background:linear-gradient(90deg,#0d0887,#cc4778,#f0f921);padding:0 1.2em'></span> {:.2f} m"
 )
 BEHIND = np.array((0.0, -9.0, 7.0))
