@@ -7,11 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lirs_wct.export.mesh_writer import write_collada
+from lirs_wct.export.mesh_writer import write_parts
 from lirs_wct.export.package import FORMATS, write_package
+from lirs_wct.formats.meshes.collada import MeshPart
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.meshing.uv import cube_uv
 from lirs_wct.progress import Steps, track
 from lirs_wct.world import World
 
@@ -52,8 +54,8 @@ def test_a_package_tells_each_file(formats: tuple[str, ...], tmp_path: Path) -> 
 def test_a_streamed_file_ticks_tile_by_tile(tmp_path: Path) -> None:
     z = np.random.default_rng(2).random((200, 200)).astype(np.float32)
     told: list[float] = []
-    mesh = solid_mesh(HeightField(z, (0.1, 0.1), (0.0, 0.0)))
-    write_collada(tmp_path / "a.dae", mesh, progress=lambda _, share: told.append(share))
+    part = MeshPart("ground", cube_uv(solid_mesh(HeightField(z, (0.1, 0.1), (0.0, 0.0)))))
+    write_parts(tmp_path / "a.dae", [part], lambda _, share: told.append(share))
     assert len(told) > 3
     assert told == sorted(told)
     assert told[-1] == 1.0
