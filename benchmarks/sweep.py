@@ -26,10 +26,11 @@ from lirs_validation import RunConfig, RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.record.run_record import RECORD
 from lirs_validation.sweep.engines import Processes, Serial
 from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
-from lirs_wct.files import atomic_folder
+from lirs_wct.files import MANIFEST, atomic_folder
 from lirs_wct.progress import Progress, no_progress
 
 LIMIT = 0.02
@@ -59,8 +60,9 @@ class QuickExperiment(SlamExperiment):
         begun = time.perf_counter()
         record = replace(self.template, config=self.config)
         with atomic_folder(out / self.name) as folder:
-            for name in record.file_sizes:
-                os.link(Path(self.left) / name, folder / name)
+            for file in Path(self.left).iterdir():
+                if file.name not in (RECORD, MANIFEST):
+                    os.link(file, folder / file.name)
             record.save(folder)
         with Path(self.spent).open("a", encoding="utf-8") as file:
             file.write(f"{time.perf_counter() - begun}\n")

@@ -34,7 +34,7 @@ from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, write_elevation
-from lirs_validation.record.run_record import RunRecord, file_sizes
+from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
 from lirs_wct import BuildOptions, ConfigError, SimulationError, World
 from lirs_wct.files import atomic_folder, check_writable
@@ -331,8 +331,8 @@ def _write_run(
     T_map_world = log.truth[0].to_pose2().inverse()
     built = None if maps.built is None else maps.built.moved(T_map_world)
     bag = (recorded or Recording()).finish(built)
-    record = write_results(folder, run.record, log, maps, run.world, bag, drawn=drawn)
-    return replace(run, record=record, folder=folder)
+    write_results(folder, run.record, log, maps, run.world, bag, drawn=drawn)
+    return replace(run, folder=folder)
 
 
 def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tuple[DriveLog, dict[str, Any]]:
@@ -363,14 +363,14 @@ def write_results(
     bag: Sequence[Path] = (),
     *,
     drawn: bool = True,
-) -> RunRecord:
-    """Write a run's folder, its record last; return the record as written.
+) -> None:
+    """Write a run's folder, its record last.
 
     An older folder is replaced.
 
     Args:
         folder: of the run.
-        record: without the sizes of files.
+        record: of the run.
         log: of the drive.
         maps: of the run.
         world: where it took place.
@@ -401,6 +401,4 @@ def write_results(
             Run(record, log, maps, world, None).overview().savefig(temporary / "overview.png")
         for file in bag:
             shutil.move(file, temporary / file.name)
-        record = replace(record, file_sizes=file_sizes(temporary))
         record.save(temporary)
-    return record

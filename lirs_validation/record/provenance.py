@@ -106,22 +106,15 @@ def with_recorded_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) 
         recorded: files that the run was made from; none where it was a bundled world.
 
     Raises:
-        SourceError: neither where it lay nor under the name that was typed lies a source of that content.
+        SourceError: the source is gone from its place, or its content is another one.
     """
     if not recorded:
         return config
-    found = []
-    for place in dict.fromkeys((_place(config, recorded), config.source)):
-        moved = replace(config, source=place)
-        try:
-            files = source_files(moved)
-        except SourceError as error:
-            found.append(str(error))
-            continue
-        if _digests(files) == [str(file["sha256"]) for file in recorded]:
-            return moved
-        found.append(_other(files, recorded))
-    raise SourceError(found[0])
+    placed = replace(config, source=_place(config, recorded))
+    files = source_files(placed)
+    if _digests(files) != [file["sha256"] for file in recorded]:
+        raise SourceError(_other(files, recorded))
+    return placed
 
 
 def same_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) -> bool:

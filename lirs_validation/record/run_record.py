@@ -15,8 +15,7 @@ from lirs_validation.record.provenance import machine, versions
 from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.files import atomic_write
-from lirs_wct.formats.suffixes import BAG_FILES, METADATA, Storage
+from lirs_wct.files import MANIFEST, atomic_write, digest, read_manifest
 
 SCHEMA = 3
 
@@ -51,7 +50,6 @@ class RunRecord(ShownAsTable):
             imu_rate, inertial readings a second of a bag or of a mapper that reads them.
         mapper: scans received, used, skipped, milliseconds a scan.
         cost: cpu_seconds of the drive, peak_memory of the process (bytes), compile_seconds, scans_dropped.
-        file_sizes: bytes of the other files in the run's folder, by name; empty until they are written.
     """
 
     _rows: ClassVar = "lirs_validation.record.metric_catalog:picture_lines"
@@ -69,7 +67,6 @@ class RunRecord(ShownAsTable):
     cost: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=versions)
     machine: dict[str, Any] = field(default_factory=machine)
-    file_sizes: dict[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"RunRecord({self.name!r}, {self.status})"
@@ -129,74 +126,26 @@ def plain(value: Any) -> Any:
 RECORD = "record.json"
 BAG = "bag"
 """Stem of the file of a run's bag, whose folder is the run's."""
-WITH_RESULTS = (
-    RECORD,
-    "overview.png",
-    "map.pgm",
-    "map.yaml",
-    "map_true_pose.pgm",
-    "map_true_pose.yaml",
-    "truth.tum",
-    "estimate.tum",
-    "odometry.tum",
-    "scans.clf.gz",
-    "imu.csv.gz",
-    "rtf.csv",
-    "commands.csv",
-)
-"""Of a run that drove."""
-OF_PLANAR_MAPPERS = ("map.pgm", "map.yaml")
-"""Files that mappers of point clouds do not write."""
-WITHOUT = (RECORD, "error.txt")
-"""Of a run that came to nothing."""
 
 
-def bag_files(config: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the names of a bag's files; empty without a bag."""
-    storage: Storage | None = config.get("bag")
-    return () if storage is None else (METADATA, f"{BAG}{BAG_FILES[storage]}")
+def damaged_files(folder: Path) -> list[str]:
+    """Return missing or changed files of a run's folder, by its manifest.
 
-
-def file_sizes(folder: Path) -> dict[str, int]:
-    """Return file sizes of a run's folder by name.
-
-    The record, which will hold them, is left out.
+    The record is left out: who reads it notices damage. Without a manifest, the manifest is damaged.
     """
-    return {path.name: path.stat().st_size for path in sorted(folder.iterdir()) if path.name != RECORD}
+    manifest = read_manifest(folder)
+    if manifest.pop(RECORD, None) is None:
+        return [MANIFEST]
+    return [name for name, digests in manifest.items() if not _is_whole(folder / name, digests)]
 
 
-def damaged_files(folder: Path, entry: Mapping[str, Any]) -> list[str]:
-    """Return missing, empty or truncated files of a run's folder.
-
-    Of a record without sizes, as older versions wrote them, that is every file.
-    """
-    expected: tuple[str, ...] = WITHOUT if entry["status"] in ("error", "timeout") else WITH_RESULTS
-    if expected is WITH_RESULTS:
-        expected += bag_files(entry["config"])
-    if maps_clouds(entry):
-        expected = tuple(name for name in expected if name not in OF_PLANAR_MAPPERS)
-        expected += tuple(name for name in entry.get("file_sizes", {}) if name == "elevation.npz")
-    written: Mapping[str, int] = entry.get("file_sizes", {})
-    if "overview.png" not in written:  # a brief run
-        expected = tuple(name for name in expected if name != "overview.png")
-    return [
-        name
-        for name in expected
-        if not (size := _size(folder / name)) or (name != RECORD and size != written.get(name))
-    ]
+def _is_whole(path: Path, digests: set[str]) -> bool:
+    try:
+        return digest(path) in digests
+    except OSError:
+        return False
 
 
 def maps_clouds(entry: Mapping[str, Any]) -> bool:
     """Whether a run's mapper read point clouds: it has no occupancy map, but an elevation."""
     return "elevation_rmse" in entry["map"]
-
-
-def _size(path: Path) -> int:
-    """Return file sizes of a run's folder by name.
-
-    The record, which will hold them, is left out.
-    """
-    try:
-        return path.stat().st_size
-    except OSError:
-        return 0

@@ -103,7 +103,7 @@ def _read_built_map(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
     """Read the built map; None for point-cloud mappers in worlds with overhangs."""
     if not maps_clouds(run.entry):
         return read_map(run.folder / "map.yaml")
-    if ELEVATION not in run.entry.get("file_sizes", {}):
+    if not (run.folder / ELEVATION).is_file():
         return None
     return read_elevation(run.folder / ELEVATION)[0]
 

@@ -6,7 +6,7 @@ import json
 import traceback
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields
 from functools import cache, cached_property
 from pathlib import Path
 from types import NoneType
@@ -23,7 +23,7 @@ from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.interrupts import is_interrupt
 from lirs_validation.record.provenance import is_stale, machine, same_source, versions, world_files
-from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status, damaged_files, file_sizes, plain
+from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status, damaged_files, plain
 from lirs_validation.record.schema import read_whole_record
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
@@ -251,7 +251,7 @@ class SlamExperiment:
         )
         with atomic_folder(out / self.name) as folder:
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
-            replace(record, file_sizes=file_sizes(folder)).save(folder)
+            record.save(folder)
 
     def find_outcome(self, out: Path) -> Outcome | None:
         """Return the recorded outcome if the folder is complete and newer than all inputs."""
@@ -261,7 +261,7 @@ class SlamExperiment:
         except SourceError:
             return None
         status, reason, limit = record["status"], record["reason"], record["config"]["wall_limit"]
-        if damaged_files(folder, record) or not same_source(self.config, record["world"].get("files", ())):
+        if damaged_files(folder) or not same_source(self.config, record["world"].get("files", ())):
             return None
         inputs = [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
         if is_stale(folder / "record.json", record.get("versions"), inputs):

@@ -1,14 +1,30 @@
 """Records for tests: of the form that runs write, with figures as one wishes."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import RunConfig
-from lirs_validation.record.run_record import WITH_RESULTS, RunRecord, Status, file_sizes
+from lirs_validation.record.run_record import RunRecord, Status
+from lirs_wct.files import write_manifest
 
 SECONDS = 30
+WITH_RESULTS = (
+    "record.json",
+    "overview.png",
+    "map.pgm",
+    "map.yaml",
+    "map_true_pose.pgm",
+    "map_true_pose.yaml",
+    "truth.tum",
+    "estimate.tum",
+    "odometry.tum",
+    "scans.clf.gz",
+    "imu.csv.gz",
+    "rtf.csv",
+    "commands.csv",
+)
+"""Files of a run that drove."""
 
 
 def record(
@@ -76,7 +92,8 @@ def saved_whole(root: Path, made: RunRecord) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for name in WITH_RESULTS[1:]:
         (folder / name).write_text("something")
-    replace(made, file_sizes=file_sizes(folder)).save(folder)
+    made.save(folder)
+    write_manifest(folder)
     return folder
 
 

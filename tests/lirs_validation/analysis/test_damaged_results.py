@@ -13,7 +13,6 @@ import pytest
 from lirs_validation import resolve_source
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.analysis.result_folders import read_results
-from lirs_validation.record.run_record import WITH_RESULTS
 from lirs_validation.report.page import report_of
 from lirs_validation.report.run_tables import results_table
 from lirs_validation.sweep.experiment import SlamExperiment
@@ -21,7 +20,7 @@ from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.sources.options import BuildOptions
 from tests.command_line import run_command
-from tests.lirs_validation.records import record, saved, saved_whole
+from tests.lirs_validation.records import WITH_RESULTS, record, saved, saved_whole
 
 pytestmark = pytest.mark.usefixtures("empty_charts")
 NONSENSE: tuple[Any, ...] = (None, [], {}, "much", -7, [[1]], {"a": {"b": 1}}, True, "\u0000", 1e308)

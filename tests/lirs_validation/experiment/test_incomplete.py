@@ -70,7 +70,7 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
     assert f"a pose for {100 * coverage:.1f} % of the scans, at least 95 % are required" in record["reason"]
     assert record["trajectory"]["scan_coverage"] == pytest.approx(coverage)
     assert ("ate_rmse" in record["trajectory"]) == ate
-    assert damaged_files(run.folder, record) == []
+    assert damaged_files(run.folder) == []
     picture = Painter(1).paint(read_run(run.folder))
     assert picture.url or "estimate.tum" in picture.note
 

@@ -16,9 +16,9 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.logs.map_log import run_mapping
 from lirs_validation.map_config import MapConfig
-from lirs_validation.record.run_record import read_record
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, OutputError
+from lirs_wct.files import read_manifest
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.geometry.pose import Pose3
@@ -67,7 +67,7 @@ def test_a_bag_changes_nothing_else(made: Run, recorded: Record, tmp_path: Path)
         assert (folder_of(plain) / name).read_bytes() == (folder_of(made) / name).read_bytes(), name
     for part in ("trajectory", "map", "collisions", "status"):
         assert getattr(plain.record, part) == getattr(made.record, part)
-    assert {"metadata.yaml", "bag.mcap"} <= set(read_record(folder_of(made))["file_sizes"])
+    assert {"metadata.yaml", "bag.mcap"} <= set(read_manifest(folder_of(made)))
     assert sorted(p.name for p in folder_of(made).parent.iterdir()) == [made.record.name]
 
 

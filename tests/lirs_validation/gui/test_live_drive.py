@@ -42,7 +42,7 @@ class Looping(HectorMapper):
         found = super().stats
         return replace(found, lost=int(found.received > 50), counts={"loops": int(found.received > 25)})
 """
-TIMED = {"rtf", "cost", "machine", "versions", "file_sizes", "mapper"}
+TIMED = {"rtf", "cost", "machine", "versions", "mapper"}
 """What is measured by the clock, or names the machine."""
 
 

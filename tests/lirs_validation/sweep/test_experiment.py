@@ -14,16 +14,17 @@ import pytest
 
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import source_files
-from lirs_validation.record.run_record import WITH_RESULTS, Status, read_record
+from lirs_validation.record.run_record import Status, read_record
 from lirs_validation.record.schema import read_whole_record
 from lirs_validation.sweep.engines import Processes, Serial
 from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct import BuildOptions
 from lirs_wct.errors import WctError
-from tests.lirs_validation.records import record, saved_whole
+from lirs_wct.files import MANIFEST
+from tests.lirs_validation.records import WITH_RESULTS, record, saved_whole
 
-TIMES = {"rtf", "cost", "mapper", "versions", "file_sizes"}
+TIMES = {"rtf", "cost", "mapper", "versions"}
 """Of a record, what holds wall times or depends on them; a developer's code may change while engines run."""
 
 
@@ -86,18 +87,22 @@ def test_a_run_whose_folder_is_not_whole_is_run_again(name: str, how: str, tmp_p
     assert experiment.find_outcome(tmp_path) is None
 
 
-def test_a_run_whose_record_does_not_say_how_long_its_files_are_is_run_again(tmp_path: Path) -> None:
-    """Such records were written before; nobody can tell whether their files are whole."""
+def test_a_run_without_a_manifest_is_run_again(tmp_path: Path) -> None:
+    """Nobody can tell whether its files are whole."""
+    experiment = SlamExperiment(RunConfig(source="simple"))
+    manifest = saved(experiment, tmp_path).with_name(MANIFEST)
+    manifest.write_text("\n".join(manifest.read_text().splitlines()[:3]))
+    assert experiment.find_outcome(tmp_path) is None
+    manifest.unlink()
+    assert experiment.find_outcome(tmp_path) is None
+
+
+def test_sizes_of_files_in_an_older_record_are_ignored(tmp_path: Path) -> None:
     experiment = SlamExperiment(RunConfig(source="simple"))
     file = saved(experiment, tmp_path)
-    entry = json.loads(file.read_text())
-    del entry["file_sizes"]["map.pgm"]
-    edited(file, file_sizes=entry["file_sizes"])
-    assert experiment.find_outcome(tmp_path) is None
-    del entry["file_sizes"]
-    file.write_text(json.dumps(entry))
+    edited(file, file_sizes={"map.pgm": 0})
     assert read_whole_record(file.parent)["status"] == "ok"
-    assert experiment.find_outcome(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) is not None
 
 
 def test_a_failure_whose_trace_is_cut_off_is_run_again(tmp_path: Path) -> None:
