@@ -44,7 +44,7 @@ EXCLUDED = (
     "name",  # ends with a digest of the configuration, as the folder's name
     *("rtf.mean", "rtf.std", "rtf.min", "rtf.parts*", "rtf.physics*", "rtf.series*", "rtf.concurrent"),
     *("*wall_seconds", "*compile_seconds", "*cpu_seconds", "*read_seconds", "*map_seconds"),
-    *("*peak_memory", "mapper.ms_*", "*date", "*created"),
+    *("*peak_memory", "rtf.load_average", "mapper.ms_*", "*date", "*created"),
     *("config.threads", "config.bag", "rtf.mapper_in", "file_sizes*"),  # of 1.0.0
 )
 """Patterns of JSON keys that change from run to run: wall-clock times, RTF, machine, versions, dates.

@@ -1,24 +1,22 @@
-"""Cost of a run: processor time, memory, compilation, contention, real-time factor."""
+"""Cost of a run: processor time, memory, compilation, system load, real-time factor."""
 
 from __future__ import annotations
 
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
 
 if sys.platform != "win32":
-    import fcntl
     import resource
 
 _SELF = Path("/proc/self")
@@ -95,52 +93,16 @@ def compile_timer() -> Iterator[Callable[[], float]]:
         yield lambda: float(timer.duration) if timer.done else 0.0
 
 
-@dataclass
-class Contention:
-    """Whether other runs shared the machine; final once its block has ended."""
-
-    found: bool = False
-
-
-@contextmanager
-def cpu_contention() -> Iterator[Contention]:
-    """Detect other runs that overlap this block, in any process of this user.
-
-    All hold one file's shared lock; the kernel gives it back even after a kill. Who comes second sees
-    the lock, and leaves a byte for those who were there before.
-    """
-    contention = Contention()
-    if sys.platform == "win32":  # has no such locks: none is noticed there
-        yield contention
-        return
-    with _lock_file().open("ab", buffering=0) as file:
-        before = _size(file)
-        contention.found = not _alone(file)
-        if contention.found:
-            with suppress(OSError):  # a full disk: those before do not learn of this run
-                file.write(b".")
-        fcntl.flock(file, fcntl.LOCK_SH)
-        yield contention
-        contention.found = contention.found or _size(file) != before
+def load_average() -> float | None:
+    """Return the processes that ran or waited for a core in the last minute; None without a count."""
+    with suppress(AttributeError, OSError):  # Windows has none
+        return os.getloadavg()[0]
+    return None
 
 
-def _alone(file: IO[bytes]) -> bool:
-    if sys.platform == "win32":
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
-
-
-def _size(file: IO[bytes]) -> int:
-    return os.fstat(file.fileno()).st_size
-
-
-def _lock_file() -> Path:
-    owner = os.getuid() if hasattr(os, "getuid") else "all"
-    return Path(tempfile.gettempdir()) / f"lirs-wct-{owner}.lock"
+def is_shared(load: float | None) -> bool:
+    """Whether more processes than cores wanted to run."""
+    return load is not None and load > (os.cpu_count() or 1)
 
 
 def real_time_factor(walls: Sequence[float], period: float) -> dict[str, Any]:

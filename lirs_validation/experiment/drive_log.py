@@ -73,7 +73,8 @@ class DriveLog:
         walls: wall-clock seconds of each tick.
         mapper_seconds: seconds of the mapper's updates.
         status: at the drive's end; `reason` explains it.
-        concurrent: whether something else of ours ran at the same time.
+        concurrent: whether other runs shared the processor.
+        load: system's load average at the drive's end; None without a count.
         commands: of the driver, one per tick: the commands after the first observation, the second, ...
     """
 
@@ -97,6 +98,7 @@ class DriveLog:
     status: Status = "ok"
     reason: str = ""
     concurrent: bool = False
+    load: float | None = None
 
     def add(
         self,

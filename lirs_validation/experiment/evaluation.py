@@ -202,6 +202,7 @@ def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True
         "simulated_seconds": len(log.walls) * period,
         "wall_seconds": sum(log.walls),
         "timestep": simulation.body.timestep,
+        "load_average": log.load,
         "concurrent": log.concurrent,
         "extrapolated": log.status == "wall limit",
         "series": series,

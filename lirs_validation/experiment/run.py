@@ -17,7 +17,7 @@ from lirs_validation.config import STAND, RunConfig, driver_parts
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.driver import Driver, StandingDriver
 from lirs_validation.driving.replay import COMMANDS
-from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_contention
+from lirs_validation.experiment.cost import CostMeter, compile_timer, is_shared, load_average
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import (
     Maps,
@@ -133,7 +133,7 @@ def run(
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the run.
         scenarios: worlds that were built before.
-        concurrent: whether other runs share the processor; found out beside that.
+        concurrent: whether the sweep runs others at the same time.
         name: of the run's folder; None = the record's.
         brief: Whether to omit the replay of the physics and the overview picture.
 
@@ -215,7 +215,7 @@ def drive_and_conclude(
     with recording(ready.scenario.config, out, ready.simulation.period) as recorded:
         with closing(ready.mapper):
             log, cost = _timed_drive(ready, progress, recorded.add)
-            log.concurrent = log.concurrent or concurrent
+            log.concurrent = concurrent or is_shared(log.load)
             evaluated = _evaluate(ready, log, cost, progress, replayed=not brief)
         return _write_run(evaluated, out, name, recorded, drawn=not brief)
 
@@ -337,21 +337,18 @@ def _write_run(
 
 def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tuple[DriveLog, dict[str, Any]]:
     """Drive; return the log and the cost of the drive."""
-    config = ready.scenario.config
-    with cpu_contention() as others:
-        meter = CostMeter()
-        log = drive(
-            ready.simulation,
-            ready.driver,
-            ready.mapper,
-            ready.seconds,
-            progress,
-            wall_limit=config.wall_limit,
-            recorder=recorder,
-        )
-        cost = ready.cost(meter)
-    log.concurrent = others.found
-    return log, cost
+    meter = CostMeter()
+    log = drive(
+        ready.simulation,
+        ready.driver,
+        ready.mapper,
+        ready.seconds,
+        progress,
+        wall_limit=ready.scenario.config.wall_limit,
+        recorder=recorder,
+    )
+    log.load = load_average()
+    return log, ready.cost(meter)
 
 
 def write_results(

@@ -102,6 +102,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("rtf.parts.mapper", "mapper", "rtf", "ms/s", None, MS, "less"),
     Metric("rtf.parts.rest", "rest", "rtf", "ms/s", None, MS, "less"),
     Metric("rtf.physics_reference", "reference physics", "rtf", digits=None, better="more"),
+    Metric("rtf.load_average", "system load", "rtf", digits=2, detail=True),
     Metric("trajectory.length", "driven", "trajectory", "m", 1,
            selections=("picture", "runs", "summary"), title="distance driven"),
     Metric(ATE, "ATE", "trajectory", "m", better="less", title="ATE (RMSE, aligned)",

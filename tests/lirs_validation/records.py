@@ -56,7 +56,7 @@ def record(
             "physics_reference": rtf * 2,
             "parts": {"physics": 0.3 / rtf, "sensors": 0.2 / rtf, "mapper": 0.4 / rtf, "rest": 0.1 / rtf},
             "simulated_seconds": float(SECONDS), "wall_seconds": SECONDS / rtf,
-            "concurrent": concurrent, "extrapolated": extrapolated,
+            "load_average": 0.5, "concurrent": concurrent, "extrapolated": extrapolated,
             "series": [rtf * (1 + 0.1 * (-1) ** k) for k in range(SECONDS)],
         },
         trajectory={

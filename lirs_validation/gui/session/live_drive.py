@@ -10,7 +10,7 @@ from typing import Any
 from lirs_envs.robots.robot import Robot, Twist, clip
 from lirs_validation.config import MANUAL, RunConfig, run_name
 from lirs_validation.driving.driver import Driver, WrappedDriver
-from lirs_validation.experiment.cost import CostMeter, cpu_contention
+from lirs_validation.experiment.cost import CostMeter
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.evaluation import evaluate_maps, verdict_so_far
 from lirs_validation.experiment.loop import Drive
@@ -133,9 +133,8 @@ class LiveDrive(Playback):
 
     def drive_on(self, until: float, time_limit: float) -> None:
         """Continue the drive until a wall time or a simulated time (see `Playback`)."""
-        with cpu_contention():  # other runs on this machine notice, and say so in their records
-            while not self.over and time.monotonic() < until and self.time < time_limit:
-                self.step()
+        while not self.over and time.monotonic() < until and self.time < time_limit:
+            self.step()
 
     def save(self, out: Path, progress: Progress = no_progress) -> Run:
         """Evaluate and write the drive so far like `validate`; the drive can continue.

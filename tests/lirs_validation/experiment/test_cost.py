@@ -1,4 +1,4 @@
-"""What a run costs, and whether other runs shared the CPU."""
+"""What a run costs, and how busy the system is."""
 
 import subprocess
 import sys
@@ -8,18 +8,8 @@ from pathlib import Path
 import pytest
 from numba import njit
 
-from lirs_validation.experiment.cost import CostMeter, compile_timer, cpu_contention
+from lirs_validation.experiment.cost import CostMeter, compile_timer, is_shared, load_average
 from lirs_validation.interrupts import is_interrupt
-
-HOLD = """
-import sys, tempfile
-tempfile.tempdir = sys.argv[1]
-from lirs_validation.experiment.cost import cpu_contention
-with cpu_contention() as others:
-    print("in", flush=True)
-    sys.stdin.readline()
-print(others.found, flush=True)
-"""
 
 PEAKS = """
 import numpy as np
@@ -65,32 +55,18 @@ def test_compilation_is_timed_and_all_else_is_not() -> None:
     assert compile_seconds() == first
 
 
-def test_both_of_two_that_overlap_notice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with cpu_contention() as first:
-        pass
-    with cpu_contention() as before, cpu_contention() as inside:
-        pass
-    with cpu_contention() as last:
-        pass
-    assert [c.found for c in (first, before, inside, last)] == [False, True, True, False]
+def test_a_load_above_the_cores_means_a_shared_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    for load, shared in ((0.4, False), (2.0, False), (2.1, True)):
+        monkeypatch.setattr("os.getloadavg", lambda load=load: (load, 9.0, 9.0), raising=False)
+        assert load_average() == load
+        assert is_shared(load) == shared
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="has no such locks")
-def test_a_killed_process_is_no_contention(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    other = subprocess.Popen(
-        [sys.executable, "-c", HOLD, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
-    assert other.stdout is not None
-    assert other.stdout.readline() == "in\n"
-    with cpu_contention() as crowded:
-        pass
-    other.kill()
-    other.communicate()
-    with cpu_contention() as alone:
-        pass
-    assert (crowded.found, alone.found) == (True, False)
+def test_a_system_without_a_load_is_not_called_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("os.getloadavg", raising=False)
+    assert load_average() is None
+    assert not is_shared(None)
 
 
 def test_ctrl_c_is_known_in_disguise() -> None:
