@@ -332,14 +332,12 @@ class EngineOptions(Options):
         ConfigError: a value is not legal, or two options contradict.
     """
 
-    engine: Literal["serial", "processes", "ray"] | None = option(
-        None,
-        "Serial runs, processes of this machine, or a Ray cluster. RTFs of concurrent runs are marked.",
-        panel=ENGINE,
-        rare=True,
+    jobs: int | None = option(
+        None, "Concurrent runs, each in its own process; their RTFs are marked.", metavar="N", panel=ENGINE
     )
-    jobs: int | None = option(None, "Concurrent runs, each in its own process.", metavar="N", panel=ENGINE)
-    address: str | None = option(None, "Address of a Ray cluster; default: start a local one.", panel=ENGINE)
+    address: str | None = option(
+        None, "Address of a Ray cluster; `local` starts one on this machine.", panel=ENGINE
+    )
     cell_timeout: float | None = option(
         None,
         "End a run after this many wall seconds in all.",
@@ -348,19 +346,12 @@ class EngineOptions(Options):
         check=positive,
         rare=True,
     )
-    cell_memory: float | None = option(
-        None, "End a run that takes more memory.", metavar="GB", panel=ENGINE, check=positive, rare=True
-    )
     retry_failed: bool = option(False, "Repeat failed runs of an earlier sweep.", panel=ENGINE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.jobs is not None and self.jobs < 1:
             raise ConfigError(f"--jobs must be 1 or more, got {self.jobs}")
-        if self.address is not None and self.engine != "ray":
-            raise ConfigError(f"--address is of a Ray cluster; the engine is {self.engine or 'serial'}")
-        if self.engine == "serial" and self.jobs not in (None, 1):
-            raise ConfigError(f"--engine serial runs one experiment at a time, got --jobs {self.jobs}")
 
 
 def digest_text(entry: dict[str, Any]) -> str:

@@ -9,20 +9,19 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from lirs_validation.sweep.workers import Failure, WorkerPool
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, OutputError, WctError
+from lirs_wct.progress import Progress
 
 DIGITS = 3
 """Significant digits of a value."""
@@ -356,6 +355,18 @@ def trial_key(entry: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()[:16]
 
 
+@dataclass(frozen=True)
+class TrialJob(Generic[Score]):
+    """Job of a worker: measure a trial."""
+
+    measure: Callable[..., Score]
+    arguments: Arguments
+
+    def __call__(self, progress: Progress) -> Score:
+        """Return the score."""
+        return self.measure(*self.arguments)
+
+
 class TrialArchive(Generic[Score]):
     """Measures trials, counts them and keeps their scores.
 
@@ -368,7 +379,7 @@ class TrialArchive(Generic[Score]):
         pool: measures in other processes; None = in this one.
     """
 
-    def __init__(self, path: Path, kind: type[Score], pool: Executor | None = None) -> None:
+    def __init__(self, path: Path, kind: type[Score], pool: WorkerPool | None = None) -> None:
         self.count = 0
         self._path, self._pool = path, pool
         self._kept: dict[str, Score] = _read_archive(path, kind)
@@ -403,17 +414,16 @@ class TrialArchive(Generic[Score]):
             for arguments in trials:
                 yield measure(*arguments)
             return
-        futures: list[Future[Score]] = [self._pool.submit(measure, *arguments) for arguments in trials]
-        try:
-            for future in futures:
-                yield future.result()
-        except BrokenProcessPool:
-            raise WctError(
-                f"a process that drove {method} died; the same command continues the search"
-            ) from None
-        finally:
-            for future in futures:
-                future.cancel()
+        jobs = [TrialJob(measure, arguments) for arguments in trials]
+        ended: dict[int, Score] = {}
+        following = 0
+        for number, score in self._pool.run(jobs):
+            if isinstance(score, Failure):
+                raise WctError(f"a process that drove {method} died; the same command continues the search")
+            ended[number] = score
+            while following in ended:
+                yield ended.pop(following)
+                following += 1
 
     def _keep(self, key: str, score: Any) -> None:
         """Append a score to the file.
@@ -452,14 +462,6 @@ def _read_archive(path: Path, kind: type[Score]) -> dict[str, Score]:
     return found
 
 
-@contextmanager
-def process_pool(jobs: int) -> Iterator[Executor | None]:
+def process_pool(jobs: int) -> AbstractContextManager[WorkerPool | None]:
     """Give the processes for concurrent drives; None for one job."""
-    if jobs == 1:
-        yield None
-        return
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
-    try:
-        yield pool
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    return nullcontext() if jobs == 1 else WorkerPool(jobs)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from lirs_validation.config import EngineOptions
-from lirs_validation.sweep.engines import Executor, Limits, Processes, ProgressOf, Serial, cores
+from lirs_validation.sweep.engines import Executor, Processes, ProgressOf, Serial
 from lirs_validation.sweep.experiment import Experiment, Manifest, Outcome
 from lirs_validation.sweep.ray_engine import RayCluster
 from lirs_wct.errors import OutputError, WctError
@@ -122,17 +122,9 @@ class Sweep:
 
 
 def make_executor(options: EngineOptions) -> Executor:
-    """Make an engine: `serial`, or `processes` for several jobs, unless the options name one.
-
-    Raises:
-        ConfigError: Ray is not installed.
-    """
-    memory = None if options.cell_memory is None else options.cell_memory * 1e9
-    limits = Limits(seconds=options.cell_timeout, memory=memory)
-    jobs = options.jobs
-    engine = options.engine or ("processes" if jobs is not None and jobs > 1 else "serial")
-    if engine == "ray":
-        return RayCluster(address=options.address, jobs=jobs, limits=limits)
-    if engine == "serial" and not limits.any:
+    """Make an engine: a Ray cluster at an address, else processes for several jobs or a time limit."""
+    if options.address is not None:
+        return RayCluster(address=options.address, jobs=options.jobs, seconds=options.cell_timeout)
+    if options.jobs in (None, 1) and options.cell_timeout is None:
         return Serial()
-    return Processes(jobs=1 if engine == "serial" else jobs or cores(), limits=limits)
+    return Processes(jobs=options.jobs or 1, seconds=options.cell_timeout)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,6 +26,7 @@ from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.metrics.verdict import LIMITS, VerdictFigures, classify
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_validation.sweep.suites import CASE, case_options, read_yaml_fields
+from lirs_validation.sweep.workers import WorkerPool
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, unknown_name
 from lirs_wct.files import atomic_write
 from slam_baselines.mapper import short_name
@@ -412,7 +412,7 @@ class CaseDrives:
     """
 
     def __init__(
-        self, options: FalsifyOptions, limits: SearchLimits, out: Path, pool: Executor | None = None
+        self, options: FalsifyOptions, limits: SearchLimits, out: Path, pool: WorkerPool | None = None
     ) -> None:
         self.options, self.limits = options, limits
         self.history: list[tuple[str, Case, int, DriveScore]] = []

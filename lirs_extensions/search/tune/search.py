@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -45,6 +44,7 @@ from lirs_validation.metrics.verdict import AGREEING, LIMITS, VerdictFigures, cl
 from lirs_validation.record.verdict import log_figures, run_figures
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.suites import read_yaml_fields
+from lirs_validation.sweep.workers import WorkerPool
 from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, unknown_name
 from lirs_wct.files import staged_files, write_json
 from lirs_wct.formats.laser_log import LaserLog
@@ -108,7 +108,7 @@ class TuneDrives:
         options: TuneOptions,
         space: SearchSpace,
         out: Path,
-        pool: Executor | None = None,
+        pool: WorkerPool | None = None,
     ) -> None:
         self.target, self.options, self.space = target, options, space
         self.usual = Case(dict(usual_values(target.mapper)))

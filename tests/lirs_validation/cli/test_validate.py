@@ -46,10 +46,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("simple", "--robot", "husky,,jackal"), "--robot must be a list such as a,b,c"),
         (("simple", "--seed", "5-1"), "--seed must be a list such as 1-5 or 1,3,7-9, got '5-1'"),
         (("simple", "--jobs", "0"), "--jobs must be 1 or more, got 0"),
-        (("simple", "--engine", "serial", "--jobs", "3"), "got --jobs 3"),
         (("simple", "--wall-limit", "0"), "wall limit must be a finite number above 0, got 0"),
         (("simple", "--option", "cell-timeout=-1"), "cell timeout must be a finite number above 0, got -1"),
-        (("simple", "--cell-memory", "nan"), "cell memory must be a finite number above 0, got nan"),
+        (("simple", "--option", "cell-timeout=nan"), "cell timeout must be a finite number above 0, got nan"),
         (("--suite", "paper", "--wall-limit", "0"), "wall limit must be a finite number above 0, got 0"),
         (("--suite", "paper", "--seconds", "0"), "seconds must be within (0, 1e6] simulated seconds, got 0"),
         (

@@ -14,9 +14,7 @@ from lirs_validation.sweep.experiment import Outcome
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
 
-Manner = Literal[
-    "good", "raises", "hangs", "leaks", "dies", "dies once", "no room once", "no room", "interrupts"
-]
+Manner = Literal["good", "raises", "hangs", "dies", "dies once", "no room once", "no room", "interrupts"]
 
 
 @dataclass(frozen=True)
@@ -60,10 +58,6 @@ class FakeExperiment:
                 raise IndexError("list index\nout of range")
             case "hangs":
                 time.sleep(1000)
-            case "leaks":
-                kept = []
-                while True:
-                    kept.append(bytearray(200_000_000))
             case "interrupts":
                 raise KeyboardInterrupt
         if self.manner == "dies" or (self.manner == "dies once" and first):

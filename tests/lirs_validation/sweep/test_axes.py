@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.sweep.engines import Limits, Processes, Serial
+from lirs_validation.sweep.engines import Processes, Serial
 from lirs_validation.sweep.experiment import CollisionExperiment, SlamExperiment
+from lirs_validation.sweep.ray_engine import RayCluster
 from lirs_validation.sweep.suites import WALL_LIMIT, cross, make_suite
 from lirs_validation.sweep.sweep import make_executor
 from lirs_wct.errors import ConfigError
@@ -85,15 +86,11 @@ def test_the_papers_suite_has_every_run_of_its_tables_once() -> None:
 def test_options_choose_the_engine() -> None:
     assert isinstance(make_executor(EngineOptions()), Serial)
     assert make_executor(EngineOptions(jobs=3)) == Processes(jobs=3)
-    limited = make_executor(EngineOptions(cell_timeout=5, cell_memory=2))
-    assert limited == Processes(jobs=1, limits=Limits(seconds=5, memory=2e9))
+    assert make_executor(EngineOptions(cell_timeout=5)) == Processes(jobs=1, seconds=5)
+    assert make_executor(EngineOptions(address="local", jobs=3)) == RayCluster(address="local", jobs=3)
     for wrong, message in (
-        ({"engine": "serial", "jobs": 2}, "serial runs one experiment at a time, got --jobs 2"),
-        ({"engine": "slurm"}, "unknown engine 'slurm'; legal: processes, ray, serial"),
         ({"jobs": 0}, "--jobs must be 1 or more, got 0"),
-        ({"engine": "processes", "address": "x:1"}, "--address is of a Ray cluster"),
         ({"cell_timeout": 0.0}, "cell timeout must be a finite number above 0"),
-        ({"cell_memory": float("nan")}, "cell memory must be a finite number above 0"),
     ):
         with pytest.raises(ConfigError, match=message):
             EngineOptions(**wrong)  # type: ignore[arg-type]

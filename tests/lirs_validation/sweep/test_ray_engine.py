@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from lirs_validation.config import EngineOptions
-from lirs_validation.sweep.engines import Limits
 from lirs_validation.sweep.ray_engine import perform_remotely, ray_session
 from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct.errors import ConfigError
@@ -28,7 +27,7 @@ def test_a_cluster_of_two_workers_survives_the_death_of_one(
         for k, manner in enumerate(manners)
     ]
     sweep = Sweep(experiments, tmp_path / "out")
-    outcomes = list(sweep.run(make_executor(EngineOptions(engine="ray", jobs=2))))
+    outcomes = list(sweep.run(make_executor(EngineOptions(address="local", jobs=2))))
 
     assert sorted(outcome.experiment for outcome in outcomes) == [
         experiment.name for experiment in experiments
@@ -61,9 +60,9 @@ def test_a_machine_that_is_lost_costs_one_line_and_no_run(
         (tmp_path / "notes").mkdir()
         experiments = [FakeExperiment(f"{k}", str(tmp_path / "notes"), "good", 3.0) for k in range(8)]
         sweep = Sweep(experiments, tmp_path / "out")
-        engine = make_executor(EngineOptions(engine="ray", address=cluster.address))
+        engine = make_executor(EngineOptions(address=cluster.address))
         # Connect while there is one node: a driver attached to the node that dies loses all it owns.
-        with ray_session(cluster.address, None), warnings.catch_warnings(record=True) as warned:
+        with ray_session(cluster.address), warnings.catch_warnings(record=True) as warned:
             second = cluster.add_node(num_cpus=1)
             capfd.readouterr()
             for done, _ in enumerate(sweep.run(engine)):
@@ -85,14 +84,14 @@ def test_where_no_cluster_answers_it_is_said(tmp_path: Path) -> None:
     (tmp_path / "notes").mkdir()
     sweep = Sweep([FakeExperiment("a", str(tmp_path / "notes"))], tmp_path / "out")
     with pytest.raises(ConfigError, match=r"--address 127\.0\.0\.1:1: no Ray cluster answers there"):
-        list(sweep.run(make_executor(EngineOptions(engine="ray", address="127.0.0.1:1"))))
+        list(sweep.run(make_executor(EngineOptions(address="127.0.0.1:1"))))
 
 
-@pytest.mark.parametrize("limits", [Limits(), pytest.param(Limits(seconds=60.0), marks=pytest.mark.slow)])
-def test_an_experiment_that_makes_its_world_itself_needs_none(tmp_path: Path, limits: Limits) -> None:
+@pytest.mark.parametrize("seconds", [None, pytest.param(60.0, marks=pytest.mark.slow)])
+def test_an_experiment_that_makes_its_world_itself_needs_none(tmp_path: Path, seconds: float | None) -> None:
     (tmp_path / "notes").mkdir()
     experiment = FakeExperiment("alone", str(tmp_path / "notes"))
-    outcome, files = perform_remotely(experiment, None, limits, str(ROOT))
+    outcome, files = perform_remotely(experiment, None, seconds, str(ROOT))
     assert outcome.status == "ok"
     assert files["result"] == b"alone True"
     assert set(files) == {"result", "manifest-sha256.txt"}

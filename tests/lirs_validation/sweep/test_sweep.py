@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines import Limits, Processes, Serial
+from lirs_validation.sweep.engines import Processes, Serial
 from lirs_validation.sweep.experiment import Manifest
 from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import OutputError, WctError
@@ -128,18 +128,15 @@ def test_the_sweeps_file_names_every_experiment_and_the_command(tmp_path: Path, 
 
 @pytest.mark.slow
 def test_processes_lose_no_experiment_whatever_happens_to_them(tmp_path: Path, notes: str) -> None:
-    asked = experiments(
-        notes, "good", "dies once", "raises", "good", "hangs", "dies", "leaks", "good", "good"
-    )
+    asked = experiments(notes, "good", "dies once", "raises", "good", "hangs", "dies", "good", "good")
     reported: list[tuple[str, str, float]] = []
-    engine = Processes(jobs=2, limits=Limits(seconds=15.0, memory=1_000_000_000))
+    engine = Processes(jobs=2, seconds=15.0)
     sweep = Sweep(asked, tmp_path / "out")
     outcomes = list(sweep.run(engine, lambda name: lambda *message: reported.append((name, *message))))
     assert sorted(outcome.experiment for outcome in outcomes) == [experiment.name for experiment in asked]
     statuses = [sweep.outcomes[experiment.name].status for experiment in asked]
-    assert statuses == ["ok", "ok", "error", "ok", "timeout", "error", "error", "ok", "ok"]
-    assert [len(experiment.runs) for experiment in asked] == [1, 2, 1, 1, 1, 2, 1, 1, 1]
-    assert sweep.outcomes["6-leaks"].reason == "MemoryError"
+    assert statuses == ["ok", "ok", "error", "ok", "timeout", "error", "ok", "ok"]
+    assert [len(experiment.runs) for experiment in asked] == [1, 2, 1, 1, 1, 2, 1, 1]
     assert "died 2 times (signal SIGKILL)" in sweep.outcomes["5-dies"].reason
     hung = (tmp_path / "out" / "4-hangs" / "failed").read_text()
     assert "no end within the experiment's 15 s" in hung
