@@ -165,7 +165,7 @@ class RunConfig(Options):
     )
     mapper_python: str | None = option(
         None,
-        "Python interpreter of mappers that are not ours; it needs NumPy and the mapper's packages.",
+        "Python interpreter of mappers that are not ours; lirs-wct is installed there, too.",
         metavar="PATH",
         in_digest=False,
         on_page=False,

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -83,9 +82,6 @@ def compile_timer() -> Iterator[Callable[[], float]]:
 
     Kernels are compiled, or loaded from Numba's cache.
     """
-    if find_spec("numba") is None:  # another interpreter, whose mapper has no kernels of ours
-        yield lambda: 0.0
-        return
     from numba.core.event import TimingListener, install_listener
 
     timer = TimingListener()

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import subprocess
-import sys
-from dataclasses import dataclass
 from functools import cache
-from importlib.machinery import PathFinder
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from lirs_validation.experiment.own_code import keywords_taken, make_own, own_class, own_source_file
 from lirs_wct.errors import ConfigError, unknown_name
@@ -21,41 +17,24 @@ from slam_baselines.mapper import (
     MAPPERS,
     CloudMapper,
     Mapper,
-    Method,
     make_cloud_mapper,
     make_mapper,
     read_parameters,
     reads_clouds,
 )
 
-if TYPE_CHECKING:  # another interpreter loads no options
-    from lirs_validation.config import Attitude
-
 RESOLUTION = 0.05
 """Edge of a map's cell for a mapper of your own that takes it, meters; ours use the same."""
-OLDEST = (3, 11)
-PROBE = "import json, sys; print(json.dumps([sys.version_info[:2], [entry for entry in sys.path if entry]]))"
+PROBE = """
+import sys, lirs_validation
+from importlib.metadata import distributions
+print(next((each.version for each in distributions(name=sys.argv[1])), ""))
+"""
+"""Program that prints the version of a package where lirs-wct is installed, else fails."""
 PATIENCE = 60.0
 """Seconds within which an interpreter answers."""
 METHODS, PROPERTIES = ("update", "map", "trajectory"), ("stats", "lost")
 CLOUD_METHODS = ("update", "trajectory")
-
-
-@dataclass(frozen=True, slots=True)
-class MapperSpec:
-    """Specification of a mapper.
-
-    Attributes:
-        mapper: its name, or `module:name`.
-        seed: of its random numbers.
-        attitude: `imu`, or `none` for a mapper without inertial readings.
-        parameters: fields of its configuration (`NAME=VALUE,...`).
-    """
-
-    mapper: str
-    seed: int
-    attitude: Attitude
-    parameters: str = ""
 
 
 def mapper_named(name: str, seed: int, parameters: str = "") -> Mapper | CloudMapper:
@@ -118,14 +97,17 @@ def interpreter_of(mapper: str, given: str | None = None) -> str | None:
         given: path or name of an interpreter; None = this one.
 
     Raises:
-        ConfigError: the given one cannot be used, or lacks the mapper's package.
+        ConfigError: the given one cannot run this program, or lacks the mapper's package.
     """
-    method = CLOUD_MAPPERS.get(mapper)
     if given is None:
         return None
-    python = _usable(given)
-    if method is not None and not _holds(python, method):
-        raise ConfigError(f"{given}: has no package {method.distribution}, which {mapper} needs")
+    python = shutil.which(str(Path(given).expanduser()))
+    if python is None:
+        raise ConfigError(f"{given}: no such program; --mapper-python takes a Python interpreter")
+    method = CLOUD_MAPPERS.get(mapper)
+    package = "lirs-wct" if method is None else method.distribution
+    if not version_there(python, package) and method is not None:
+        raise ConfigError(f"{given}: has no package {package}, which {mapper} needs")
     return python
 
 
@@ -134,39 +116,22 @@ def package_versions(mapper: str, given: str | None = None) -> dict[str, str]:
     method = CLOUD_MAPPERS.get(mapper)
     if method is None:
         return {}
-    python = interpreter_of(mapper, given)
-    path = sys.path if python is None else search_path(python)
-    found = next(iter(distributions(name=method.distribution, path=list(path))), None)
-    return {} if found is None else {method.distribution: found.version}
+    package, python = method.distribution, interpreter_of(mapper, given)
+    here = next((each.version for each in distributions(name=package)), "")
+    version = here if python is None else version_there(python, package)
+    return {package: version} if version else {}
 
 
 @cache
-def search_path(python: str) -> tuple[str, ...]:
-    """Return the folders in which an interpreter looks for modules.
+def version_there(python: str, package: str) -> str:
+    """Return the version of a package in another interpreter; empty without it.
 
     Raises:
-        ConfigError: it does not run, or is too old.
+        ConfigError: lirs-wct is not installed there.
     """
+    command = [python, "-P", "-c", PROBE, package]
     try:
-        told = subprocess.run([python, "-c", PROBE], capture_output=True, timeout=PATIENCE, check=True)
-        version, path = json.loads(told.stdout)
+        printed = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True).stdout
     except (OSError, ValueError, subprocess.SubprocessError) as error:
-        raise ConfigError(f"{python}: is no Python interpreter that runs") from error
-    if tuple(version) < OLDEST:
-        oldest, given = (".".join(map(str, numbers)) for numbers in (OLDEST, version))
-        raise ConfigError(f"{python}: a mapper's interpreter must be Python {oldest} or newer, got {given}")
-    return tuple(path)
-
-
-def _usable(given: str) -> str:
-    """Return the path of an interpreter that can run our part of a mapper's process."""
-    python = shutil.which(str(Path(given).expanduser()))
-    if python is None:
-        raise ConfigError(f"{given}: no such program; --mapper-python takes a Python interpreter")
-    if PathFinder.find_spec("numpy", list(search_path(python))) is None:
-        raise ConfigError(f"{given}: has no NumPy, which a mapper's process needs")
-    return python
-
-
-def _holds(python: str, method: Method) -> bool:
-    return PathFinder.find_spec(method.package, list(search_path(python))) is not None
+        raise ConfigError(f"{python}: cannot import lirs_validation: install lirs-wct there") from error
+    return printed.strip()

@@ -1,7 +1,4 @@
-"""A mapper in its own process: foreign code cannot reach the evaluation.
-
-This module imports NumPy and our light modules only, so that another interpreter can serve a mapper.
-"""
+"""A mapper in its own process: foreign code cannot reach the evaluation."""
 
 from __future__ import annotations
 
@@ -13,15 +10,13 @@ import sys
 import traceback
 from contextlib import suppress
 from functools import partial
-from importlib import import_module
 from multiprocessing import Pipe
-from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 from weakref import finalize
 
 from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
-from lirs_validation.experiment.mapper_loading import MapperSpec, interpreter_of, mapper_named, warm_up_mapper
+from lirs_validation.experiment.mapper_loading import interpreter_of, mapper_named, warm_up_mapper
 from lirs_validation.experiment.mapper_under_test import METHODS, Estimate, MapperUnderTest, SensorReadings
 from lirs_validation.interrupts import end_group, end_with
 from lirs_wct.errors import MapperError, WctError
@@ -34,30 +29,20 @@ else:
 
 if TYPE_CHECKING:
     from lirs_envs.sensing.sensors import Observation
-    from lirs_validation.config import RunConfig
+    from lirs_validation.config import Attitude, RunConfig
     from lirs_validation.map_config import MapConfig
 
 IDLE_END = 0.3
 """Seconds within which an idle process ends when its pipe is closed."""
 PATIENCE = 1.0
 """Seconds that a mapper at work is given to tidy up before its process is killed."""
-OURS = ("lirs_wct", "slam_baselines", "lirs_validation", "lirs_extensions")
 SERVE = "from lirs_validation.experiment.mapper_process import serve; serve({handle}, {parent})"
-PROGRAM = "import sys; sys.argv, sys.path[:] = {argv!r}, {path!r}; " + SERVE
-"""Of the process. Those of multiprocessing run the caller's script again, which then needs a guard."""
-ELSEWHERE = """
-import sys
-from importlib.machinery import PathFinder
+HERE = "import sys; sys.argv, sys.path[:] = {argv!r}, {path!r}; " + SERVE
+ELSEWHERE = "import sys; sys.argv = {argv!r}; " + SERVE
+"""Programs of the process, with this interpreter and with another one, which has modules of its own.
 
-class Ours:
-    find_spec = staticmethod(
-        lambda name, path=None, target=None: PathFinder.find_spec(name, {folders!r}.get(name, ()))
-    )
-
-sys.argv, sys.path[:] = {argv!r}, [entry for entry in sys.path if entry]
-sys.meta_path.insert(0, Ours)
+Those of multiprocessing run the caller's script again, which then needs a guard.
 """
-"""Of a process with another interpreter, which takes our packages from here and all others from there."""
 
 
 def needs_process(mapper: str) -> bool:
@@ -110,7 +95,7 @@ class MapperProcess(MapperUnderTest):
             far.close()
         self._end = finalize(self, _end, self._process, self._pipe)
         try:
-            self._send("make", MapperSpec(config.mapper, config.seed, config.attitude, config.parameters))
+            self._send("make", config.mapper, config.seed, config.parameters, config.attitude)
             self.reads_clouds, self.requires_odometry, self.reads_inertial = self._reply()
             self._send("warm_up")
         except BaseException:
@@ -197,9 +182,8 @@ def _start_process(far: Connection, python: str | None, errors: IO[bytes] | None
         errors: receives the standard error of a third-party system, whose output is dropped; None = ours.
     """
     handle = far.fileno()
-    program = PROGRAM if python is None else ELSEWHERE + SERVE
-    folders = {name: [str(Path(str(import_module(name).__file__)).parents[1])] for name in OURS}
-    program = program.format(argv=sys.argv, path=sys.path, handle=handle, parent=os.getpid(), folders=folders)
+    program = HERE if python is None else ELSEWHERE
+    program = program.format(argv=sys.argv, path=sys.path, handle=handle, parent=os.getpid())
     options: dict[str, Any] = {"pass_fds": (handle,), "start_new_session": True}
     if sys.platform == "win32":
         os.set_handle_inheritable(handle, True)
@@ -207,8 +191,8 @@ def _start_process(far: Connection, python: str | None, errors: IO[bytes] | None
         options = {"startupinfo": inherited, "creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
     if errors is not None:
         options |= {"stdout": subprocess.DEVNULL, "stderr": errors}
-    command = [python or sys.executable, "-c", program]
-    return subprocess.Popen(command, stdin=subprocess.DEVNULL, **options)
+    command = [sys.executable] if python is None else [python, "-P"]  # without the current folder
+    return subprocess.Popen([*command, "-c", program], stdin=subprocess.DEVNULL, **options)
 
 
 def _end(process: subprocess.Popen[bytes], pipe: Connection) -> None:
@@ -252,11 +236,10 @@ def serve(handle: int, parent: int) -> None:
 class _Server:
     """A run's mapper; each method is a request."""
 
-    def make(self, spec: MapperSpec) -> tuple[bool, bool, bool]:
+    def make(self, name: str, seed: int, parameters: str, attitude: Attitude) -> tuple[bool, bool, bool]:
         """Make the mapper; return whether it reads clouds, requires odometry, and reads all of the IMU."""
-        self._name, self._meter = spec.mapper, CostMeter()
-        make = partial(mapper_named, spec.mapper, spec.seed, spec.parameters)
-        self._mapper = MapperUnderTest(make, spec.mapper, spec.attitude)
+        self._name, self._meter = name, CostMeter()
+        self._mapper = MapperUnderTest(partial(mapper_named, name, seed, parameters), name, attitude)
         mapper = self._mapper
         return mapper.reads_clouds, mapper.requires_odometry, mapper.reads_inertial
 

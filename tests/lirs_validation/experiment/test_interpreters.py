@@ -1,7 +1,7 @@
 """A mapper's process with another interpreter."""
 
 import json
-import subprocess
+import os
 import sys
 from contextlib import closing
 from pathlib import Path
@@ -40,19 +40,6 @@ class LIO:
         print("noise", flush=True)
         return pose
 """
-BLOCKED = """
-import sys
-ours = {"lirs_wct", "slam_baselines", "lirs_validation", "lirs_extensions"}
-allowed = {"numpy", *ours, *sys.stdlib_module_names}
-class Blocker:
-    @staticmethod
-    def find_spec(name, path=None, target=None):
-        if name.partition(".")[0] not in allowed and path is None:
-            raise ModuleNotFoundError(name, name=name)
-sys.meta_path.insert(0, Blocker)
-import lirs_validation.experiment.mapper_process
-import lirs_extensions.clouds.rko_lio, lirs_extensions.clouds.small_gicp
-"""
 
 
 def fake_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, dies: bool = False) -> Path:
@@ -67,7 +54,8 @@ def fake_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, dies: b
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: rko_lio\nVersion: 0.4.7\n")
     python = tmp_path / "python"
-    python.write_text(f'#!/bin/sh\nPYTHONPATH={package.parent} exec {sys.executable} "$@"\n')
+    path = os.pathsep.join([str(package.parent), *filter(None, sys.path)])
+    python.write_text(f'#!/bin/sh\nPYTHONPATH={path} exec {sys.executable} "$@"\n')
     python.chmod(0o755)
     return told
 
@@ -83,12 +71,6 @@ def sweep(stamp: float) -> SensorReadings:
 
 def answers(mapper: MapperProcess, sweeps: int) -> list[Pose2 | Pose3]:
     return [mapper.observe(sweep(round(0.1 * k, 9))).pose for k in range(sweeps)]
-
-
-def test_a_mappers_process_needs_numpy_only() -> None:
-    """An environment of a system holds the system and NumPy: no SciPy, Numba or OpenCV."""
-    told = subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True, check=False)
-    assert told.stderr == ""
 
 
 def test_a_system_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +111,8 @@ def test_a_system_that_crashes_is_told_with_its_last_words(
 
 def test_your_own_mapper_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     python = tmp_path / "python"
-    python.write_text(f'#!/bin/sh\nOTHER=yes exec {sys.executable} "$@"\n')
+    path = os.pathsep.join(filter(None, sys.path))
+    python.write_text(f'#!/bin/sh\nOTHER=yes PYTHONPATH={path} exec {sys.executable} "$@"\n')
     python.chmod(0o755)
     (tmp_path / "own_elsewhere.py").write_text(
         "import os\nfrom slam_baselines.hector import HectorMapper\n"
@@ -146,10 +129,8 @@ def test_your_own_mapper_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch
     ("program", "message"),
     [
         (None, "no such program; --mapper-python takes a Python interpreter"),
-        ("exit 3", "is no Python interpreter that runs"),
-        ("echo no JSON", "is no Python interpreter that runs"),
-        ("echo '[[3, 9], []]'", "a mapper's interpreter must be Python 3.11 or newer, got 3.9"),
-        ("echo '[[3, 12], []]'", "has no NumPy, which a mapper's process needs"),
+        ("exit 3", "cannot import lirs_validation: install lirs-wct there"),
+        (f'exec {sys.executable} -I -S "$@"', "cannot import lirs_validation: install lirs-wct there"),
     ],
 )
 def test_an_interpreter_that_cannot_be_used_is_refused_in_a_line(
@@ -165,7 +146,7 @@ def test_an_interpreter_that_cannot_be_used_is_refused_in_a_line(
 
 
 def test_a_given_interpreter_must_hold_the_systems_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mapper_loading, "_holds", lambda python, method: False)
+    monkeypatch.setattr(mapper_loading, "version_there", lambda python, package: "")
     with pytest.raises(ConfigError, match=f"^{sys.executable}: has no package rko-lio, which rko-lio needs$"):
         interpreter_of("rko-lio", sys.executable)
     assert interpreter_of("own_slam:Own", sys.executable) == sys.executable
