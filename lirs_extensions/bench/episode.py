@@ -16,7 +16,7 @@ from lirs_envs.policies import Policy
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.scores import coverage_area, distance_share, success_by_path_length
 from lirs_extensions.bench.tasks import BenchTask
-from lirs_validation.interrupts import is_interrupt
+from lirs_validation.processes import is_interrupt
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.progress import Progress, no_progress

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 import numpy as np
 
 from lirs_validation.experiment.cost import Cost
-from lirs_validation.interrupts import is_interrupt
+from lirs_validation.processes import is_interrupt
 from lirs_wct import (
     ConfigError,
     Imu,

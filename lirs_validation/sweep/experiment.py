@@ -21,7 +21,7 @@ from lirs_validation.experiment.mapper_process import start_mapper
 from lirs_validation.experiment.mapper_under_test import check_sensors
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.interrupts import is_interrupt
+from lirs_validation.processes import is_interrupt
 from lirs_validation.record.provenance import is_stale, machine, same_source, versions, world_files
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status, damaged_files, plain
 from lirs_validation.record.schema import read_whole_record

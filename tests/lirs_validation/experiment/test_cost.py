@@ -9,7 +9,7 @@ import pytest
 from numba import njit
 
 from lirs_validation.experiment.cost import CostMeter, compile_timer, is_shared, load_average
-from lirs_validation.interrupts import is_interrupt
+from lirs_validation.processes import is_interrupt
 
 PEAKS = """
 import numpy as np

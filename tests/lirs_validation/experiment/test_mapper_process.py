@@ -121,8 +121,8 @@ def test_a_process_that_fails_is_told_in_a_line(
 def test_a_process_that_dies_keeps_nobody_waiting(observations: list[Observation]) -> None:
     process = MapperProcess(config("own_mappers:Own"))
     process.wait_until_ready()
-    process._process.kill()
-    process._process.wait()
+    process._child.process.kill()
+    process._child.process.wait()
     for _ in range(2):
         with pytest.raises(MapperError, match="its process ended"):
             process.observe(observations[0])

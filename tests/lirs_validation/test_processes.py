@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from lirs_validation.interrupts import raise_interrupts
+from lirs_validation.processes import raise_interrupts
 
 
 @pytest.fixture(autouse=True)

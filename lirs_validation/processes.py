@@ -1,0 +1,181 @@
+"""Processes of our own, and Ctrl-C, also where compiled kernels wrap it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from importlib import import_module
+from multiprocessing import Pipe
+from types import FrameType
+from typing import Any
+from weakref import finalize
+
+if sys.platform == "win32":
+    from multiprocessing.connection import PipeConnection as Connection
+else:
+    from multiprocessing.connection import Connection
+
+IDLE_END = 0.3
+"""Seconds within which an idle process ends when its pipe is closed."""
+SERVE = "from lirs_validation.processes import serve; serve({function!r}, {handle}, {parent})"
+HERE = "import sys; sys.argv, sys.path[:] = {argv!r}, {path!r}; " + SERVE
+ELSEWHERE = "import sys; sys.argv = {argv!r}; " + SERVE
+"""Programs of a process, with this interpreter and with another one, which has modules of its own.
+
+Those of multiprocessing run the caller's script again, which then needs a guard.
+"""
+CALLBACK, LATER = "_raw_object_cache", 0.05
+"""Prefix of LLVM's callbacks, which drop an exception and crash; seconds until Ctrl-C comes again."""
+
+
+class ChildProcess:
+    """Process that serves a pipe, protected from Ctrl-C; it ends with this object.
+
+    Attributes:
+        pipe: connection to the process.
+        process: the process.
+
+    Args:
+        function: `module:name`; called in the process with its end of the pipe.
+        patience: seconds that it has to tidy up before it is killed.
+        python: path of another interpreter; None = this one.
+        options: further arguments of `subprocess.Popen`.
+
+    Raises:
+        OSError: it cannot be started.
+    """
+
+    def __init__(self, function: str, patience: float, python: str | None = None, **options: Any) -> None:
+        self.pipe, far = Pipe()
+        try:
+            self.process = _start(far, function, python, options)
+        finally:
+            far.close()
+        self.end = finalize(self, _end, self.process, self.pipe, patience)
+
+    def cause_of_death(self) -> str:
+        """Return how the process ended, by itself or by `end`."""
+        self.end()
+        code = self.process.returncode
+        return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
+def _start(
+    far: Connection, function: str, python: str | None, options: dict[str, Any]
+) -> subprocess.Popen[bytes]:
+    handle = far.fileno()
+    program = (HERE if python is None else ELSEWHERE).format(
+        argv=sys.argv, path=sys.path, function=function, handle=handle, parent=os.getpid()
+    )
+    if sys.platform == "win32":
+        os.set_handle_inheritable(handle, True)
+        inherited = subprocess.STARTUPINFO(lpAttributeList={"handle_list": [handle]})
+        options |= {"startupinfo": inherited, "creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+    else:
+        options |= {"pass_fds": (handle,), "start_new_session": True}
+    command = [sys.executable] if python is None else [python, "-P"]  # without the current folder
+    return subprocess.Popen([*command, "-c", program], stdin=subprocess.DEVNULL, **options)
+
+
+def _end(process: subprocess.Popen[bytes], pipe: Connection, patience: float) -> None:
+    """End a process and those that it started.
+
+    An idle one ends by itself; a working one is interrupted, and killed in the end.
+    """
+    pipe.close()
+    for end, seconds in ((process.terminate, IDLE_END), (process.kill, patience), (lambda: None, None)):
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(seconds)
+            break
+        end()
+    end_group(process.pid)
+
+
+def serve(function: str, handle: int, parent: int) -> None:
+    """Call a function with a pipe until it closes or the parent ends this process.
+
+    Args:
+        function: `module:name`.
+        handle: handle of this process's end of the pipe.
+        parent: process id.
+    """
+    with suppress(KeyboardInterrupt, EOFError, OSError):
+        end_with(parent)
+        module, _, name = function.partition(":")
+        getattr(import_module(module), name)(Connection(handle))
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends already
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)  # taking the interpreter down in order takes long
+
+
+def is_interrupt(error: BaseException) -> bool:
+    """Whether an error is a Ctrl-C. A compiled kernel wraps it in a SystemError."""
+    return isinstance(error, (KeyboardInterrupt, SystemError)) and any(
+        isinstance(cause, KeyboardInterrupt) for cause in _causes(error)
+    )
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def end_with(parent: int) -> None:
+    """End this process on SIGTERM, as by Ctrl-C, and when its parent was killed.
+
+    The parent handles Ctrl-C itself.
+
+    Args:
+        parent: process id; even a mapper that hangs does not outlive it.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _interrupt)  # a mapper's own `sys.exit` ends nothing but its run
+    if sys.platform != "win32":
+        os.register_at_fork(after_in_child=_handle_as_usual)
+    threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
+
+
+def _handle_as_usual() -> None:
+    """Handle signals as Python does: a pool of processes ends its own by SIGTERM."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def end_group(leader: int) -> None:
+    """Kill the processes that the leader of a group left behind."""
+    if sys.platform != "win32":
+        with suppress(OSError):  # there are none
+            os.killpg(leader, signal.SIGKILL)
+
+
+def raise_interrupts() -> None:
+    """Make Ctrl-C a KeyboardInterrupt outside LLVM's callbacks, unless this process ignores it."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        if frame.f_code.co_name.startswith(CALLBACK):
+            again = threading.Timer(LATER, os.kill, (os.getpid(), number))
+            again.daemon = True
+            again.start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _die_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    if sys.platform != "win32" and os.getpgrp() == os.getpid():
+        end_group(os.getpid())
+    os._exit(1)
