@@ -17,7 +17,7 @@ from gymnasium import registry
 
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.tasks.task import Rewards
-from lirs_validation.record.schema import record_schema
+from lirs_validation.record.run_record import record_schema
 from tests.command_line import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 
@@ -19,12 +19,11 @@ from lirs_extensions.bench.episode import EpisodeLog, episode_metrics, run_episo
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.scores import PolicyScore, score_of
 from lirs_extensions.bench.tasks import BenchTask, TaskSet
-from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.record.provenance import is_stale, same_code, versions
+from lirs_validation.record.provenance import same_code, versions
 from lirs_validation.record.run_record import plain
-from lirs_validation.sweep.experiment import Outcome
-from lirs_wct.errors import SourceError, reason_of
+from lirs_validation.sweep.experiment import Experiment, Outcome, read_status
+from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
 
@@ -38,7 +37,7 @@ SPACING = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchExperiment:
+class BenchExperiment(Experiment):
     """A policy on a task.
 
     Attributes:
@@ -56,6 +55,7 @@ class BenchExperiment:
     policy: PolicyChoice
     data: Path | None = None
     pictures: bool = False
+    marker: ClassVar[str] = RECORD
 
     @cached_property
     def name(self) -> str:
@@ -63,11 +63,6 @@ class BenchExperiment:
         text = json.dumps(self._identity(), sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()[:8]
         return f"{self.set_name}-{self.task.name}-{self.policy.short}-{digest}"
-
-    @property
-    def world_config(self) -> RunConfig | None:
-        """None: the experiment makes its world itself."""
-        return None
 
     def check(self) -> None:
         """Check the policy and the files of the world."""
@@ -98,26 +93,24 @@ class BenchExperiment:
         with atomic_folder(out / self.name) as folder:
             if pictures:
                 cv2.imwrite(str(folder / PICTURE), pictures[0][..., ::-1])
-            self._write(folder, outcome, episode_metrics(self.task, log), _sample_series(log))
+            text = self._record(outcome, episode_metrics(self.task, log), _sample_series(log))
+            (folder / RECORD).write_text(text, encoding="utf-8")
+            if outcome.trace:
+                (folder / "error.txt").write_text(outcome.trace, encoding="utf-8")
         return outcome
 
-    def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write a record with score 0 and the traceback."""
-        with atomic_folder(out / self.name) as folder:
-            self._write(folder, outcome, NO_METRICS, {})
+    def failure(self, outcome: Outcome) -> str:
+        """Return a record with score 0 and the traceback."""
+        return self._record(outcome, NO_METRICS, {})
 
-    def find_outcome(self, out: Path) -> Outcome | None:
-        """Return the recorded outcome, if this code and this policy wrote it."""
-        folder = out / self.name
-        try:
-            entry = read_episode(folder)
-        except SourceError:
-            return None
-        if is_stale(folder / RECORD, entry["versions"], self.policy.files):
-            return None
-        if self.pictures and not entry["trace"] and not (folder / PICTURE).is_file():
-            return None
-        return Outcome(experiment=self.name, status=entry["status"], reason=entry["reason"], written=True)
+    def inputs(self) -> list[Path | None]:
+        """Return the files of the policy."""
+        return [*self.policy.files]
+
+    def is_result(self, folder: Path, entry: Mapping[str, Any]) -> bool:
+        """Whether the picture is there, if one is wanted and the policy did not fail."""
+        drawn = not self.pictures or bool(entry.get("trace")) or (folder / PICTURE).is_file()
+        return drawn and _is_episode(entry)
 
     @property
     def observe(self) -> tuple[str, ...]:
@@ -137,16 +130,13 @@ class BenchExperiment:
             "arguments": dict(self.policy.arguments),
         }
 
-    def _write(self, folder: Path, outcome: Outcome, metrics: dict[str, Any], series: dict[str, Any]) -> None:
+    def _record(self, outcome: Outcome, metrics: dict[str, Any], series: dict[str, Any]) -> str:
         entry = {"schema": SCHEMA} | self._identity()
         groups = [GROUPS[name] for name in self.observe if name in GROUPS]
         entry |= {"observe": self.observe, "privileged": any(group.privileged for group in groups)}
         entry |= {"status": outcome.status, "reason": outcome.reason}
         entry |= {"metrics": metrics, "trace": outcome.trace, "versions": versions()} | series
-        text = json.dumps(entry, indent=1, default=plain)
-        (folder / RECORD).write_text(text + "\n", encoding="utf-8")
-        if outcome.trace:
-            (folder / "error.txt").write_text(outcome.trace, encoding="utf-8")
+        return json.dumps(entry, indent=1, default=plain) + "\n"
 
 
 @cache
@@ -172,17 +162,16 @@ def read_episode(folder: Path) -> dict[str, Any]:
     Raises:
         SourceError: it is missing or damaged, or of another schema.
     """
-    path = folder / RECORD
-    try:
-        entry: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        whole = entry["schema"] == SCHEMA and isinstance(entry["metrics"]["score"], float)
-        names = ("set", "set_version", "task", "policy", "arguments", "status", "reason", "trace", "versions")
-        whole = whole and all(name in entry for name in names)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise SourceError(f"{path}: not an episode's record, or damaged: {reason_of(error)}") from error
-    if not whole:
-        raise SourceError(f"{path}: not an episode's record of schema {SCHEMA}")
+    entry = read_status(folder / RECORD)
+    if not _is_episode(entry):
+        raise SourceError(f"{folder / RECORD}: not an episode's record of schema {SCHEMA}")
     return entry
+
+
+def _is_episode(entry: Mapping[str, Any]) -> bool:
+    names = ("set", "set_version", "task", "policy", "arguments", "trace", "versions", "metrics")
+    whole = entry.get("schema") == SCHEMA and all(name in entry for name in names)
+    return whole and isinstance(entry["metrics"], dict) and isinstance(entry["metrics"].get("score"), float)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from typing import Any
 
 from lirs_validation.config import RunConfig
 from lirs_wct.errors import SourceError
+from lirs_wct.files import MANIFEST, digest, read_manifest
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.sources.options import SourceKind
 from lirs_wct.sources.source import find_source
@@ -176,6 +177,24 @@ def same_code(found: Any) -> bool:
         and found.get("code") == code()
         and found.get("lirs-wct") == versions()["lirs-wct"]
     )
+
+
+def damaged_files(folder: Path, marker: str) -> list[str]:
+    """Return missing or changed files of a result's folder, by its manifest.
+
+    The marker is left out: who reads it notices damage. A manifest that does not name it is damaged.
+    """
+    manifest = read_manifest(folder)
+    if manifest.pop(marker, None) is None:
+        return [MANIFEST]
+    return [name for name, digests in manifest.items() if not _is_whole(folder / name, digests)]
+
+
+def _is_whole(path: Path, digests: set[str]) -> bool:
+    try:
+        return digest(path) in digests
+    except OSError:
+        return False
 
 
 def world_files(config: RunConfig) -> list[Path]:

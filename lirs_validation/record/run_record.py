@@ -1,12 +1,14 @@
-"""Run record: config, versions, machine, metrics and result files, as JSON."""
+"""Run record: config, versions, machine and metrics, as JSON by a schema."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -15,7 +17,10 @@ from lirs_validation.record.provenance import machine, versions
 from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.files import MANIFEST, atomic_write, digest, read_manifest
+from lirs_wct.files import atomic_write
+
+if TYPE_CHECKING:
+    from jsonschema import Draft202012Validator
 
 SCHEMA = 3
 
@@ -114,6 +119,48 @@ def read_record(folder: Path) -> dict[str, Any]:
     return entry
 
 
+def record_schema() -> dict[str, Any]:
+    """Return the JSON schema of `record.json`."""
+    text = files(__package__).joinpath("record.schema.json").read_text(encoding="utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
+def schema_error(entry: Mapping[str, Any]) -> str | None:
+    """Return the first schema violation in one line; None if valid."""
+    from jsonschema.exceptions import best_match  # imported here: a new run has no record to be checked
+
+    error = best_match(_validator().iter_errors(entry))
+    if error is not None:
+        place = ".".join(str(part) for part in error.absolute_path) or "record"
+        return " ".join(f"{place}: {error.message}".split())[:200]
+    try:
+        json.dumps(entry, allow_nan=False)
+    except ValueError:
+        return "record: a number is not finite"
+    return None
+
+
+@cache
+def _validator() -> Draft202012Validator:
+    from jsonschema import Draft202012Validator
+
+    return Draft202012Validator(record_schema())
+
+
+def read_whole_record(folder: Path) -> dict[str, Any]:
+    """Read a run's `record.json`.
+
+    Raises:
+        SourceError: missing, damaged, of another schema, or something in it does not fit the schema.
+    """
+    entry = read_record(folder)
+    problem = schema_error(entry)
+    if problem is not None:
+        raise SourceError(f"{folder / 'record.json'}: damaged: {problem}")
+    return entry
+
+
 def plain(value: Any) -> Any:
     """Return the JSON value of a NumPy number or a path."""
     if isinstance(value, np.generic):
@@ -126,24 +173,6 @@ def plain(value: Any) -> Any:
 RECORD = "record.json"
 BAG = "bag"
 """Stem of the file of a run's bag, whose folder is the run's."""
-
-
-def damaged_files(folder: Path) -> list[str]:
-    """Return missing or changed files of a run's folder, by its manifest.
-
-    The record is left out: who reads it notices damage. Without a manifest, the manifest is damaged.
-    """
-    manifest = read_manifest(folder)
-    if manifest.pop(RECORD, None) is None:
-        return [MANIFEST]
-    return [name for name, digests in manifest.items() if not _is_whole(folder / name, digests)]
-
-
-def _is_whole(path: Path, digests: set[str]) -> bool:
-    try:
-        return digest(path) in digests
-    except OSError:
-        return False
 
 
 def maps_clouds(entry: Mapping[str, Any]) -> bool:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, fields
 from functools import cache, cached_property
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Any, Protocol, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
@@ -22,9 +23,15 @@ from lirs_validation.experiment.mapper_under_test import check_sensors
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
-from lirs_validation.record.provenance import is_stale, machine, same_source, versions, world_files
-from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status, damaged_files, plain
-from lirs_validation.record.schema import read_whole_record
+from lirs_validation.record.provenance import (
+    damaged_files,
+    is_stale,
+    machine,
+    same_source,
+    versions,
+    world_files,
+)
+from lirs_validation.record.run_record import RECORD, SUCCEEDED, RunRecord, Status, plain, schema_error
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
 from lirs_wct.files import atomic_folder, write_json
@@ -87,27 +94,34 @@ def outcome_of(error: BaseException, experiment: str) -> Outcome:
     )
 
 
-class Experiment(Protocol):
-    """Unit of a sweep. Every repetition on any machine gives the same folder."""
+class Experiment(ABC):
+    """Unit of a sweep. Every repetition on any machine gives the same folder.
+
+    Attributes:
+        marker: file with `status`, `reason` and `versions`; a folder without it is incomplete.
+    """
+
+    marker: ClassVar[str]
 
     @property
+    @abstractmethod
     def name(self) -> str:
         """Name of its folder, different from every other experiment's."""
-        ...
 
     @property
     def world_config(self) -> RunConfig | None:
         """Config of its world; None = the experiment makes its world itself."""
-        ...
+        return None
 
+    @abstractmethod
     def check(self) -> None:
         """Check everything that can be checked before the world is built.
 
         Raises:
             WctError: the experiment cannot be run as it was asked for.
         """
-        ...
 
+    @abstractmethod
     def perform(
         self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
     ) -> Outcome:
@@ -116,23 +130,60 @@ class Experiment(Protocol):
         Raises:
             WctError: it cannot be run, or not written.
         """
-        ...
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """Return the experiment's entry in `sweep.json`."""
+
+    @abstractmethod
+    def inputs(self) -> list[Path | None]:
+        """Return the files that decide its result, where they are known."""
+
+    @abstractmethod
+    def failure(self, outcome: Outcome) -> str:
+        """Return the marker's text for a failed experiment."""
+
+    def is_result(self, folder: Path, entry: Mapping[str, Any]) -> bool:
+        """Whether a folder, whose marker holds the entry, is of this very experiment."""
+        return True
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write the folder of a failed experiment: its record, and `error.txt`.
+        """Write the folder of a failed experiment: its marker, and `error.txt`.
 
         Raises:
             OutputError: the folder cannot be written.
         """
-        ...
+        with atomic_folder(out / self.name) as folder:
+            (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
+            (folder / self.marker).write_text(self.failure(outcome), encoding="utf-8")
 
     def find_outcome(self, out: Path) -> Outcome | None:
-        """Return the outcome in an existing folder; None = the experiment must run."""
-        ...
+        """Return the outcome in a folder that is whole and newer than all inputs; None = run it."""
+        folder = out / self.name
+        try:
+            entry = read_status(folder / self.marker)
+        except SourceError:
+            return None
+        stale = is_stale(folder / self.marker, entry.get("versions"), self.inputs())
+        if stale or damaged_files(folder, self.marker) or not self.is_result(folder, entry):
+            return None
+        return Outcome(experiment=self.name, status=entry["status"], reason=entry["reason"], written=True)
 
-    def describe(self) -> dict[str, Any]:
-        """Return the experiment's entry in `sweep.json`."""
-        ...
+
+def read_status(path: Path) -> dict[str, Any]:
+    """Read a JSON file with the `status`, the `reason` and the `versions` of an experiment.
+
+    Raises:
+        SourceError: it is missing or damaged.
+    """
+    try:
+        entry: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        legal = entry["status"] in get_args(Status) and isinstance(entry["reason"], str)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise SourceError(f"{path}: not an experiment's result, or damaged: {reason_of(error)}") from error
+    if not legal:
+        raise SourceError(f"{path}: damaged: status {entry['status']!r}, reason {entry['reason']!r}")
+    return entry
 
 
 def attempt(
@@ -183,7 +234,7 @@ STATUS = "cell.json"
 
 
 @dataclass(frozen=True)
-class SlamExperiment:
+class SlamExperiment(Experiment):
     """One validation run of a sweep.
 
     Attributes:
@@ -197,6 +248,7 @@ class SlamExperiment:
     tables: tuple[str, ...] = ()
     folder: str | None = None
     brief: bool = False
+    marker: ClassVar[str] = RECORD
 
     @cached_property
     def world(self) -> str:
@@ -240,8 +292,8 @@ class SlamExperiment:
         ).record
         return Outcome(experiment=self.name, status=record.status, reason=record.reason, written=True)
 
-    def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write a record without metrics, and the traceback."""
+    def failure(self, outcome: Outcome) -> str:
+        """Return a record without metrics."""
         record = RunRecord(
             config=self.config,
             world={"name": self.world},
@@ -249,33 +301,22 @@ class SlamExperiment:
             reason=outcome.reason,
             versions=versions() | self._packages,
         )
-        with atomic_folder(out / self.name) as folder:
-            (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
-            record.save(folder)
+        return record.to_json()
 
-    def find_outcome(self, out: Path) -> Outcome | None:
-        """Return the recorded outcome if the folder is complete and newer than all inputs."""
-        folder = out / self.name
-        try:
-            record = read_whole_record(folder)
-        except SourceError:
-            return None
-        status, reason, limit = record["status"], record["reason"], record["config"]["wall_limit"]
-        if damaged_files(folder) or not same_source(self.config, record["world"].get("files", ())):
-            return None
-        inputs = [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
-        if is_stale(folder / "record.json", record.get("versions"), inputs):
-            return None
-        if record["name"] != run_name(self.config, self.world) or not _has_bag(record, self.config):
-            return None
-        if (
-            not package_versions(self.config.mapper, self.config.mapper_python).items()
-            <= record["versions"].items()
-        ):
-            return None
-        if status == "wall limit" and limit != self.config.wall_limit:
-            return None
-        return Outcome(experiment=self.name, status=status, reason=reason, written=True)
+    def inputs(self) -> list[Path | None]:
+        """Return the files of world, mapper and driver."""
+        return [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
+
+    def is_result(self, folder: Path, entry: Mapping[str, Any]) -> bool:
+        """Whether config, source, bag, packages and wall limit are those of the record."""
+        return (
+            schema_error(entry) is None
+            and same_source(self.config, entry["world"].get("files", ()))
+            and entry["name"] == run_name(self.config, self.world)
+            and _has_bag(entry, self.config)
+            and self._packages.items() <= entry["versions"].items()
+            and (entry["status"] != "wall limit" or entry["config"]["wall_limit"] == self.config.wall_limit)
+        )
 
     def describe(self) -> dict[str, Any]:
         """Return name, world and config, and the parts of the suite."""
@@ -328,7 +369,7 @@ def world_name(config: RunConfig) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CollisionExperiment:
+class CollisionExperiment(Experiment):
     """The collision validation of a robot in a world.
 
     Attributes:
@@ -344,6 +385,7 @@ class CollisionExperiment:
     terrain: ContactGeometry = "hfield"
     seconds: float = 60.0
     seed: int = 1
+    marker: ClassVar[str] = STATUS
 
     @property
     def name(self) -> str:
@@ -382,41 +424,23 @@ class CollisionExperiment:
         outcome = Outcome(experiment=self.name, status="ok", written=True)
         with atomic_folder(out / self.name) as folder:
             write_verdicts(folder, [verdict])
-            self._write_status(folder, outcome)
+            (folder / STATUS).write_text(self.failure(outcome), encoding="utf-8")
         return outcome
 
-    def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write the outcome and the traceback of a failed experiment."""
-        with atomic_folder(out / self.name) as folder:
-            self._write_status(folder, outcome)
-            (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
+    def inputs(self) -> list[Path | None]:
+        """Return the files of the world."""
+        return [*world_files(self.world_config)]
 
-    def find_outcome(self, out: Path) -> Outcome | None:
-        """Return the recorded outcome, if this code wrote it after the source's last change."""
-        path = out / self.name / STATUS
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-            status, reason, written_by = found["status"], found["reason"], found["versions"]
-            if is_stale(path, written_by, world_files(self.world_config)):
-                return None
-            if status == "ok":
-                read_verdict(out / self.name)
-        except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
-            return None
-        if status not in get_args(Status) or not isinstance(reason, str):
-            return None
-        return Outcome(experiment=self.name, status=status, reason=reason, written=True)
+    def failure(self, outcome: Outcome) -> str:
+        """Return config, outcome and versions."""
+        entry = {"status": outcome.status, "reason": outcome.reason, "versions": versions()}
+        return json.dumps({"config": asdict(self)} | entry, indent=1) + "\n"
 
     def describe(self) -> dict[str, Any]:
         """Return name and config."""
         return {"name": self.name, "world": world_name(self.world_config), "tables": ["collisions"]} | asdict(
             self
         )
-
-    def _write_status(self, folder: Path, outcome: Outcome) -> None:
-        entry = {"status": outcome.status, "reason": outcome.reason, "versions": versions()}
-        text = json.dumps({"config": asdict(self)} | entry, indent=1)
-        (folder / STATUS).write_text(text + "\n", encoding="utf-8")
 
 
 def read_verdict(folder: Path) -> CollisionVerdict:

@@ -15,8 +15,7 @@ from lirs_extensions.live.middleware import CYCLONE_LOOPBACK
 from lirs_extensions.live.options import LiveOptions
 from lirs_extensions.live.run import live
 from lirs_validation.config import RunConfig
-from lirs_validation.record.run_record import read_record
-from lirs_validation.record.schema import schema_error
+from lirs_validation.record.run_record import read_record, schema_error
 from lirs_wct import ConfigError
 from tests.command_line import run_command
 from tests.kit import SMALL

@@ -17,8 +17,8 @@ from lirs_validation.experiment.mapper_loading import mapper_named, package_vers
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings, check_sensors
 from lirs_validation.gui.session.finished_run import read_playback
 from lirs_validation.metrics.elevation import MOST, CloudSample, ElevationMap, read_elevation
-from lirs_validation.record.run_record import damaged_files, read_record
-from lirs_validation.record.schema import schema_error
+from lirs_validation.record.provenance import damaged_files
+from lirs_validation.record.run_record import read_record, schema_error
 from lirs_validation.report.page import page, report_of
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb
@@ -128,12 +128,12 @@ def test_the_folder_holds_what_there_is(still: Run) -> None:
     assert not {"map.pgm", "map.yaml"} & names
     entry = read_record(still.folder)
     assert schema_error(entry) is None
-    assert damaged_files(still.folder) == []
+    assert damaged_files(still.folder, "record.json") == []
     built, true_pose = read_elevation(still.folder / "elevation.npz")
     assert built.mean.shape == true_pose.mean.shape
     (still.folder / "elevation.npz").rename(still.folder / "kept")
     try:
-        assert damaged_files(still.folder) == ["elevation.npz"]
+        assert damaged_files(still.folder, "record.json") == ["elevation.npz"]
     finally:
         (still.folder / "kept").rename(still.folder / "elevation.npz")
 

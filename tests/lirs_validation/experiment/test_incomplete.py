@@ -11,7 +11,7 @@ import pytest
 from lirs_validation import map_log, validate
 from lirs_validation.analysis.result_folders import read_run
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
-from lirs_validation.record.run_record import damaged_files
+from lirs_validation.record.provenance import damaged_files
 from lirs_validation.report.pictures import Painter
 from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.hector import HectorMapper
@@ -70,7 +70,7 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
     assert f"a pose for {100 * coverage:.1f} % of the scans, at least 95 % are required" in record["reason"]
     assert record["trajectory"]["scan_coverage"] == pytest.approx(coverage)
     assert ("ate_rmse" in record["trajectory"]) == ate
-    assert damaged_files(run.folder) == []
+    assert damaged_files(run.folder, "record.json") == []
     picture = Painter(1).paint(read_run(run.folder))
     assert picture.url or "estimate.tum" in picture.note
 

@@ -19,8 +19,7 @@ from lirs_validation.gui.session.controls import to_goal
 from lirs_validation.gui.session.finished_run import read_playback, runs_in, unpacked_run
 from lirs_validation.gui.session.live_drive import LiveDrive
 from lirs_validation.gui.session.playback import ate
-from lirs_validation.record.run_record import read_record
-from lirs_validation.record.schema import schema_error
+from lirs_validation.record.run_record import read_record, schema_error
 from lirs_validation.record.verdict import judge
 from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError, SimulationError, SourceError

@@ -22,7 +22,7 @@ from lirs_validation.record.metric_catalog import (
     metrics_selected,
     picture_lines,
 )
-from lirs_validation.record.schema import record_schema
+from lirs_validation.record.run_record import record_schema
 from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
 from lirs_validation.report.page import page, report_of
 from lirs_validation.report.run_tables import results_table

@@ -12,8 +12,7 @@ import pytest
 from lirs_validation.analysis.result_folders import read_results, read_run
 from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.config import RunConfig
-from lirs_validation.record.run_record import Status
-from lirs_validation.record.schema import record_schema, schema_error
+from lirs_validation.record.run_record import Status, record_schema, schema_error
 from lirs_wct.errors import SourceError
 from tests.lirs_validation.records import entry, saved
 

@@ -14,8 +14,7 @@ import pytest
 
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import source_files
-from lirs_validation.record.run_record import Status, read_record
-from lirs_validation.record.schema import read_whole_record
+from lirs_validation.record.run_record import Status, read_record, read_whole_record
 from lirs_validation.sweep.engines import Processes, Serial
 from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_validation.sweep.sweep import Sweep
