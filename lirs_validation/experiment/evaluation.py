@@ -89,7 +89,7 @@ def evaluate(
         rtf=evaluate_rtf(log, simulation, replayed=replayed) | {"compile_seconds": cost["compile_seconds"]},
         trajectory=trajectory,
         map=maps.scores,
-        collisions=evaluate_collisions(simulation),
+        collisions=asdict(simulation.collisions),
         scans=evaluate_scans(scenario.world, log) | {"imu_rate": simulation.imu_rate},
         mapper=asdict(stats),
         cost=cost | {"scans_dropped": log.scans_dropped(stats.received)},
@@ -235,11 +235,6 @@ def evaluate_contact(simulation: Simulation) -> dict[str, Any]:
         return terrain | asdict(simulation.contact)
     model = simulation.body.model
     return terrain | {"parts": sum(model.geom(g).name.startswith("ground") for g in range(model.ngeom))}
-
-
-def evaluate_collisions(simulation: Simulation) -> dict[str, Any]:
-    """Return contact metrics of the whole run."""
-    return asdict(simulation.collisions)
 
 
 def evaluate_scans(world: World, log: DriveLog) -> dict[str, Any]:

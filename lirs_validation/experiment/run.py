@@ -27,7 +27,7 @@ from lirs_validation.experiment.evaluation import (
     evaluate_status,
     evaluate_trajectory,
 )
-from lirs_validation.experiment.loop import Recorder, drive
+from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_loading import warm_up_mapper
 from lirs_validation.experiment.mapper_process import MapperProcess, start_mapper
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors
@@ -70,6 +70,41 @@ class Run:
     def verdict(self) -> Verdict:
         """Class, sentence and reasons of the result."""
         return self.record.verdict
+
+    def write(self, folder: Path, bag: Sequence[Path] = (), *, drawn: bool = True) -> None:
+        """Write the run's folder, its record last; an older folder is replaced.
+
+        Args:
+            folder: of the run.
+            bag: files of its recording, which are moved into the folder.
+            drawn: Whether the overview picture is drawn.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        record, log, maps = self.record, self.log, self.maps
+        truth, estimate, odometry = log.trajectories()
+        period = record.rtf["simulated_seconds"] / len(log.walls)
+        with atomic_folder(folder) as temporary:
+            if maps.built is not None:
+                write_map(temporary / "map", maps.built)
+            if maps.elevation is not None:
+                write_elevation(temporary / ELEVATION, maps.elevation.built, maps.elevation.true_pose)
+            write_map(temporary / "map_true_pose", maps.true_pose)
+            for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
+                write_tum(temporary / f"{name}.tum", trajectory)
+            times = np.arange(len(log.commands)) * period
+            commands = np.column_stack((times, [(c.v, c.omega) for c in log.commands]))
+            write_commands(temporary / COMMANDS, Commands(log.start, commands))
+            write_log(temporary / "scans.clf.gz", zip(log.scans, log.odometry, strict=True))
+            write_imu(temporary / "imu.csv.gz", list(log.imu))
+            lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
+            (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
+            if drawn:
+                self.overview().savefig(temporary / "overview.png")
+            for file in bag:
+                shutil.move(file, temporary / file.name)
+            record.save(temporary)
 
     def overview(self) -> Drawing:
         """Draw the run on one page."""
@@ -212,12 +247,22 @@ def drive_and_conclude(
     Raises:
         WctError: the mapper failed, nothing was driven, or results cannot be written.
     """
-    with recording(ready.scenario.config, out, ready.simulation.period) as recorded:
-        with closing(ready.mapper):
-            log, cost = _timed_drive(ready, progress, recorded.add)
-            log.concurrent = concurrent or is_shared(log.load)
-            evaluated = _evaluate(ready, log, cost, progress, replayed=not brief)
-        return _write_run(evaluated, out, name, recorded, drawn=not brief)
+    config = ready.scenario.config
+    with recording(config, out, ready.simulation.period) as recorded, closing(ready.mapper):
+        meter = CostMeter()
+        log = drive(
+            ready.simulation,
+            ready.driver,
+            ready.mapper,
+            ready.seconds,
+            progress,
+            wall_limit=config.wall_limit,
+            recorder=recorded.add,
+        )
+        cost = ready.cost(meter)
+        log.load = load_average()
+        log.concurrent = concurrent or is_shared(log.load)
+        return conclude(ready, log, cost, out, progress, name, recorded, brief=brief)
 
 
 def prepare(
@@ -238,7 +283,9 @@ def prepare(
         with compile_timer() as compile_seconds:
             progress("plan", 0.0)
             driver = make_driver(scenario.world, robot, config, mapper.map)
-            stand = _standing(config, mapper)
+            stand = config.stand
+            if stand is None:
+                stand = STAND if mapper.reads_inertial else 0.0
             driver = StandingDriver(driver, stand) if stand else driver
             progress("compile", 0.0)
             if isinstance(mapper, MapperProcess):
@@ -248,13 +295,6 @@ def prepare(
             warm_up(scenario, simulation, mapper)
         started.pop_all()
     return ReadyRun(scenario, simulation, driver, mapper, config.seconds + stand, compile_seconds())
-
-
-def _standing(config: RunConfig, mapper: MapperUnderTest) -> float:
-    """Return the simulated seconds for which the robot stands still before it drives."""
-    if config.stand is not None:
-        return config.stand
-    return STAND if mapper.reads_inertial else 0.0
 
 
 def warm_up(scenario: Scenario, simulation: Simulation, mapper: MapperUnderTest) -> None:
@@ -285,8 +325,12 @@ def conclude(
     cost: dict[str, Any],
     out: Path | None = None,
     progress: Progress = no_progress,
+    name: str | None = None,
+    recorded: Recording = Recording(),  # noqa: B008  it holds nothing
+    *,
+    brief: bool = False,
 ) -> Run:
-    """Evaluate a drive that has ended, and write its folder.
+    """Evaluate a drive that has ended, and write its folder (see `run`).
 
     Args:
         ready: the driven run.
@@ -294,17 +338,13 @@ def conclude(
         cost: of the drive: `cpu_seconds`, `peak_memory`.
         out: folder that receives the run's folder; None = nothing is written.
         progress: of the work.
+        name: name of the run's folder; None = the record's.
+        recorded: bag of the drive.
+        brief: Whether to omit the replay of the physics and the overview picture.
 
     Raises:
         SimulationError: not a single scan was driven.
     """
-    return _write_run(_evaluate(ready, log, cost, progress), out)
-
-
-def _evaluate(
-    ready: ReadyRun, log: DriveLog, cost: dict[str, Any], progress: Progress, *, replayed: bool = True
-) -> Run:
-    """Return a run whose folder is not written yet."""
     scenario, mapper = ready.scenario, ready.mapper
     if not log.walls:
         raise SimulationError(f"{scenario.config.source}: nothing was driven: {log.reason}")
@@ -312,90 +352,10 @@ def _evaluate(
     progress("evaluate", 1.0)
     maps = evaluate_maps(scenario.world, log, mapper)
     cost = cost | {"compile_seconds": ready.compile_seconds}
-    record = evaluate(scenario, ready.simulation, mapper, log, maps, cost, replayed=replayed)
-    return Run(record, log, maps, scenario.world, None)
-
-
-def _write_run(
-    run: Run,
-    out: Path | None,
-    name: str | None = None,
-    recorded: Recording | None = None,
-    *,
-    drawn: bool = True,
-) -> Run:
-    """Write the folder of a run where one is wanted."""
-    if out is None:
-        return run
-    log, maps, folder = run.log, run.maps, out / (name or run.record.name)
-    T_map_world = log.truth[0].to_pose2().inverse()
-    built = None if maps.built is None else maps.built.moved(T_map_world)
-    bag = (recorded or Recording()).finish(built)
-    write_results(folder, run.record, log, maps, run.world, bag, drawn=drawn)
-    return replace(run, folder=folder)
-
-
-def _timed_drive(ready: ReadyRun, progress: Progress, recorder: Recorder) -> tuple[DriveLog, dict[str, Any]]:
-    """Drive; return the log and the cost of the drive."""
-    meter = CostMeter()
-    log = drive(
-        ready.simulation,
-        ready.driver,
-        ready.mapper,
-        ready.seconds,
-        progress,
-        wall_limit=ready.scenario.config.wall_limit,
-        recorder=recorder,
-    )
-    log.load = load_average()
-    return log, ready.cost(meter)
-
-
-def write_results(
-    folder: Path,
-    record: RunRecord,
-    log: DriveLog,
-    maps: Maps,
-    world: World,
-    bag: Sequence[Path] = (),
-    *,
-    drawn: bool = True,
-) -> None:
-    """Write a run's folder, its record last.
-
-    An older folder is replaced.
-
-    Args:
-        folder: of the run.
-        record: of the run.
-        log: of the drive.
-        maps: of the run.
-        world: where it took place.
-        bag: files of its recording, which are moved into the folder.
-        drawn: Whether the overview picture is drawn.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
-    truth, estimate, odometry = log.trajectories()
-    period = record.rtf["simulated_seconds"] / len(log.walls)
-    with atomic_folder(folder) as temporary:
-        if maps.built is not None:
-            write_map(temporary / "map", maps.built)
-        if maps.elevation is not None:
-            write_elevation(temporary / ELEVATION, maps.elevation.built, maps.elevation.true_pose)
-        write_map(temporary / "map_true_pose", maps.true_pose)
-        for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
-            write_tum(temporary / f"{name}.tum", trajectory)
-        times = np.arange(len(log.commands)) * period
-        commands = np.column_stack((times, [(c.v, c.omega) for c in log.commands]))
-        write_commands(temporary / COMMANDS, Commands(log.start, commands))
-        write_log(temporary / "scans.clf.gz", zip(log.scans, log.odometry, strict=True))
-        write_imu(temporary / "imu.csv.gz", list(log.imu))
-        lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
-        (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
-        if drawn:
-            Run(record, log, maps, world, None).overview().savefig(temporary / "overview.png")
-        for file in bag:
-            shutil.move(file, temporary / file.name)
-        record.save(temporary)
+    record = evaluate(scenario, ready.simulation, mapper, log, maps, cost, replayed=not brief)
+    run = Run(record, log, maps, scenario.world, None if out is None else out / (name or record.name))
+    if run.folder is not None:
+        T_map_world = log.truth[0].to_pose2().inverse()
+        bag = recorded.finish(None if maps.built is None else maps.built.moved(T_map_world))
+        run.write(run.folder, bag, drawn=not brief)
+    return run

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -81,7 +81,7 @@ class RunRecord(ShownAsTable):
         """Name of the run's folder."""
         return run_name(self.config, self.world["name"])
 
-    @property
+    @cached_property
     def verdict(self) -> Verdict:
         """Class, sentence and reasons of the result."""
         return judge(asdict(self))

@@ -29,7 +29,6 @@ from lirs_extensions.search.falsify.drives import (
 from lirs_extensions.search.falsify.search import LEAST, NEW_SEEDS, FoundCase
 from lirs_extensions.search.options import FAILURE_FACTOR
 from lirs_validation.experiment.run import run
-from lirs_validation.experiment.run import write_results as write_run
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.report.page import render
 from lirs_validation.report.table import ReportTable
@@ -293,7 +292,7 @@ def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found:
         try:
             driven = run(config)
             record = _moved(driven.record, folder, out / name)
-            write_run(folder / RUN, record, driven.log, driven.maps, driven.world)
+            replace(driven, record=record).write(folder / RUN)
             truth, estimate, _ = driven.log.trajectories()
             limit = next((s.limit for s in found.scores if s.limit), 0.0)
             paths = CasePaths(truth, estimate, FAILURE_FACTOR * limit)
