@@ -166,8 +166,7 @@ def _sha256(path: Path) -> str:
 
 @lru_cache(maxsize=256)
 def _digest_of(path: Path, changed: int, size: int) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return digest(path)
 
 
 def same_code(found: Any) -> bool:

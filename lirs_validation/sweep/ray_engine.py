@@ -106,7 +106,9 @@ def _collect(ray: Any, task: Any, name: str, out: Path) -> tuple[Outcome, bool]:
     try:
         outcome, files = ray.get(task)
         if files:
-            _write(out / name, files)
+            with atomic_folder(out / name) as folder:
+                for file, data in files.items():
+                    (folder / file).write_bytes(data)
     except Exception as error:
         return outcome_of(error, name), isinstance(error, ray.exceptions.ObjectLostError)
     return outcome, False
@@ -132,17 +134,6 @@ def _send_world(ray: Any, config: RunConfig | None, sent: dict[Any, Any]) -> Any
         sent.clear()
         sent[key] = ray.put(build_scenario(config))
     return sent[key]
-
-
-def _write(folder: Path, files: Files) -> None:
-    """Write a returned folder.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    with atomic_folder(folder) as temporary:
-        for name, data in files.items():
-            (temporary / name).write_bytes(data)
 
 
 def perform_remotely(
