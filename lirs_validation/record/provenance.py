@@ -112,18 +112,21 @@ def with_recorded_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) 
     if not recorded:
         return config
     placed = replace(config, source=_place(config, recorded))
-    files = source_files(placed)
-    if _digests(files) != [file["sha256"] for file in recorded]:
-        raise SourceError(_other(files, recorded))
+    for file in source_files(placed):
+        if file.sha256 not in [known["sha256"] for known in recorded]:
+            raise SourceError(
+                f"{file.path}: is not what the run was made from: sha256 {file.sha256[:SHOWN]}..."
+            )
     return placed
 
 
 def same_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) -> bool:
     """Return whether a config's source has the recorded content."""
     try:
-        return not recorded or _digests(source_files(config)) == [file["sha256"] for file in recorded]
+        files = source_files(config) if recorded else ()
     except SourceError:
         return False
+    return [file.sha256 for file in files] == [file["sha256"] for file in recorded]
 
 
 def _place(config: RunConfig, recorded: Sequence[dict[str, Any]]) -> str:
@@ -134,21 +137,6 @@ def _place(config: RunConfig, recorded: Sequence[dict[str, Any]]) -> str:
     first = Path(str(recorded[0]["path"]))
     built = first.name == "world.json" and Path(config.source).name != first.name
     return str(first.parent if built else first)
-
-
-def _other(files: Sequence[SourceFile], recorded: Sequence[dict[str, Any]]) -> str:
-    """Say which file is another one."""
-    for file, known in zip(files, recorded, strict=False):
-        if file.sha256 != known["sha256"]:
-            return (
-                f"{file.path}: is not what the run was made from: sha256 {file.sha256[:SHOWN]}..., "
-                f"recorded {known['sha256'][:SHOWN]}... of {known['path']}"
-            )
-    return f"{files[0].path}: is not what the run was made from: {len(files)} files, {len(recorded)} recorded"
-
-
-def _digests(files: Sequence[SourceFile]) -> list[str]:
-    return [file.sha256 for file in files]
 
 
 def _sha256(path: Path) -> str:

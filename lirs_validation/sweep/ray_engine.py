@@ -45,7 +45,7 @@ class RayCluster:
 
     Attributes:
         address: address of the cluster, or `local`.
-        jobs: concurrent experiments on a local cluster; None = one per core.
+        jobs: concurrent experiments on a local cluster; None = one per core that Ray finds.
         seconds: wall-clock time of a whole experiment; None = no limit.
     """
 
@@ -183,7 +183,7 @@ def _connect(ray: Any, address: str, jobs: int | None) -> None:
     Raises:
         ConfigError: none answers there.
     """
-    own: dict[str, Any] = {"num_cpus": jobs or cores(), "include_dashboard": False}
+    own: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False}
     try:
         ray.init(
             address=address,
@@ -195,11 +195,6 @@ def _connect(ray: Any, address: str, jobs: int | None) -> None:
     except (ConnectionError, ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"--address {address}: no Ray cluster answers there: {reason}") from error
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _probe_address(address: str) -> None:
