@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, get_args
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
-from lirs_validation.config import TOUR, RunConfig, driver_parts, run_name
+from lirs_validation.config import FRONTIER, TOUR, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
 from lirs_validation.experiment.mapper_loading import interpreter_of, package_versions, source_file
 from lirs_validation.experiment.mapper_process import start_mapper
@@ -272,8 +272,16 @@ class SlamExperiment(Experiment):
     def check(self) -> None:
         """Check source, robot, lidar, mapper, and the file of the driver."""
         c = self.config
-        frontier = driver_parts(c.driver)[0] == "frontier"
-        _check_names(c.robot, c.lidar, c.mapper, c.parameters, c.mapper_python, frontier)
+        decisive = RunConfig(
+            source="",
+            robot=c.robot,
+            lidar=c.lidar,
+            mapper=c.mapper,
+            parameters=c.parameters,
+            mapper_python=c.mapper_python,
+            driver=FRONTIER if c.driver == FRONTIER else TOUR,
+        )
+        _check_names(decisive)
         check_driver(self.config)
         world_name(self.config)
 
@@ -333,23 +341,11 @@ def _has_bag(record: Mapping[str, Any], config: RunConfig) -> bool:
 
 
 @cache
-def _check_names(
-    robot: str, lidar: str | None, mapper: str, parameters: str, mapper_python: str | None, frontier: bool
-) -> None:
-    make_lidar_preset(lidar or make_robot(robot).lidar)
-    interpreter_of(mapper, mapper_python)
-    driver = "frontier" if frontier else TOUR
-    asked = RunConfig(
-        source="",
-        robot=robot,
-        lidar=lidar,
-        mapper=mapper,
-        parameters=parameters,
-        mapper_python=mapper_python,
-        driver=driver,
-    )
-    with closing(start_mapper(asked)) as made:
-        check_sensors(made, asked)
+def _check_names(config: RunConfig) -> None:
+    make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
+    interpreter_of(config.mapper, config.mapper_python)
+    with closing(start_mapper(config)) as mapper:
+        check_sensors(mapper, config)
 
 
 def world_name(config: RunConfig) -> str:
