@@ -41,8 +41,8 @@ class BenchExperiment(Experiment):
     """A policy on a task.
 
     Attributes:
-        set_name: of the task's set.
-        set_version: of that set.
+        set_name: name of the task's set.
+        set_version: version of that set.
         task: task of the episode.
         policy: policy that is scored.
         data: folder with the files that do not ship.

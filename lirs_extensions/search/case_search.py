@@ -37,7 +37,7 @@ class SearchParameter:
         default: value to which shrinking returns.
         low: smallest value.
         high: largest value.
-        unit: of the value, for tables.
+        unit: unit of the value, for tables.
         whole: whether the value is a whole number.
         log: whether equal steps of the search multiply the value.
     """
@@ -274,7 +274,7 @@ def shrink(case: Case, limits: SearchSpace, fails: Fails) -> tuple[Case, ...]:
     In the last case, no single parameter can be reset without its passing.
 
     Args:
-        case: that fails.
+        case: failing case.
         limits: parameters and their defaults.
         fails: whether a case fails; called once for each case.
     """
@@ -374,7 +374,7 @@ class TrialArchive(Generic[Score]):
         count: number of different trials that were requested, those of an earlier search included.
 
     Args:
-        path: of the file.
+        path: file of the scores.
         kind: class of the scores, a dataclass.
         pool: measures in other processes; None = in this one.
     """

@@ -90,7 +90,7 @@ def compile_timer() -> Iterator[Callable[[], float]]:
 
 
 def load_average() -> float | None:
-    """Return the processes that ran or waited for a core in the last minute; None without a count."""
+    """Return the mean number of running processes in the last minute; None without a count."""
     with suppress(AttributeError, OSError):  # Windows has none
         return os.getloadavg()[0]
     return None

@@ -60,7 +60,7 @@ class DriveLog:
     Each scan adds one entry; an hour's drive takes about 300 megabytes.
 
     Attributes:
-        start: where the driver had the robot set down, world frame.
+        start: start pose of the driver, world frame.
         spatial: whether the mapper estimates poses in space.
         scans: Scans alone, without their clouds.
         odometry: `T_odom_base` of each scan.
@@ -75,7 +75,7 @@ class DriveLog:
         status: at the drive's end; `reason` explains it.
         concurrent: whether other runs shared the processor.
         load: system's load average at the drive's end; None without a count.
-        commands: of the driver, one per tick: the commands after the first observation, the second, ...
+        commands: commands of the driver, one per tick: after the first observation, the second, ...
     """
 
     start: Pose2 = field(default_factory=Pose2)
@@ -110,12 +110,7 @@ class DriveLog:
     ) -> None:
         """Append an observation and its true pose, and the mapper's estimate.
 
-        Args:
-            observation: Data of the sensors.
-            T_world_base: True pose.
-            estimate: Answer of the mapper, `T_map_base`.
-            walker_beams: Mask of the scan's beams that met a walker; None without walkers.
-            walker_points: Mask of the cloud's points that met a walker; None without walkers or cloud.
+        The masks tell the scan's beams and the cloud's points that met a walker; None without walkers.
         """
         scan = observation.scan
         if observation.cloud is not None:

@@ -39,7 +39,7 @@ class Maps:
         built: moved by the true start pose; None of a mapper of point clouds.
         true_pose: made at the true poses.
         scores: metrics of the comparison.
-        alignment: of the trajectory that belongs to the built map; None where there is none.
+        alignment: alignment of the built map's trajectory; None where there is none.
         elevation: made of point clouds; None of a planar mapper, and in a world with overhangs.
     """
 
@@ -67,17 +67,7 @@ def evaluate(
     *,
     replayed: bool = True,
 ) -> RunRecord:
-    """Return the record of a finished drive.
-
-    Args:
-        scenario: where it took place.
-        simulation: that was driven.
-        mapper: that mapped.
-        log: of the drive.
-        maps: compared already.
-        cost: processor time, peak memory, seconds of compilation.
-        replayed: Whether to replay the physics.
-    """
+    """Return the record of a finished drive; `cost` holds its time, memory and seconds of compilation."""
     stats = mapper.stats
     trajectory = evaluate_trajectory(log, simulation)
     status, reason = evaluate_status(log, trajectory["scan_coverage"])
@@ -100,14 +90,7 @@ def evaluate(
 def verdict_so_far(
     scenario: Scenario, simulation: Simulation, log: DriveLog, map_scores: dict[str, Any]
 ) -> Verdict:
-    """Return the verdict on a drive that may go on.
-
-    Args:
-        scenario: where it takes place.
-        simulation: that is driven.
-        log: of the drive until now.
-        map_scores: known metrics of the map; a missing one does not count.
-    """
+    """Return the verdict on a drive that may go on; a missing metric of the map does not count."""
     trajectory = evaluate_trajectory(log, simulation)
     status, reason = evaluate_status(log, trajectory["scan_coverage"])
     return judge(

@@ -25,14 +25,12 @@ class Drive:
     """Drive in single ticks, until time is over, a failure, or the driver ends.
 
     Attributes:
-        log: of what has happened so far, with the status at the drive's end.
+        log: log so far, with the status at the drive's end.
         over: whether it has ended.
 
     Args:
-        simulation: that is driven, from the driver's start on.
-        driver: that drives.
-        mapper: that maps, and is closed by who made it.
-        seconds: simulated time to drive.
+        simulation: simulation, which is reset to the driver's start.
+        mapper: mapper, which is closed by who made it.
         wall_limit: wall seconds after which the drive is stopped; None = never.
         recorder: is shown every scan once it is mapped; its time counts.
 

@@ -93,7 +93,7 @@ def interpreter_of(mapper: str, given: str | None = None) -> str | None:
     """Return the interpreter that runs a third-party mapper; None = this one.
 
     Args:
-        mapper: its name, or `module:name` of your own.
+        mapper: name, or `module:name` of your own.
         given: path or name of an interpreter; None = this one.
 
     Raises:

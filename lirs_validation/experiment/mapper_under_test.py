@@ -91,7 +91,7 @@ class MapperUnderTest:
     a reading without roll and pitch would still hold the direction of gravity.
 
     Attributes:
-        name: of the mapper in messages.
+        name: name in messages.
         reads_clouds: whether it reads point clouds.
         requires_odometry: whether it needs odometry.
         reads_inertial: whether it takes all inertial readings.
@@ -99,8 +99,7 @@ class MapperUnderTest:
         in_process: whether it has a process of its own.
 
     Args:
-        make: creates the mapper.
-        name: of the mapper in messages.
+        make: function that creates the mapper.
         attitude: `imu`, or `none` for a mapper without inertial readings.
     """
 

@@ -39,7 +39,7 @@ def own_class(name: str, what: str, method: str) -> Callable[..., Any]:
     Args:
         name: `module:name` or `file.py:name`.
         what: kind of the made object, such as "mapper".
-        method: of the made object; if the name is unknown, the error lists classes with this method.
+        method: method of the made object; if the name is unknown, the error lists classes with it.
 
     Raises:
         ConfigError: the module cannot be imported, or has nothing of that name that can be called.

@@ -29,8 +29,8 @@ class Recording:
     """The bag of a drive, or none.
 
     Args:
-        writer: of the bag; None = nothing is recorded.
-        folder: that the writer fills.
+        writer: writer of the bag; None = nothing is recorded.
+        folder: folder of the writer's files.
         slam: whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
     """
 
@@ -98,9 +98,9 @@ def recording(config: RunConfig, out: Path | None, period: float) -> Iterator[Re
     Its files are deleted afterwards, unless they were moved.
 
     Args:
-        config: of the run.
+        config: run configuration.
         out: folder that is to receive the run's folder; None = nothing is recorded.
-        period: from scan to scan, seconds.
+        period: time from scan to scan, seconds.
 
     Raises:
         OutputError: the bag cannot be written.

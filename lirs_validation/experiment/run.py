@@ -74,10 +74,7 @@ class Run:
     def write(self, folder: Path, bag: Sequence[Path] = (), *, drawn: bool = True) -> None:
         """Write the run's folder, its record last; an older folder is replaced.
 
-        Args:
-            folder: of the run.
-            bag: files of its recording, which are moved into the folder.
-            drawn: Whether the overview picture is drawn.
+        The files of a bag are moved into it; the overview picture is left out unless it is `drawn`.
 
         Raises:
             OutputError: the folder cannot be written.
@@ -139,7 +136,7 @@ def validate(
         source: a bundled world's name, a built folder, an image, a map YAML or a mesh.
         options: how the source becomes a world.
         out: folder that receives the run's folder; None = nothing is written.
-        progress: of the run.
+        progress: function that receives step and share.
         **run_options: fields of `RunConfig`: robot, mapper, lidar, terrain, rays, attitude, driver, actors,
             seed, seconds, wall_limit, bag, sensors_only.
 
@@ -164,12 +161,12 @@ def run(
     """Run a config (see `validate`).
 
     Args:
-        config: of the run.
+        config: run configuration.
         out: folder that receives the run's folder; None = nothing is written.
-        progress: of the run.
+        progress: function that receives step and share.
         scenarios: worlds that were built before.
         concurrent: whether the sweep runs others at the same time.
-        name: of the run's folder; None = the record's.
+        name: name of the run's folder; None = the record's.
         brief: Whether to omit the replay of the physics and the overview picture.
 
     Raises:
@@ -188,10 +185,7 @@ def run_unwritten(
 ) -> dict[str, Any]:
     """Drive; return `status`, `reason`, `trajectory`, `scans` and `map` of a record, sooner than `run`.
 
-    Args:
-        config: of the run.
-        maps: whether the maps are compared; `map` is empty otherwise.
-        scenarios: worlds that were built before.
+    Without `maps` they are not compared, and `map` is empty.
 
     Raises:
         WctError: see `validate`; the mapper failed, or nothing was driven.
@@ -213,10 +207,6 @@ class ReadyRun:
     """Everything that a drive needs, its kernels compiled.
 
     Attributes:
-        scenario: where it takes place.
-        simulation: of the robot there.
-        driver: that will drive.
-        mapper: that will map.
         seconds: simulated time of the drive, standing included.
         compile_seconds: wall seconds that the compiler took, in all processes.
     """
@@ -332,15 +322,7 @@ def conclude(
 ) -> Run:
     """Evaluate a drive that has ended, and write its folder (see `run`).
 
-    Args:
-        ready: the driven run.
-        log: of the drive.
-        cost: of the drive: `cpu_seconds`, `peak_memory`.
-        out: folder that receives the run's folder; None = nothing is written.
-        progress: of the work.
-        name: name of the run's folder; None = the record's.
-        recorded: bag of the drive.
-        brief: Whether to omit the replay of the physics and the overview picture.
+    `cost` holds `cpu_seconds` and `peak_memory` of the drive, `recorded` its bag.
 
     Raises:
         SimulationError: not a single scan was driven.

@@ -26,10 +26,8 @@ class Scenario:
     """A config and its world.
 
     Attributes:
-        config: of the run.
-        world: of the config.
         window: square that was cut out of a larger one, if any.
-        files: that the world was made from; none of a bundled one.
+        files: files of the world's source; none of a bundled world.
         whole_size: eastward and northward, meters, of the world that the window was cut out of, if known.
     """
 

@@ -29,7 +29,7 @@ class MapRecord:
     """Result of mapping a log.
 
     Attributes:
-        name: of the folder.
+        name: name of the folder.
         status: `lost` where the mapper lost its place or the scans contradict each other, `incomplete` where
             the trajectory leaves out scans; `reason` says when, and how many.
         log: scans, beams, laser, seconds, distance by odometry, skipped, left_out (scans), late, repaired,
@@ -43,7 +43,7 @@ class MapRecord:
         quality: figures without truth: revisit_residual, pass_residual and wall_thickness (meters), revisited
             (share); absent where the scans are not level. `second`: another mapper, the difference to its
             path and its revisit_residual (meters); null where not compared.
-        odometry: the same of the raw odometry alone; empty where the log has none.
+        odometry: accuracy of the raw odometry alone; empty where the log has none.
         cost: seconds for reading, compiling and mapping; processor time; peak memory in bytes.
     """
 

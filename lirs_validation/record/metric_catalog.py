@@ -44,7 +44,7 @@ class Metric:
         digits: behind the point; None = three significant digits.
         scale: factor from the record's unit to this one.
         better: direction that is good, if any.
-        selections: where else it is shown.
+        selections: further tables and pictures that show it.
         title: name in a run's picture; empty = the same.
         short: heading of a narrow column, with the unit; empty = the same.
         tested: whether comparisons test it; the odometry's error belongs to the drive, not to the mapper.

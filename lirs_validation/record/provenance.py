@@ -103,7 +103,7 @@ def with_recorded_source(config: RunConfig, recorded: Sequence[dict[str, Any]]) 
     """Return a recorded config with the same source content as in the run.
 
     Args:
-        config: as recorded: its source is as it was typed, in whichever folder that was.
+        config: recorded config; its source is as it was typed, in whichever folder that was.
         recorded: files that the run was made from; none where it was a bundled world.
 
     Raises:

@@ -51,8 +51,8 @@ class Outcome:
     """Outcome of an experiment; small enough to keep thousands of them.
 
     Attributes:
-        experiment: its name.
-        status: that of its record.
+        experiment: name of the experiment.
+        status: status of its record.
         reason: one line.
         trace: traceback of the failure; empty without a failure.
         bad_input: whether the user's input cannot be used.
@@ -373,7 +373,7 @@ class CollisionExperiment(Experiment):
         robot: name.
         terrain: contact geometry.
         seconds: simulated time of the random drive.
-        seed: of the random drive.
+        seed: seed of the random drive.
     """
 
     source: str

@@ -99,7 +99,7 @@ class RayCluster:
 
 
 def _collect(ray: Any, task: Any, name: str, out: Path) -> tuple[Outcome, bool]:
-    """Write the folder of a task; return its outcome, and whether its world or result was lost.
+    """Write a task's folder; return its outcome, and whether its data were lost.
 
     Ray itself repeats dead tasks, not those whose data lay on a lost machine.
     """

@@ -62,7 +62,7 @@ def make_paper_suite(**options: Any) -> tuple[Experiment, ...]:
     """Return the experiments of the paper's Sections V and III-D, world by world.
 
     Args:
-        **options: of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`).
+        **options: options of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`).
     """
     options = {"wall_limit": WALL_LIMIT} | options
     tables: dict[RunConfig, tuple[str, ...]] = {}

@@ -29,7 +29,7 @@ class Sweep:
         retry_failed: run experiments again that failed before.
 
     Attributes:
-        outcomes: of the experiments that are finished, by name; small, for thousands of experiments.
+        outcomes: outcome of each finished experiment, by name.
         kept: number of experiments with a result from before.
         unwritten: experiments whose results could not be written, with the reason.
 
@@ -122,7 +122,7 @@ class Sweep:
 
 
 def make_executor(options: EngineOptions) -> Executor:
-    """Make an engine: a Ray cluster at an address, else processes for several jobs or a time limit."""
+    """Make a Ray cluster for an address, processes for jobs or a time limit, else `Serial`."""
     if options.address is not None:
         return RayCluster(address=options.address, jobs=options.jobs, seconds=options.cell_timeout)
     if options.jobs in (None, 1) and options.cell_timeout is None:

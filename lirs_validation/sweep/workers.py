@@ -1,4 +1,4 @@
-"""Worker processes: each does many jobs, and is replaced after a crash or a time limit."""
+"""Worker processes that do many jobs, replaced after a crash or a time limit."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ class WorkerPool:
     def run(
         self, jobs: Sequence[Job[T]], report: Report = lambda number, step, share: None
     ) -> Iterator[tuple[int, T | Failure]]:
-        """Yield the number and the result of each job as it ends; an error of a job is raised.
+        """Yield the number and the result of each job as it ends.
 
-        A job whose process dies is tried once more.
+        An error of a job is raised. A job whose process dies is tried once more.
         """
         waiting, tries = deque(range(len(jobs))), Counter[int]()
         try:
@@ -164,7 +164,7 @@ class _Worker(ChildProcess):
             self.pipe.send(job)
 
     def receive(self) -> tuple[Any, ...] | Failure:
-        """Return the next message, or the failure of a process that died or had its time."""
+        """Return the next message, or the failure of a dead or overdue process."""
         if self.seconds_left == 0.0:
             return self._failure("timeout", f"no end within the experiment's {self._seconds:g} s")
         try:
