@@ -9,8 +9,8 @@ from multiprocessing.connection import Connection
 from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from lirs_validation.experiment.cost import Cost, CostMeter, compile_timer
-from lirs_validation.experiment.mapper_loading import interpreter_of, mapper_named, warm_up_mapper
+from lirs_validation.experiment.cost import Cost, CostMeter
+from lirs_validation.experiment.mapper_loading import interpreter_of, mapper_named
 from lirs_validation.experiment.mapper_under_test import METHODS, Estimate, MapperUnderTest, SensorReadings
 from lirs_validation.processes import ChildProcess
 from lirs_wct.errors import MapperError, WctError
@@ -48,9 +48,6 @@ def start_mapper(config: RunConfig) -> MapperUnderTest:
 class MapperProcess(MapperUnderTest):
     """A mapper in another process, which ends with this object.
 
-    Attributes:
-        compile_seconds: time of the compiler there, once the process is ready.
-
     Args:
         config: mapper, seed and attitude of a run or of a log's map.
 
@@ -62,7 +59,7 @@ class MapperProcess(MapperUnderTest):
     in_process = True
 
     def __init__(self, config: RunConfig | MapConfig) -> None:
-        self.name, self.compile_seconds = config.mapper, 0.0
+        self.name = config.mapper
         third_party = config.mapper in CLOUD_MAPPERS
         self._errors = TemporaryFile() if third_party else None  # noqa: SIM115 (it outlives this method)
         outputs = {"stdout": subprocess.DEVNULL, "stderr": self._errors} if third_party else {}
@@ -72,20 +69,11 @@ class MapperProcess(MapperUnderTest):
         except OSError as error:
             raise MapperError(f"mapper {config.mapper!r}: its process cannot be started ({error})") from error
         try:
-            self._send("make", config.mapper, config.seed, config.parameters, config.attitude)
-            self.reads_clouds, self.requires_odometry, self.reads_inertial = self._reply()
-            self._send("warm_up")
+            given = (config.mapper, config.seed, config.parameters, config.attitude)
+            self.reads_clouds, self.requires_odometry, self.reads_inertial = self._request("make", *given)
         except BaseException:
             self.close()  # a traceback may keep this object for long
             raise
-
-    def wait_until_ready(self) -> None:
-        """Wait until the mapper's kernels are compiled.
-
-        Raises:
-            MapperError: the process ended.
-        """
-        self.compile_seconds = self._reply()
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Give the mapper an observation; wait for its estimate (see `MapperUnderTest`)."""
@@ -166,16 +154,10 @@ class _Server:
 
     def make(self, name: str, seed: int, parameters: str, attitude: Attitude) -> tuple[bool, bool, bool]:
         """Make the mapper; return whether it reads clouds, requires odometry, and reads all of the IMU."""
-        self._name, self._meter = name, CostMeter()
+        self._meter = CostMeter()
         self._mapper = MapperUnderTest(partial(mapper_named, name, seed, parameters), name, attitude)
         mapper = self._mapper
         return mapper.reads_clouds, mapper.requires_odometry, mapper.reads_inertial
-
-    def warm_up(self) -> float:
-        """Compile the mapper's kernels; return the seconds that the compiler took."""
-        with compile_timer() as compile_seconds:
-            warm_up_mapper(self._name)
-        return compile_seconds()
 
     def restart(self) -> None:
         """Make a new mapper, and measure its cost."""

@@ -29,7 +29,7 @@ from lirs_validation.experiment.evaluation import (
 )
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.mapper_loading import warm_up_mapper
-from lirs_validation.experiment.mapper_process import MapperProcess, start_mapper
+from lirs_validation.experiment.mapper_process import start_mapper
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
@@ -208,7 +208,7 @@ class ReadyRun:
 
     Attributes:
         seconds: simulated time of the drive, standing included.
-        compile_seconds: wall seconds that the compiler took, in all processes.
+        compile_seconds: wall seconds that the compiler took.
     """
 
     scenario: Scenario
@@ -278,8 +278,6 @@ def prepare(
                 stand = STAND if mapper.reads_inertial else 0.0
             driver = StandingDriver(driver, stand) if stand else driver
             progress("compile", 0.0)
-            if isinstance(mapper, MapperProcess):
-                mapper.wait_until_ready()
             inertial = config.bag is not None or mapper.reads_inertial
             simulation = scenario.simulation(robot, inertial=inertial)
             warm_up(scenario, simulation, mapper)

@@ -72,9 +72,7 @@ def _start(config: MapConfig) -> MapperUnderTest:
     if not needs_process(config.mapper):
         return MapperUnderTest(partial(_make, config), config.mapper, config.attitude)
     _check_parameters(config)
-    process = MapperProcess(config)
-    process.wait_until_ready()
-    return process
+    return MapperProcess(config)
 
 
 def _check_parameters(config: MapConfig) -> None:

@@ -79,7 +79,6 @@ def test_a_system_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch: pytes
     assert package_versions("rko-lio", python) == {"rko-lio": "0.4.7"}
     config = RunConfig(source="medium", mapper="rko-lio", lidar="vlp16", mapper_python=python)
     with closing(MapperProcess(config)) as mapper:
-        mapper.wait_until_ready()
         assert (mapper.reads_clouds, mapper.reads_inertial) == (True, True)
         poses = answers(mapper, 12)
         trajectory = mapper.trajectory()
@@ -100,10 +99,8 @@ def test_a_system_that_crashes_is_told_with_its_last_words(
     fake_environment(tmp_path, monkeypatch, dies=True)
     python = str(tmp_path / "python")
     config = RunConfig(source="medium", mapper="rko-lio", lidar="vlp16", mapper_python=python)
-    with closing(MapperProcess(config)) as mapper:
-        mapper.wait_until_ready()
-        with pytest.raises(MapperError) as raised:
-            answers(mapper, 12)
+    with closing(MapperProcess(config)) as mapper, pytest.raises(MapperError) as raised:
+        answers(mapper, 12)
     message = "mapper 'rko-lio': its process ended (signal SIGSEGV): what():  map is empty"
     assert str(raised.value) == message
     assert "noise" not in capfd.readouterr().out
@@ -121,7 +118,6 @@ def test_your_own_mapper_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     config = RunConfig(source="medium", mapper="own_elsewhere:Own", mapper_python=str(python))
     with closing(MapperProcess(config)) as mapper:
-        mapper.wait_until_ready()
         assert mapper.lost
 
 

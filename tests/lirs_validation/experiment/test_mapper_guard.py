@@ -107,7 +107,6 @@ def test_no_mapper_reaches_the_evaluation_or_the_drive(
 
     before = dict(np.geterr())
     with closing(MapperProcess(RunConfig(source="simple", mapper=f"own_mappers:{mapper}"))) as process:
-        process.wait_until_ready()
         found = [process.observe(observation).pose for observation in observations]
     assert found == [observation.odometry for observation in observations]
     assert evaluation.trajectory_errors is trajectory_errors

@@ -37,7 +37,6 @@ from lirs_validation.experiment.mapper_process import MapperProcess
 def made(mapper):
     usual = {"seed": 1, "attitude": "imu", "parameters": "", "mapper_python": None}
     process = MapperProcess(SimpleNamespace(mapper=mapper, **usual))
-    process.wait_until_ready()
     return process
 """
 SCRIPT = """
@@ -109,10 +108,11 @@ def test_a_script_needs_no_guard_and_its_own_class_needs_a_module() -> None:
 def test_a_process_that_fails_is_told_in_a_line(
     mapper: str, message: str, observations: list[Observation]
 ) -> None:
-    with closing(MapperProcess(config(f"own_mappers:{mapper}"))) as process:
-        process.wait_until_ready()
-        with pytest.raises(MapperError) as raised:
-            observe_all(process, observations)
+    with (
+        closing(MapperProcess(config(f"own_mappers:{mapper}"))) as process,
+        pytest.raises(MapperError) as raised,
+    ):
+        observe_all(process, observations)
     assert str(raised.value) == f"mapper 'own_mappers:{mapper}': {message}"
     if mapper == "Fails":  # where, in the other process
         assert "in act\n    raise ValueError" in raised.value.__notes__[0]
@@ -120,7 +120,6 @@ def test_a_process_that_fails_is_told_in_a_line(
 
 def test_a_process_that_dies_keeps_nobody_waiting(observations: list[Observation]) -> None:
     process = MapperProcess(config("own_mappers:Own"))
-    process.wait_until_ready()
     process._child.process.kill()
     process._child.process.wait()
     for _ in range(2):
@@ -194,7 +193,6 @@ def test_the_end_of_the_command_is_that_of_a_mapper_that_hangs(sent: signal.Sign
 
 def test_memory_and_processor_time_are_those_since_the_restart(observations: list[Observation]) -> None:
     with closing(MapperProcess(config("own_mappers:Works"))) as process:
-        process.wait_until_ready()
         before = process.cost()
         observe_all(process, observations[:5])
         after = process.cost()
@@ -214,7 +212,6 @@ def test_a_process_answers_as_the_mapper_does_and_begins_anew(
     here = MapperUnderTest(lambda: mapper_named(mapper, 1), mapper)
     expected = observe_all(here, observations)
     with closing(MapperProcess(config(mapper))) as process:
-        process.wait_until_ready()
         for _ in range(2):
             process.restart()
             assert observe_all(process, observations) == expected
@@ -230,7 +227,6 @@ def test_two_processes_at_a_time_in_one_program(observations: list[Observation])
 
     def work() -> None:
         with closing(MapperProcess(config("own_mappers:Own"))) as process:
-            process.wait_until_ready()
             observe_all(process, observations)
             told.append(process.stats.received)
 
@@ -245,7 +241,6 @@ def test_two_processes_at_a_time_in_one_program(observations: list[Observation])
 def observed(mapper: str) -> MapperProcess:
     """Return a mapper's process after the scan at which it acts."""
     process = MapperProcess(config(mapper))
-    process.wait_until_ready()
     scan = LaserScan(np.ones(9, np.float32), -0.4, 0.1, 0.1, 9.0, 0.0)
     for k in range(6):
         process.observe(SensorReadings(replace(scan, stamp=0.1 * k), Pose2(0.1 * k), None))
