@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from lirs_validation.experiment.cost import Cost, CostMeter
 from lirs_validation.experiment.mapper_loading import interpreter_of, mapper_named
-from lirs_validation.experiment.mapper_under_test import METHODS, Estimate, MapperUnderTest, SensorReadings
+from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest, SensorReadings
 from lirs_validation.processes import ChildProcess
 from lirs_wct.errors import MapperError, WctError
 from slam_baselines.mapper import CLOUD_MAPPERS
@@ -69,8 +69,10 @@ class MapperProcess(MapperUnderTest):
         except OSError as error:
             raise MapperError(f"mapper {config.mapper!r}: its process cannot be started ({error})") from error
         try:
-            given = (config.mapper, config.seed, config.parameters, config.attitude)
-            self.reads_clouds, self.requires_odometry, self.reads_inertial = self._request("make", *given)
+            self._request("make", config.mapper, config.seed, config.parameters, config.attitude)
+            self.reads_clouds = self._request("reads_clouds")
+            self.requires_odometry = self._request("requires_odometry")
+            self.reads_inertial = self._request("reads_inertial")
         except BaseException:
             self.close()  # a traceback may keep this object for long
             raise
@@ -99,20 +101,11 @@ class MapperProcess(MapperUnderTest):
         self._child.end()
 
     def _ask(self, part: str) -> Any:
-        return self._request("ask", part)
+        return self._request(part)
 
-    def _request(self, name: str, *arguments: Any) -> Any:
-        self._send(name, *arguments)
-        return self._reply()
-
-    def _send(self, name: str, *arguments: Any) -> None:
+    def _request(self, part: str, *arguments: Any) -> Any:
         try:
-            self._child.pipe.send((name, *arguments))
-        except OSError:
-            self._raise_end()
-
-    def _reply(self) -> Any:
-        try:
+            self._child.pipe.send((part, *arguments))
             value, error = self._child.pipe.recv()
         except (EOFError, OSError):
             self._raise_end()
@@ -136,46 +129,38 @@ class MapperProcess(MapperUnderTest):
         return f": {written[-1]}" if written else ""
 
 
+class _ServedMapper(MapperUnderTest):
+    """A mapper that measures the cost of its process."""
+
+    def __init__(self, name: str, seed: int, parameters: str, attitude: Attitude) -> None:
+        self._meter = CostMeter()
+        super().__init__(partial(mapper_named, name, seed, parameters), name, attitude)
+
+    def restart(self) -> None:
+        """Make a new mapper; its cost counts from now on."""
+        super().restart()
+        self._meter = CostMeter()
+
+    def cost(self) -> Cost:
+        """Return the cost of this process."""
+        return self._meter.cost()
+
+
 def serve_mapper(pipe: Connection) -> None:
-    """Answer the requests of a run for its mapper."""
-    server = _Server()
+    """Make the mapper of the first message; then return the part of it that each message names."""
+    mapper: _ServedMapper | None = None
     while True:
-        name, *arguments = pipe.recv()
+        part, *arguments = pipe.recv()
         value, failure = None, None
         try:
-            value = getattr(server, name)(*arguments)
+            if mapper is None:
+                mapper = _ServedMapper(*arguments)
+            else:
+                member = getattr(mapper, part)
+                value = member(*arguments) if callable(member) else member
         except Exception as error:
             failure = _sendable(error)
         pipe.send((value, failure))
-
-
-class _Server:
-    """A run's mapper; each method is a request."""
-
-    def make(self, name: str, seed: int, parameters: str, attitude: Attitude) -> tuple[bool, bool, bool]:
-        """Make the mapper; return whether it reads clouds, requires odometry, and reads all of the IMU."""
-        self._meter = CostMeter()
-        self._mapper = MapperUnderTest(partial(mapper_named, name, seed, parameters), name, attitude)
-        mapper = self._mapper
-        return mapper.reads_clouds, mapper.requires_odometry, mapper.reads_inertial
-
-    def restart(self) -> None:
-        """Make a new mapper, and measure its cost."""
-        self._mapper.restart()
-        self._meter = CostMeter()
-
-    def observe(self, readings: SensorReadings) -> Estimate:
-        """Give the mapper some readings; return its estimate."""
-        return self._mapper.observe(readings)
-
-    def ask(self, part: str) -> Any:
-        """Return a part of the mapper (see `MapperUnderTest`)."""
-        value = getattr(self._mapper, part)
-        return value() if part in METHODS else value
-
-    def cost(self) -> Cost:
-        """Return the cost of this process since the mapper was made."""
-        return self._meter.cost()
 
 
 def _sendable(error: Exception) -> Exception:
