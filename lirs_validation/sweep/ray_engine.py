@@ -35,6 +35,7 @@ AHEAD = 2
 """Experiments handed to Ray for each of its cores: enough to keep it busy, few enough to stay small."""
 PATIENCE = 5.0
 """Timeout of the connection to a cluster, seconds."""
+TOKEN = Path.home() / ".ray" / "auth_token"
 
 Files = dict[str, bytes]
 
@@ -160,6 +161,8 @@ def ray_session(address: str, jobs: int | None = None) -> Iterator[Any]:
     """Connect to Ray for a `with` block. An existing cluster keeps running."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+    if address != LOCAL:
+        _show_token()
     try:
         import ray
     except ImportError as error:
@@ -210,3 +213,9 @@ def _probe_address(address: str) -> None:
         socket.create_connection((host, int(port)), timeout=PATIENCE).close()
     except OSError as error:
         raise ConfigError(f"--address {address}: no Ray cluster answers there: {error}") from error
+
+
+def _show_token() -> None:
+    """Use Ray's token if this machine has one. Ray reads it at import."""
+    if any(name in os.environ for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")) or TOKEN.exists():
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
