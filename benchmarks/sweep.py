@@ -17,6 +17,7 @@ import os
 import tempfile
 import time
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -134,4 +135,4 @@ def suite_seconds(real: Run, count: int, out: Path) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    import_module(Path(__file__).stem).main()  # workers import the experiments by the name of their module
