@@ -65,8 +65,8 @@ class QuickExperiment(SlamExperiment):
                 if file.name not in (RECORD, MANIFEST):
                     os.link(file, folder / file.name)
             record.save(folder)
-        with Path(self.spent).open("a", encoding="utf-8") as file:
-            file.write(f"{time.perf_counter() - begun}\n")
+        with Path(self.spent).open("a", encoding="utf-8") as times:
+            times.write(f"{time.perf_counter() - begun}\n")
         return Outcome(experiment=self.name, status="ok", written=True)
 
 
