@@ -15,7 +15,7 @@ from lirs_envs.policies import PolicyContext
 from lirs_envs.pretrained import Pretrained
 from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
-from lirs_validation.driving.coverage import CoverageDriver, plan_coverage
+from lirs_validation.driving.coverage import TourRoute
 from lirs_validation.driving.driver import Driver, ReversingDriver
 from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
@@ -109,7 +109,7 @@ def _check_reachable(
     check_waypoints(named, waypoints, free, robot.name, lambda place: _cause(world, robot, place)[0])
 
 
-def plan_tour(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
+def plan_tour(world: World, robot: Robot, config: RunConfig) -> PathDriver:
     """Return the driver of the seed's tour over the drivable ground.
 
     Raises:
@@ -118,7 +118,7 @@ def plan_tour(world: World, robot: Robot, config: RunConfig) -> CoverageDriver:
     free, pace = _drivable(world, robot), _pace(robot, config)
     start = _start(world, free, robot, config)
     rng = np.random.default_rng((config.seed, PLAN_STREAM))
-    return plan_coverage(free, start, seconds=config.seconds, rng=rng, config=pace, surface=world.surface)
+    return PathDriver(TourRoute(free, start, rng, config.seconds, pace, world.surface), start, pace)
 
 
 def start_pose(world: World, robot: Robot, config: RunConfig) -> Pose2:

@@ -1,4 +1,4 @@
-"""Coverage planner and driver: an endless tour over the free ground.
+"""Coverage route: an endless tour over the free ground.
 
 Greedy, like a person who wants to see everything: go to the nearest place not seen yet, rather ahead
 than behind, and now and then back to an old place, which closes loops.
@@ -7,84 +7,91 @@ than behind, and now and then back to an old place, which closes loops.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.free_ground import FreeGround
-from lirs_validation.driving.path_driver import DriverConfig, Path, PathDriver
-from lirs_validation.driving.paths import COMFORTABLE, NARROW, arc_length, cells_ahead, penalize_behind
+from lirs_validation.driving.path_driver import DriverConfig, Path
+from lirs_validation.driving.paths import (
+    ARC,
+    COMFORTABLE,
+    STRAIGHT,
+    TURN,
+    arc_length,
+    cells_ahead,
+    penalize_behind,
+)
+from lirs_validation.metrics.alignment import wrap_angles
 from lirs_wct import HeightField, OccupancyGrid, Pose2
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry.grid_search import Reach, search
 
-
-@dataclass(frozen=True, kw_only=True)
-class TourConfig(Checked, of="a tour"):
-    """Parameters of the coverage planner.
-
-    Attributes:
-        radius: a cell is covered once the tour passes within this distance, on free ground, meters;
-            at most a fifth of the free ground's side.
-        room: preferred distance to blocked cells, meters.
-        narrow: cost factor of a meter without any clearance.
-        turn: cost of a turn by 180 deg in the choice of the next goal, meters.
-        loop: meters of tour between two returns to an old place.
-        arc: radius in which it turns round where there is room, meters.
-        straight: meters that the first tour leads straight ahead, where they are free.
-    """
-
-    radius: float = limited(4.0, "(0, inf]")
-    room: float = limited(COMFORTABLE, "(0, inf]")
-    narrow: float = limited(NARROW, "(0, inf]")
-    turn: float = limited(6.0, "(0, inf]")
-    loop: float = limited(50.0, "(0, inf]")
-    arc: float = limited(1.2, "(0, inf]")
-    straight: float = limited(1.2, "(0, inf]")
+RADIUS = 4.0
+"""Distance within which a tour covers free ground, meters; at most a fifth of the free ground's side."""
+LOOP = 50.0
+"""Meters of tour between two returns to an old place."""
 
 
-class CoveragePlanner:
-    """Planner of tours over free cells; remembers the covered cells.
+class TourRoute:
+    """Tours that cover the free ground for a time.
 
     Attributes:
-        config: how to choose goals.
-        ground: free ground to cover.
-        radius: distance within which a cell is covered, meters.
+        ground: Free ground to cover.
+        radius: Distance within which a cell is covered, meters.
 
     Args:
-        free: free cells = where the robot's center may be.
-        start: any pose; only cells reachable from there count.
-        rng: chooses among goals.
-        config: how to choose goals.
-        surface: the ground, for slower driving where it is steep.
+        free: Free cells = where the robot's center may be, world frame.
+        start: Any pose; only cells reachable from there count.
+        rng: Random numbers that choose among goals.
+        seconds: Time that the tours last.
+        config: Speeds of the driver.
+        surface: The ground, for slower driving where it is steep.
 
     Raises:
         ConfigError: no cell is free.
     """
+
+    frame: Frame = "world"
+    refresh = math.inf
+    ends = "the tour is over"
 
     def __init__(
         self,
         free: OccupancyGrid,
         start: Pose2,
         rng: np.random.Generator,
-        config: TourConfig | None = None,
+        seconds: float,
+        config: DriverConfig,
         surface: HeightField | None = None,
     ) -> None:
-        self.config = c = config or TourConfig()
         self._grid, self._rng = free, rng
-        self.ground = FreeGround(free, start, surface, comfortable=c.room, narrow=c.narrow)
+        self._seconds, self._config = seconds, config
+        self.ground = FreeGround(free, start, surface)
         self._free = self.ground.free
         # In a small place as large a radius would cover all from anywhere, and the robot would only turn.
         side = math.sqrt(float(self._free.sum())) * free.resolution
-        self.radius = min(c.radius, max(0.8, 0.2 * side))
+        self.radius = min(RADIUS, max(0.8, 0.2 * side))
         self._plain = np.where(self._free, 1.0, np.inf)
         self._covered_at = np.full(free.shape, -np.inf)
         self._driven: FloatArray = np.array([[start.x, start.y]])
         self._length = 0.0
-        self._next_loop = c.loop
+        self._next_loop = LOOP
+
+    def path(self, pose: Pose2, time: float, undriven: float | None) -> Path:
+        """Plan a tour long enough for the rest of the time at full speed."""
+        if undriven is not None:
+            self._forget(undriven)
+        # Smoothing shortens the tour, and planning again in the middle of a run would cost a tick.
+        length = 10.0 + 1.3 * max(0.0, self._seconds - time) * self._config.pursuit.speed
+        # From rest straight ahead: turning wheels slip most while a mapper knows least.
+        points = self.tour(pose, length, straight=STRAIGHT if time == 0.0 else 0.0)
+        return self.ground.path(points, self._config.pursuit)
+
+    def avoid(self, point: tuple[float, float], radius: float) -> None:
+        """Penalize the ground round a place: only the last resort leads there."""
+        self.ground.avoid(point, radius)
 
     @property
     def coverage(self) -> float:
@@ -99,9 +106,9 @@ class CoveragePlanner:
         The first point is the middle of the free cell nearest to the pose.
 
         Args:
-            start: where the robot is.
-            length: meters, before smoothing.
-            straight: begin with so many meters straight ahead, or as many as are free.
+            start: Pose of the robot.
+            length: Meters before smoothing.
+            straight: Meters straight ahead at the beginning, or as many as are free.
         """
         ahead = cells_ahead(self._grid, self._free, start, straight)
         cell, heading = ahead[-1], start.yaw
@@ -122,9 +129,9 @@ class CoveragePlanner:
             tail = points[-1] - points[max(0, len(points) - 8)]
             heading = math.atan2(tail[1], tail[0])
         points = np.concatenate(legs)
-        return self.ground.smooth(points, self.config.room / 2, hold=len(ahead) - 1)
+        return self.ground.smooth(points, COMFORTABLE / 2, hold=len(ahead) - 1)
 
-    def forget(self, undriven: float) -> None:
+    def _forget(self, undriven: float) -> None:
         """Remove the last meters, planned but not driven, from the tour."""
         arc = arc_length(self._driven)
         self._length = max(0.0, self._length - undriven)
@@ -136,9 +143,9 @@ class CoveragePlanner:
         goals = self._goals(cell)
         if not goals.any():
             return cell[None]
-        slack = self.config.turn + self.radius
+        slack = TURN + self.radius
         # Turning in place grinds all wheels sideways, and on a slope the robot slides down meanwhile.
-        arc, local = self.config.arc / self._grid.resolution, heading - self._grid.origin.yaw
+        arc, local = ARC / self._grid.resolution, heading - self._grid.origin.yaw
         weight = penalize_behind(self.ground.weight, cell, local, arc)
         reach = search(weight, cell[None], self._grid.resolution, goals=goals, slack=slack)
         return reach.path(self._choice(reach, goals, cell, heading))
@@ -151,12 +158,12 @@ class CoveragePlanner:
         other = self._free.copy()
         other[cell[0], cell[1]] = False
         if self._length >= self._next_loop:
-            self._next_loop = self._length + self.config.loop * self._rng.uniform(0.7, 1.3)
+            self._next_loop = self._length + LOOP * self._rng.uniform(0.7, 1.3)
             old: BoolArray = self._old_places() & other
             if old.any():
                 return old
         # Where there is room to turn round first: a dead end is mostly covered from its mouth.
-        roomy: BoolArray = other & (self.ground.room >= self.config.room)
+        roomy: BoolArray = other & (self.ground.room >= COMFORTABLE)
         for candidates in (roomy, other):
             never: BoolArray = candidates & (self._covered_at == -np.inf)
             if never.any():
@@ -185,10 +192,8 @@ class CoveragePlanner:
         if len(reached) > 300:
             reached = reached[self._rng.choice(len(reached), 300, replace=False)]
         offset = self._grid.centers(reached) - self._grid.centers(cell)
-        turn = np.abs(
-            np.remainder(np.arctan2(offset[:, 1], offset[:, 0]) - heading + math.pi, math.tau) - math.pi
-        )
-        cost = reach.cost[reached[:, 0], reached[:, 1]] + self.config.turn * turn / math.pi
+        turn = np.abs(wrap_angles(np.arctan2(offset[:, 1], offset[:, 0]) - heading))
+        cost = reach.cost[reached[:, 0], reached[:, 1]] + TURN * turn / math.pi
         # A goal at the rim of the covered area has little gain: prefer one step into uncovered ground.
         best = int(np.argmin(cost - self._gain(reached) + self._rng.uniform(0, 0.5, len(reached))))
         return int(reached[best, 0]), int(reached[best, 1])
@@ -211,76 +216,3 @@ class CoveragePlanner:
         """
         near = search(self._plain, path, self._grid.resolution, limit=self.radius)
         self._covered_at[np.isfinite(near.cost)] = self._length
-
-
-class TourRoute:
-    """Tours that cover free ground for a time.
-
-    Args:
-        planner: plans tours from any pose.
-        seconds: how long they must last.
-        config: how they are driven.
-    """
-
-    frame: Frame = "world"
-    refresh = math.inf
-    ends = "the tour is over"
-
-    def __init__(self, planner: CoveragePlanner, seconds: float, config: DriverConfig) -> None:
-        self.planner = planner
-        self._seconds, self._config = seconds, config
-
-    def path(self, pose: Pose2, time: float, undriven: float | None) -> Path:
-        """Plan a tour long enough for the rest of the time at full speed."""
-        if undriven is not None:
-            self.planner.forget(undriven)
-        # Smoothing shortens the tour, and planning again in the middle of a run would cost a tick.
-        length = 10.0 + 1.3 * max(0.0, self._seconds - time) * self._config.pursuit.speed
-        # From rest straight ahead: turning wheels slip most while a mapper knows least.
-        straight = self.planner.config.straight if time == 0.0 else 0.0
-        points = self.planner.tour(pose, length, straight=straight)
-        return self.planner.ground.path(points, self._config.pursuit)
-
-    def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Penalize the ground round a place: only the last resort leads there."""
-        self.planner.ground.avoid(point, radius)
-
-
-class CoverageDriver(PathDriver):
-    """Drives a planned tour (see `plan_coverage`)."""
-
-    def __init__(self, route: TourRoute, start: Pose2, config: DriverConfig) -> None:
-        super().__init__(route, start, config)
-        self._planner = route.planner
-
-    @property
-    def coverage(self) -> float:
-        """Share of the reachable ground that the planned tour passes."""
-        return self._planner.coverage
-
-
-def plan_coverage(
-    free: OccupancyGrid,
-    start: Pose2,
-    *,
-    seconds: float,
-    rng: np.random.Generator,
-    config: DriverConfig | None = None,
-    surface: HeightField | None = None,
-) -> CoverageDriver:
-    """Return a driver whose tour covers the free ground, planned beforehand.
-
-    Args:
-        free: free cells = where the robot's center may be, world frame.
-        start: pose where the robot is set down.
-        seconds: how long it will drive.
-        rng: chooses among goals.
-        config: how to drive.
-        surface: the ground, for slower driving where it is steep.
-
-    Raises:
-        ConfigError: no cell is free.
-    """
-    config = config or DriverConfig()
-    planner = CoveragePlanner(free, start, rng, surface=surface)
-    return CoverageDriver(TourRoute(planner, seconds, config), start, config)

@@ -5,16 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lirs_validation.driving.path_driver import Path, PursuitConfig, speed_profile
-from lirs_validation.driving.paths import (
-    COMFORTABLE,
-    NARROW,
-    area_round,
-    nearest,
-    path_weight,
-    room_at,
-    room_in,
-    smooth_path,
-)
+from lirs_validation.driving.paths import area_round, nearest, path_weight, room_at, room_in, smooth_path
 from lirs_wct import HeightField, OccupancyGrid, Pose2
 from lirs_wct.arrays import FloatArray, IntArray
 
@@ -32,26 +23,16 @@ class FreeGround:
         grid: free cells = where the robot's center may be, world frame.
         start: any pose; only cells reachable from there are free.
         surface: the ground, for slower driving where it is steep.
-        comfortable: preferred distance to blocked cells, meters.
-        narrow: cost factor of a meter without any clearance.
 
     Raises:
         ConfigError: no cell is free.
     """
 
-    def __init__(
-        self,
-        grid: OccupancyGrid,
-        start: Pose2,
-        surface: HeightField | None = None,
-        *,
-        comfortable: float = COMFORTABLE,
-        narrow: float = NARROW,
-    ) -> None:
+    def __init__(self, grid: OccupancyGrid, start: Pose2, surface: HeightField | None) -> None:
         self.grid, self._surface = grid, surface
         self.free = area_round(grid, start)
         self.room = room_in(self.free, grid.resolution)
-        self.weight = path_weight(self.free, self.room, comfortable, narrow)
+        self.weight = path_weight(self.free, self.room)
 
     def nearest(self, x: float, y: float) -> IntArray:
         """Return (2,) row and column of the free cell nearest to a point."""

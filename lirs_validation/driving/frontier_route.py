@@ -17,6 +17,9 @@ import numpy as np
 from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.path_driver import DriverConfig, Path, speed_profile
 from lirs_validation.driving.paths import (
+    ARC,
+    STRAIGHT,
+    TURN,
     cells_ahead,
     nearest,
     path_weight,
@@ -203,14 +206,8 @@ NEAR, FAR, LOOKS = 8.0, 16.0, 3.0
 from farther away count by the square of the distance, beyond the second one not at all."""
 PLACE = 0.2
 """Side of the squares whose looks are counted, meters."""
-TURN = 6.0
-"""Cost of a turn by 180 deg in the choice of the next frontier, meters."""
 LOYAL = 1.0
 """A frontier so near to the one chosen before is the same one, meters: it is kept until it is seen."""
-ARC = 1.2
-"""Radius in which the robot turns round where there is room, meters."""
-STRAIGHT = 1.2
-"""Meters that it drives straight ahead at the very beginning, where they are free."""
 NEIGHBORHOOD = 1.5
 """Distance within which a place counts as visited, meters."""
 

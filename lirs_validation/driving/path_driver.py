@@ -241,10 +241,10 @@ class PathDriver:
         state: current activity.
     """
 
-    def __init__(self, route: Route, start: Pose2, config: DriverConfig | None = None) -> None:
+    def __init__(self, route: Route, start: Pose2, config: DriverConfig) -> None:
         self.start, self.frame = start, route.frame
         self.state: DriverState = "waiting"
-        self.config = config or DriverConfig()
+        self.config = config
         self._route = route
         self._back_until, self._failures = 0.0, 0
         self._mark, self._moved_at, self._planned_at = 0.0, 0.0, -math.inf

@@ -16,6 +16,12 @@ COMFORTABLE = 0.6
 """Preferred distance of a path to blocked cells, meters."""
 NARROW = 6.0
 """Cost factor of a meter without any clearance."""
+TURN = 6.0
+"""Cost of a turn by 180 deg in the choice of the next goal, meters."""
+ARC = 1.2
+"""Radius in which the robot turns round where there is room, meters."""
+STRAIGHT = 1.2
+"""Meters straight ahead at the beginning of a drive, where they are free."""
 
 
 def room_in(free: BoolArray, resolution: float) -> FloatArray:
@@ -28,15 +34,13 @@ def room_in(free: BoolArray, resolution: float) -> FloatArray:
     return np.where(free, distance * resolution, 0.0)
 
 
-def path_weight(
-    free: BoolArray, room: FloatArray, comfortable: float = COMFORTABLE, narrow: float = NARROW
-) -> FloatArray:
+def path_weight(free: BoolArray, room: FloatArray) -> FloatArray:
     """Return (rows, cols) the cost of a meter in each cell.
 
-    1 with enough clearance, up to `narrow` with none, inf where not free.
+    1 with enough clearance, up to NARROW with none, inf where not free.
     """
-    lack = 1 - np.minimum(room / comfortable, 1.0)
-    return np.where(free, 1 + (narrow - 1) * lack**2, np.inf)
+    lack = 1 - np.minimum(room / COMFORTABLE, 1.0)
+    return np.where(free, 1 + (NARROW - 1) * lack**2, np.inf)
 
 
 def room_at(grid: OccupancyGrid, room: FloatArray, points: FloatArray) -> FloatArray:

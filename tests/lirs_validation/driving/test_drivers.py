@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.driving.coverage import CoverageDriver, CoveragePlanner, TourConfig, plan_coverage
-from lirs_validation.driving.path_driver import DriverConfig, PursuitConfig
+from lirs_validation.driving.coverage import TourRoute
+from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.driving.paths import room_at
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -18,11 +18,13 @@ from lirs_wct.sources.build import build_world
 from tests.lirs_validation.driving.ride import DT, MARGIN, ROBOT, corridor, field, ride
 
 
-def driver_on(free: OccupancyGrid, seed: int = 1, seconds: float = 120.0, **config: float) -> CoverageDriver:
+def route_on(free: OccupancyGrid, start: Pose2, seed: int = 0, seconds: float = 10.0) -> TourRoute:
+    return TourRoute(free, start, np.random.default_rng(seed), seconds, DriverConfig())
+
+
+def driver_on(free: OccupancyGrid, seed: int = 1) -> PathDriver:
     start = spawn_poses(free)[0]
-    return plan_coverage(
-        free, start, seconds=seconds, rng=np.random.default_rng(seed), config=DriverConfig(**config)
-    )  # type: ignore[arg-type]
+    return PathDriver(route_on(free, start, seed, 120.0), start, DriverConfig())
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -50,11 +52,12 @@ def test_it_drives_through_real_maps(name: str, shared_data: Path) -> None:
     world = build_world(shared_data / "maps" / name)
     free = world.traversable(clearance=ROBOT + MARGIN, max_slope=0.35)
     touching = world.traversable(clearance=ROBOT - 0.05, max_slope=0.35)
-    driver = driver_on(free)
-    result = ride(driver, driver.start, 120.0)
+    start = spawn_poses(free)[0]
+    route = route_on(free, start, 1, 120.0)
+    result = ride(PathDriver(route, start, DriverConfig()), start, 120.0)
     assert result.length >= 60.0
     assert result.on_free(touching).all()
-    assert driver.coverage > 0.8
+    assert route.coverage > 0.8
 
 
 def test_the_same_seed_gives_the_same_tour_and_another_another() -> None:
@@ -67,7 +70,7 @@ def test_the_same_seed_gives_the_same_tour_and_another_another() -> None:
 def test_a_tour_is_long_enough_evenly_spaced_and_free() -> None:
     free, _ = field(5)
     start = spawn_poses(free)[0]
-    planner = CoveragePlanner(free, start, np.random.default_rng(0))
+    planner = route_on(free, start)
     points = planner.tour(start, 200.0)
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     assert steps.max() < 0.101
@@ -77,9 +80,11 @@ def test_a_tour_is_long_enough_evenly_spaced_and_free() -> None:
 
 def test_a_small_world_is_covered_completely_and_then_driven_again() -> None:
     free, _ = field(1, obstacles=6, side=15.0)
-    driver = driver_on(free)
-    ride(driver, driver.start, 60.0)
-    assert driver.coverage == 1.0
+    start = spawn_poses(free)[0]
+    route = route_on(free, start, 1, 120.0)
+    driver = PathDriver(route, start, DriverConfig())
+    ride(driver, start, 60.0)
+    assert route.coverage == 1.0
     tour = driver.path
     assert np.linalg.norm(np.diff(tour, axis=0), axis=1).sum() > 60.0
 
@@ -97,7 +102,7 @@ def test_it_starts_from_rest_and_straight_ahead() -> None:
 
 def test_a_straight_beginning_ends_before_an_obstacle() -> None:
     free = corridor(length=5.0, width=2.0)
-    planner = CoveragePlanner(free, Pose2(4.5, 1.0, 0.0), np.random.default_rng(0))
+    planner = route_on(free, Pose2(4.5, 1.0, 0.0))
     points = planner.tour(Pose2(4.5, 1.0, 0.0), 10.0, straight=2.0)
     assert (room_at(planner.ground.grid, planner.ground.room, points) > 0).all()
     assert points[:, 0].max() > 4.6
@@ -109,7 +114,7 @@ def test_coverage_does_not_see_through_walls() -> None:
     p[55:, 30] = 0.0  # two rooms, joined at the north end
     free = OccupancyGrid.from_probability(p, 0.1)
     start = Pose2(2.6, 1.0, math.pi / 2)
-    planner = CoveragePlanner(free, start, np.random.default_rng(0), TourConfig(radius=2.0))
+    planner = route_on(free, start)
     assert planner.coverage == 0.0
     planner.tour(start, 0.5)
     assert 0.1 < planner.coverage <= 0.5
@@ -157,7 +162,7 @@ def test_a_robot_that_was_pushed_aside_plans_anew() -> None:
 def test_a_start_outside_the_free_ground_leads_back_to_it() -> None:
     free = corridor(length=10.0, width=2.0)
     outside = Pose2(-0.5, 1.0, math.pi)
-    driver = plan_coverage(free, outside, seconds=20.0, rng=np.random.default_rng(0))
+    driver = PathDriver(route_on(free, outside, seconds=20.0), outside, DriverConfig())
     result = ride(driver, outside, 20.0)
     assert result.on_free(free)[-1]
 
@@ -165,19 +170,13 @@ def test_a_start_outside_the_free_ground_leads_back_to_it() -> None:
 def test_no_free_ground_is_named() -> None:
     full = OccupancyGrid.from_probability(np.ones((5, 5)), 0.1)
     with pytest.raises(ConfigError, match="at least one free cell"):
-        plan_coverage(full, Pose2(), seconds=10.0, rng=np.random.default_rng(0))
+        route_on(full, Pose2())
 
 
 def test_one_free_cell_is_a_place_to_stand() -> None:
     p = np.ones((5, 5))
     p[2, 2] = 0.0
     free = OccupancyGrid.from_probability(p, 0.1)
-    driver = plan_coverage(free, Pose2(0.25, 0.25), seconds=10.0, rng=np.random.default_rng(0))
-    assert ride(driver, Pose2(0.25, 0.25), 5.0).length < 0.5
-
-
-@pytest.mark.parametrize("make", [PursuitConfig, TourConfig, DriverConfig])
-def test_configs_refuse_what_is_not_above_zero(make: type) -> None:
-    name = {PursuitConfig: "speed", TourConfig: "radius", DriverConfig: "patience"}[make]
-    with pytest.raises(ConfigError, match=f"{name} of a .* must be above 0"):
-        make(**{name: 0.0})
+    start = Pose2(0.25, 0.25)
+    driver = PathDriver(route_on(free, start), start, DriverConfig())
+    assert ride(driver, start, 5.0).length < 0.5
