@@ -71,13 +71,9 @@ def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
 def _start(config: MapConfig) -> MapperUnderTest:
     if not needs_process(config.mapper):
         return MapperUnderTest(partial(_make, config), config.mapper, config.attitude)
-    _check_parameters(config)
-    return MapperProcess(config)
-
-
-def _check_parameters(config: MapConfig) -> None:
     if config.resolution is not None and config.mapper not in ALL_CLOUD_MAPPERS:
         raise ConfigError(f"resolution can be given for {', '.join(MAPPERS)} only")
+    return MapperProcess(config)
 
 
 def _make(config: MapConfig) -> Mapper | CloudMapper:

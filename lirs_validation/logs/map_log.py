@@ -43,7 +43,6 @@ from lirs_validation.record.provenance import is_stale
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
 from lirs_wct.arrays import FloatArray
 from lirs_wct.files import atomic_folder, atomic_write, check_writable, readable_lines
-from lirs_wct.formats.carmen.laser import LaserFacts
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.formats.map_server import read_map, write_map
@@ -100,20 +99,6 @@ class MappedLog:
         return self.overview()._repr_png_()
 
 
-def write_mapped(folder: Path, mapped: MappedLog) -> Path:
-    """Write the folder, replacing an older one; return it.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
-    with atomic_folder(folder) as temporary:
-        mapped.record.save(temporary)
-        write_map(temporary / "map", mapped.grid)
-        write_tum(temporary / "estimate.tum", mapped.trajectory)
-        mapped.overview().savefig(temporary / "overview.png")
-    return folder
-
-
 def map_log(
     log: str | Path, *, out: str | Path | None = None, progress: Progress = no_progress, **map_options: Any
 ) -> MappedLog:
@@ -152,13 +137,19 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     if out is None:
         return mapped
     progress("draw", 1.0)
-    return replace(mapped, folder=write_mapped(out / mapped.record.name, mapped))
+    folder = out / mapped.record.name
+    with atomic_folder(folder) as temporary:
+        mapped.record.save(temporary)
+        write_map(temporary / "map", mapped.grid)
+        write_tum(temporary / "estimate.tum", mapped.trajectory)
+        mapped.overview().savefig(temporary / "overview.png")
+    return replace(mapped, folder=folder)
 
 
 def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) -> MappedLog:
     """Read, map and evaluate a log."""
     meter, seconds = CostMeter(), dict[str, float]()
-    relations, reference = read_truth(config)
+    truth = read_truth(config)
     progress("read", 0.0)
     with _measure_time(seconds, "read_seconds"):
         name, log = folder_name(config), read_log(config, clouds=mapper.reads_clouds)
@@ -172,8 +163,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
     seconds["compile_seconds"] = compile_seconds()
     with _measure_time(seconds, "map_seconds"):
         tracking, grid, trajectory = _map(config, mapper, log, readings, progress)
-    relations = None if relations is None else relations_in_time(relations, log.lines)
-    reference = None if reference is None else reference_in_time(reference, log.lines)
+    relations, reference = truth_in_time(truth, log.lines)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
     cost = {**seconds, **asdict(meter.cost())}
     used = len(log.stamps) / (len(log.stamps) + log.left_out)
@@ -269,9 +259,6 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
     """Read the log with the laser options of the config.
 
     A bag's point clouds are read if requested.
-
-    Raises:
-        SourceError: it cannot be used.
     """
     path = Path(config.log)
     topics = (config.scan_topic, config.odom_topic, config.imu_topic)
@@ -287,7 +274,7 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
     if any(topics) or config.time != "header":
         raise ConfigError(f"{path}: topics and --time can be given for a ROS bag only, this is none")
     fov = None if config.fov is None else math.radians(config.fov)
-    return read_carmen(Path(config.log), LaserFacts(fov=fov, range_max=config.range_max))
+    return read_carmen(path, fov=fov, range_max=config.range_max)
 
 
 def check_log_file(log: str | Path, **log_options: Any) -> Preflight:
@@ -321,10 +308,7 @@ def folder_name(config: MapConfig) -> str:
 
 
 def _digests(folder: Path) -> bytes:
-    """Return digests of a bag's files, ordered by name.
-
-    The folder may hold other files too.
-    """
+    """Return digests of a bag's files, ordered by name, without other files of the folder."""
     digests = []
     for path in sorted(p for p in folder.iterdir() if p.name == METADATA or is_bag_file(p)):
         with path.open("rb") as file:
@@ -403,12 +387,13 @@ def _begins_with_a_number(path: Path) -> bool:
     return False
 
 
-def read_truth(config: MapConfig) -> tuple[tuple[RelativePoseConstraint, ...] | None, Trajectory | None]:
-    """Read the relations and the reference trajectory, where they are given.
+Relations = tuple[RelativePoseConstraint, ...]
+Truth = tuple[Relations | None, Trajectory | None]
+"""True relations and reference trajectory of a log; None where they are not given."""
 
-    Raises:
-        SourceError: one of them cannot be used.
-    """
+
+def read_truth(config: MapConfig) -> Truth:
+    """Read the relations and the reference trajectory, where they are given."""
     c = config
     return (
         None if c.relations is None else read_constraints(Path(c.relations)),
@@ -425,28 +410,20 @@ def odometry_accuracy(
     return trajectory_accuracy(odometry, odometry, relations, reference).metrics()
 
 
-def relations_in_time(
-    relations: Sequence[RelativePoseConstraint], lines: LineStamps
-) -> tuple[RelativePoseConstraint, ...]:
-    """Return relations with repaired stamps instead of logged ones."""
-    if not lines.moved:
-        return tuple(relations)
-    logged = np.array([(r.stamp_a, r.stamp_b) for r in relations])
-    return tuple(
-        replace(relation, stamp_a=a, stamp_b=b)
-        for relation, (a, b) in zip(relations, lines.repaired_at(logged).tolist(), strict=True)
-    )
+def truth_in_time(truth: Truth, lines: LineStamps) -> Truth:
+    """Return relations and reference with repaired stamps instead of logged ones.
 
-
-def reference_in_time(reference: Trajectory, lines: LineStamps) -> Trajectory:
-    """Return a reference trajectory with repaired stamps.
-
-    Of poses with the same stamp, the first stays.
+    Of reference poses with the same stamp, the first stays.
     """
-    if not lines.moved:
-        return reference
-    stamps, first = np.unique(lines.repaired_at(reference.stamps), return_index=True)
-    return Trajectory(stamps, reference.positions[first], reference.quaternions[first])
+    relations, reference = truth
+    if lines.moved and relations:
+        logged = np.array([(r.stamp_a, r.stamp_b) for r in relations])
+        pairs = zip(relations, lines.repaired_at(logged).tolist(), strict=True)
+        relations = tuple(replace(relation, stamp_a=a, stamp_b=b) for relation, (a, b) in pairs)
+    if lines.moved and reference is not None:
+        stamps, first = np.unique(lines.repaired_at(reference.stamps), return_index=True)
+        reference = Trajectory(stamps, reference.positions[first], reference.quaternions[first])
+    return relations, reference
 
 
 def resolve_source(

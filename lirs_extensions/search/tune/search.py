@@ -30,13 +30,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.log_replay import check_log, inertial_readings, log_mapper, replay
-from lirs_validation.logs.map_log import (
-    odometry_accuracy,
-    read_log,
-    read_truth,
-    reference_in_time,
-    relations_in_time,
-)
+from lirs_validation.logs.map_log import odometry_accuracy, read_log, read_truth, truth_in_time
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.consistency import scan_consistency
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
@@ -121,11 +115,7 @@ class TuneDrives:
         return ",".join([*found, *(f"{name}={case.values[name]:g}" for name in changed)])
 
     def run(self, cases: Sequence[Case], seeds: Sequence[int]) -> list[list[TuneScore]]:
-        """Return the scores of cases by seed; of a log, seed k is its part k.
-
-        Raises:
-            WctError: a drive cannot be run, or the archive not be written.
-        """
+        """Return the scores of cases by seed; of a log, seed k is its part k."""
         trials = [self._trial(case, seed) for case in cases for seed in seeds]
         measure = measure_run if isinstance(self.target, RunConfig) else measure_part
         scores = self.archive.scores(measure, trials, self.target.mapper)
@@ -182,7 +172,8 @@ def tune(drives: TuneDrives, report: Report = lambda line: None) -> Case:
         losses = [min(mean_loss(found), 10.0) for found in drives.run(proposed, seeds)]
         if min(losses) < best_loss:
             best_loss, best = min(losses), proposed[int(np.argmin(losses))]
-        report(_state(drives, best_loss, usual))
+        best_text = f"smallest score {math.exp(best_loss):.3f}, defaults {math.exp(usual):.3f}"
+        report(f"{drives.archive.count} drives; {best_text}")
         proposer.learn(losses)
         if drives.archive.count == before:  # all cases of a small space are known
             break
@@ -192,11 +183,6 @@ def tune(drives: TuneDrives, report: Report = lambda line: None) -> Case:
         return mean_loss(drives.run([case], seeds)[0]) <= allowed
 
     return best if best == space.easiest else shrink(best, space, good)[-1]
-
-
-def _state(drives: TuneDrives, best: float, usual: float) -> str:
-    scores = f"smallest score {math.exp(best):.3f}, defaults {math.exp(usual):.3f}"
-    return f"{drives.archive.count} drives; {scores}"
 
 
 @dataclass(frozen=True)
@@ -238,12 +224,10 @@ def compare(drives: TuneDrives, tuned: Case) -> UnseenComparison:
             f"only {len(pairs)} of {len(usual)} unseen drives can be evaluated: {usual[0].reason}"
         )
     d = np.array([(b.loss or 0.0) - (a.loss or 0.0) for a, b in pairs])
-    interval = (0.0, 0.0)
+    interval = (float(d[0]), float(d[0]))
     if np.ptp(d) > 0:
         made = scipy.stats.bootstrap((d,), np.mean, method="percentile", rng=np.random.default_rng(0))
         interval = (float(made.confidence_interval.low), float(made.confidence_interval.high))
-    elif len(d):
-        interval = (float(d[0]), float(d[0]))
     errors = [
         median(s.error if s.error is not None else math.inf for s in side)
         for side in zip(*pairs, strict=True)
@@ -309,11 +293,7 @@ def again(drives: TuneDrives, tuned: Case) -> str:
 
 
 def write_results(out: Path, drives: TuneDrives, tuned: Case, found: UnseenComparison) -> tuple[Path, ...]:
-    """Write `tune.json`, `tune.md` and, if the values are better, the file for the ROS node.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write `tune.json`, `tune.md` and, if the values are better, the file for the ROS node."""
     sentence = conclusion(drives, tuned, found)
     table = parameters_table(drives, tuned).as_markdown()
     texts = {"tune.md": f"{sentence}\n\n{table}\n\n    {again(drives, tuned)}\n"}
@@ -385,12 +365,8 @@ def measure_run(config: RunConfig) -> TuneScore:
 @lru_cache(maxsize=1)
 def _read(config: MapConfig) -> tuple[LaserLog, Any, Any]:
     """Return a log with the relations and the reference, stamps repaired."""
-    log, (relations, reference) = read_log(config), read_truth(config)
-    return (
-        log,
-        None if relations is None else relations_in_time(relations, log.lines),
-        None if reference is None else reference_in_time(reference, log.lines),
-    )
+    log, truth = read_log(config), read_truth(config)
+    return log, *truth_in_time(truth, log.lines)
 
 
 def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:

@@ -26,13 +26,7 @@ from lirs_extensions.search.twin.compare import (
 )
 from lirs_extensions.search.twin.fit import odometry_deviations
 from lirs_extensions.search.twin.surface import align, expected_beams, fit_surfaces, map_of
-from lirs_validation.logs.map_log import (
-    MappedLog,
-    read_truth,
-    reference_in_time,
-    relations_in_time,
-    run_mapping,
-)
+from lirs_validation.logs.map_log import MappedLog, read_truth, run_mapping, truth_in_time
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint
@@ -273,7 +267,7 @@ def replay_log(
     logs = [path.simulate_log(noise, config.seed + k) for k in range(draws)]
     for written, log in zip(paths, logs, strict=True):
         write_log(written, log)
-    relations, reference = read_truth(config)
+    truth = relations, reference = read_truth(config)
     metric = "ATE" if reference else f"ATE to the path of {config.mapper}"
     metric = "mean error of the relations" if relations else metric
     rows = []
@@ -288,9 +282,8 @@ def replay_log(
         except SourceError as error:
             rows.append(ReplayedMapper(name, reason=str(error)))
             continue
-        lines = real.log.lines
-        given = None if relations is None else relations_in_time(relations, lines)
-        true = path.truth if reference is None else reference_in_time(reference, lines)
+        given, true = truth_in_time(truth, real.log.lines)
+        true = path.truth if true is None else true
         on_path = None if given is None else _relations_on(path.truth, given)
         errors = tuple(_error(twin, on_path, path.truth) for twin in twins)
         status = (real.record.status, *(twin.record.status for twin in twins))

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 
@@ -42,36 +41,13 @@ MOUNT_REACH = 3.0
 """Largest distance of a laser from its base, meters."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LaserFacts:
-    """Facts about the laser from the user, which take precedence over the log.
-
-    Attributes:
-        fov: field of view, radians, centered on the laser's x axis; None = from the log.
-        range_max: ranges from here on are no return, meters; None = from the log.
-
-    Raises:
-        ConfigError: a value that no laser has.
-    """
-
-    fov: float | None = None
-    range_max: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.fov is not None and not 0 < self.fov <= math.tau + 1e-9:
-            raise ConfigError(
-                f"field of view must be above 0 and at most 360 deg, got {math.degrees(self.fov):g}"
-            )
-        if self.range_max is not None and not self.range_max > RANGE_MIN:
-            raise ConfigError(f"range max must be above {RANGE_MIN} m, got {self.range_max:g}")
-
-
 def scans_of(
     name: str,
     messages: Sequence[Message],
     parameters: Mapping[str, float],
-    facts: LaserFacts,
     repaired: Counter[str],
+    fov: float | None,
+    range_max: float | None,
 ) -> list[LaserScan]:
     """Return the scans of messages with equal numbers of beams.
 
@@ -84,12 +60,12 @@ def scans_of(
     n = len(messages[0].ranges)
     ranges = np.stack([m.ranges for m in messages])
     found = no_return(ranges)
-    limit = facts.range_max or found
-    if facts.range_max is None and limit < NO_RETURN:
+    limit = range_max or found
+    if range_max is None and limit < NO_RETURN:
         codes = int(((ranges >= limit) & (ranges < NO_RETURN)).sum())
         repaired[f"readings of {limit:.2f} m or more, a code for no return"] = codes
     mount = _mount(name, messages, parameters, repaired)
-    field = None if facts.fov is None else _config(n, facts.fov)
+    field = None if fov is None else _config(n, fov)
     decoded = _decode_ranges(ranges)
     code = usual_reading(decoded[decoded >= max(found, limit)])
     scans = []

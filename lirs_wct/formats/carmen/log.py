@@ -12,9 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.carmen.laser import REAR, LaserFacts, scans_of
+from lirs_wct.formats.carmen.laser import REAR, scans_of
 from lirs_wct.formats.carmen.lines import PARSERS, Lines, Message, messages_of, parameters_of, read_lines
 from lirs_wct.formats.carmen.repairs import LEAP, in_file_order, odometry_of
 from lirs_wct.formats.laser_log import LaserLog, LogTopic
@@ -23,7 +22,7 @@ REASONS = 5
 """Number of reasons that an error lists."""
 
 
-def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
+def read_carmen(path: Path, *, fov: float | None = None, range_max: float | None = None) -> LaserLog:
     """Read a CARMEN log; skip and count unusable lines.
 
     The order of the file stays. Stamps that go back or repeat while the robot moves are repaired; a warning
@@ -31,7 +30,8 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
 
     Args:
         path: of the log.
-        facts: facts about the laser from the user, which take precedence over the log.
+        fov: Field of view, radians, centered on the laser's x axis; None = from the log.
+        range_max: Ranges from here on are no return, meters; None = from the log.
 
     Raises:
         SourceError: the file cannot be read, is not text, or holds no usable laser scan.
@@ -55,7 +55,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
     parameters = parameters_of(lines.get("PARAM", ()))
     odometry, track = odometry_of([m.stamp for m in scans], scans, odoms)
     try:
-        found = scans_of(laser, scans, parameters, facts or LaserFacts(), repaired)
+        found = scans_of(laser, scans, parameters, repaired, fov, range_max)
     except ConfigError as error:
         raise SourceError(f"{path}: {error}") from error
     return LaserLog(
@@ -64,7 +64,7 @@ def read_carmen(path: Path, facts: LaserFacts | None = None) -> LaserLog:
         track,
         stamps,
         skipped=dict(skipped),
-        late=_late(stamps.logged),
+        late=int((stamps.logged < np.maximum.accumulate(stamps.logged)).sum()),
         repaired=dict(repaired),
         laser=laser,
         topics=(LogTopic(laser, (), np.array([m.stamp for m in read]), np.empty(0)),),
@@ -95,11 +95,6 @@ def _of_one_size(name: str, messages: list[Message], skipped: Counter[str]) -> l
         if size != usual:
             skipped[f"{name} of {size} beams where the log's have {usual}"] += count
     return [m for m in messages if len(m.ranges) == usual]
-
-
-def _late(stamps: FloatArray) -> int:
-    """Count the lines whose stamp is before that of an earlier line."""
-    return int((stamps < np.maximum.accumulate(stamps)).sum())
 
 
 def _reasons(skipped: Counter[str]) -> str:

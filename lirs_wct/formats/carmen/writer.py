@@ -57,17 +57,13 @@ def _message(scan: LaserScan, T_odom_base: Pose2) -> bytes:
     poses = f"{_pose(laser)} {_pose(T_odom_base)}"
     stamp = f"{scan.stamp:.6f}"
     before, after = f"ROBOTLASER1 0 {geometry} 0 0 {n}", f" 0 {poses} 0 0 0 0 0 {stamp} {HOST} {stamp}\n"
-    return before.encode() + _ranges(scan) + after.encode()
+    texts = _formatted_ranges(math.ceil(farthest * 1000) + 1)
+    ranges = texts[_millimeters(scan.ranges, len(texts) - 2)].tobytes().translate(None, b"\0")
+    return before.encode() + ranges + after.encode()
 
 
 def _pose(pose: Pose2) -> str:
     return f"{pose.x:.6f} {pose.y:.6f} {pose.yaw:.8f}"
-
-
-def _ranges(scan: LaserScan) -> bytes:
-    """Return the ranges as text, a space before each."""
-    texts = _formatted_ranges(math.ceil(scan.limits[1] * 1000) + 1)
-    return texts[_millimeters(scan.ranges, len(texts) - 2)].tobytes().translate(None, b"\0")
 
 
 def _millimeters(ranges: Float32Array, most: int) -> IntArray:
@@ -84,5 +80,5 @@ def _millimeters(ranges: Float32Array, most: int) -> IntArray:
 
 @cache
 def _formatted_ranges(millimeters: int) -> NDArray[np.bytes_]:
-    """Return texts of ranges by millimeter; the last is "invalid"."""
+    """Return texts of ranges by millimeter, a space before each; the last is "invalid"."""
     return np.array([*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"], np.bytes_)

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.carmen.laser import LaserFacts, no_return
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.carmen.laser import no_return
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.carmen.carmen_room import flaser, write_log
@@ -146,7 +146,7 @@ def test_the_largest_range_is_the_least_that_is_said(
 ) -> None:
     sweep = f"-1.570796 3.141593 0.017453 {said}"
     line = robotlaser(1.0, sweep=sweep).replace("2.0 2.0", f"{most} {most - 0.01}", 1)
-    scan = read_carmen(write_log(tmp_path / "x.clf", [line]), LaserFacts(range_max=facts)).scans[0]
+    scan = read_carmen(write_log(tmp_path / "x.clf", [line]), range_max=facts).scans[0]
     assert scan.range_max == most
     np.testing.assert_array_equal(scan.ranges[:3], np.float32([np.inf, most - 0.01, 2.0]))
     assert (scan.angle_min, scan.angle_increment) == (-1.570796, 0.017453)
@@ -195,7 +195,7 @@ def test_the_resolution_of_a_parameter(
 def test_the_user_says_the_field_of_view(tmp_path: Path, n: int, steps: int) -> None:
     """A whole turn is legal, one beam has all of it, and the number of beams says no more."""
     path = write_log(tmp_path / "x.clf", [flaser(np.full(n, 2.0), at(1), 1.0)])
-    scan = read_carmen(path, LaserFacts(fov=math.tau)).scans[0]
+    scan = read_carmen(path, fov=math.tau).scans[0]
     assert (scan.angle_min, scan.angle_increment) == (-math.pi, math.tau / steps)
 
 
@@ -257,26 +257,6 @@ def test_the_mount_of_a_parameter(tmp_path: Path, name: str, parameter: str, x: 
     assert abs(found.yaw) == pytest.approx(yaw)
 
 
-@pytest.mark.parametrize(
-    ("facts", "legal"),
-    [
-        ({"fov": 1e-9}, True),
-        ({"fov": 0.0}, False),
-        ({"fov": -1.0}, False),
-        ({"fov": math.tau + 1e-6}, False),
-        ({"range_max": 0.021}, True),
-        ({"range_max": 0.02}, False),
-        ({"range_max": math.nan}, False),
-    ],
-)
-def test_limits_of_what_the_user_says(facts: dict[str, float], legal: bool) -> None:
-    if legal:
-        LaserFacts(**facts)
-        return
-    with pytest.raises(ConfigError, match="must be above"):
-        LaserFacts(**facts)
-
-
 def test_readings_of_a_code_are_counted(tmp_path: Path) -> None:
     """Every range from the code on and below 50 m, of all scans."""
     lines = [
@@ -304,6 +284,6 @@ def test_the_largest_range_is_the_reading_where_nothing_came_back(
     tmp_path: Path, said: str, facts: float | None, codes: str, range_max: float
 ) -> None:
     line = robotlaser(1.0, sweep=f"-1.570796 3.141593 0.017453 {said}").replace("2.0 2.0 2.0", codes, 1)
-    scan = read_carmen(write_log(tmp_path / "x.clf", [line]), LaserFacts(range_max=facts)).scans[0]
+    scan = read_carmen(write_log(tmp_path / "x.clf", [line]), range_max=facts).scans[0]
     assert scan.range_max == range_max
     np.testing.assert_array_equal(scan.ranges[3:], 2.0)
