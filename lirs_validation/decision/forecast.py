@@ -16,8 +16,7 @@ from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import plan_tour
-from lirs_validation.metrics.near_obstacles import near_obstacle
-from lirs_validation.metrics.scan_support import NEAR, standing_on
+from lirs_validation.metrics.scan_support import count_hits, standing_on
 from lirs_wct import Pose2, Pose3, World
 from lirs_wct.arrays import BoolArray, FloatArray
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS
@@ -84,7 +83,7 @@ def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures
     caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
     tours = [plan_tour(world, robot, replace(config, seed=config.seed + k)).path for k in range(TOURS)]
     scans = [_look_around(world, robot, preset, caster, pose) for tour in tours for pose in _poses(tour)]
-    walls, ground = _shares([hits for hits, _ in scans], world, preset.beams)
+    walls, ground = (count / preset.beams for count in count_hits(world, [hits for hits, _ in scans]))
     position, yaw = np.array([information for _, information in scans]).T
     return SiteFeatures(
         walls=float(np.median(walls)),
@@ -104,15 +103,6 @@ def _poses(path: FloatArray) -> list[Pose2]:
     x, y = np.interp(at, along, path[:, 0]), np.interp(at, along, path[:, 1])
     yaw = np.arctan2(np.gradient(y), np.gradient(x))
     return [Pose2(*values) for values in np.column_stack((x, y, yaw)).tolist()]
-
-
-def _shares(hits: list[FloatArray], world: World, beams: int) -> tuple[FloatArray, FloatArray]:
-    """Return shares of beams on walls and on ground, by scan, of hits (n, 2)."""
-    # All scans together: each call copies the surface.
-    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, NEAR)
-    scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
-    walls, ground = (np.bincount(scan[each], minlength=len(hits)) / beams for each in (near, ~near))
-    return walls, ground
 
 
 def _look_around(

@@ -126,10 +126,7 @@ def as_stored(grid: OccupancyGrid) -> OccupancyGrid:
 
 
 def sample_like(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
-    """Return a grid's log-odds at another grid's cell centers.
-
-    NaN where unknown or outside.
-    """
+    """Return a grid's log-odds at another grid's cell centers; NaN where unknown or outside."""
     T = grid.origin.inverse() @ like.origin
     row, col = round(T.y / grid.resolution), round(T.x / grid.resolution)
     rows, cols = like.shape
@@ -156,10 +153,7 @@ def _shifted(values: Float32Array, row: int, col: int, shape: tuple[int, int]) -
 
 
 def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
-    """Return a grid's log-odds at points (..., 2), meters.
-
-    NaN where unknown or outside.
-    """
+    """Return a grid's log-odds at points (..., 2), meters; NaN where unknown or outside."""
     cells = grid.cells(points)
     inside = np.all((cells >= 0) & (cells < np.array(grid.shape)), axis=-1)
     held = np.where(inside[..., None], cells, 0)
@@ -198,10 +192,7 @@ def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
 
 
 def as_picture(grid: OccupancyGrid) -> Float32Array:
-    """Return (rows, cols) 0 for occupied, 1 for free, 0.5 otherwise.
-
-    Row 0 = south.
-    """
+    """Return (rows, cols), south first: 0 for occupied, 1 for free, 0.5 otherwise."""
     picture = np.full(grid.shape, 0.5, np.float32)
     picture[grid.free] = 1.0
     picture[grid.occupied] = 0.0

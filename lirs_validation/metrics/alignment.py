@@ -76,10 +76,7 @@ def associated(
 
 
 def nearest(stamps: FloatArray, wanted: FloatArray) -> IntArray:
-    """Return (n,) indices of the nearest increasing stamps (m,).
-
-    Of two equally near, the earlier.
-    """
+    """Return (n,) indices of the nearest increasing stamps (m,), of two the earlier."""
     after = np.minimum(np.searchsorted(stamps, wanted), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(wanted - stamps[before] <= stamps[after] - wanted, before, after).astype(np.int64)

@@ -228,14 +228,7 @@ def _sweep(scan: LaserScan) -> tuple[FloatArray, float, float]:
 def _compare(
     ranges: FloatArray, angles: FloatArray, sensors: FloatArray, driven: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return (n,) hits in view of other passes, and those in free space.
-
-    Args:
-        ranges: (n, beams) NaN without return, meters.
-        angles: (n, 2) of the first beam, and between beams, radians.
-        sensors: (n, 3) poses of the laser in the map.
-        driven: (n,) meters driven up to each scan.
-    """
+    """Return (n,) hits in view of other passes, and those in free space."""
     n, beams = ranges.shape
     seen, against = np.zeros(n, np.int64), np.zeros(n, np.int64)
     stride = max(1, beams // HITS)
@@ -328,16 +321,7 @@ def _residuals(
 
 @njit
 def _nearest_hit(ranges: FloatArray, turn: float, step: float, distance: float) -> float:
-    """Return a point's distance from a scan's nearest hit.
-
-    Meters; -1 if hidden or out of view.
-
-    Args:
-        ranges: (beams,) of the scan, meters.
-        turn: from its first beam to the point, radians.
-        step: between beams, radians.
-        distance: of the point, meters.
-    """
+    """Return a point's distance from a scan's nearest hit, meters; -1 if unseen."""
     beam = int(turn / step + 0.5)
     if beam >= len(ranges) or not ranges[beam] >= distance - FARTHEST:  # no return says nothing
         return -1.0

@@ -183,12 +183,7 @@ NARROW = 0.1
 
 @dataclass(frozen=True)
 class Elevations:
-    """Elevation maps of a run in the world frame, on one grid.
-
-    Attributes:
-        built: by the mapper's poses, moved by the true start pose.
-        true_pose: by the true poses.
-    """
+    """Elevation maps of a run in the world frame, on one grid."""
 
     built: ElevationMap
     true_pose: ElevationMap
@@ -281,13 +276,7 @@ class CloudSample:
     period: float = 1.0
 
     def offer(self, scan: int, cloud: PointCloud, walkers: BoolArray | None = None) -> None:
-        """Keep a cloud if it is due.
-
-        Args:
-            scan: its number; each larger than the last.
-            cloud: of that scan.
-            walkers: (n,) which of its points lie on a walker.
-        """
+        """Keep a scan's cloud without its points on walkers (n,), if it is due."""
         if self.clouds and cloud.stamp < self.clouds[-1].stamp + self.period - 1e-9:
             return
         self.clouds.append(cloud if walkers is None else cloud.select(~walkers))

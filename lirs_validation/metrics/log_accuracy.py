@@ -52,10 +52,7 @@ class ReferenceErrors:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Errors of a trajectory.
-
-    None if not requested, or nothing can be compared.
-    """
+    """Errors of a trajectory; None if not requested, or nothing can be compared."""
 
     constraints: ConstraintErrors | None = None
     reference: ReferenceErrors | None = None

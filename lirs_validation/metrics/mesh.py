@@ -12,12 +12,7 @@ STRIP = 512
 
 
 def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
-    """Return the largest vertical mesh error at the surface's nodes, meters.
-
-    Args:
-        world: whose surface.
-        mesh: that stands for it; None = the world's own.
-    """
+    """Return the largest vertical error of the world's mesh, or another, at the nodes, meters."""
     surface = world.surface
     chosen = world.mesh if mesh is None else mesh
     (x, y), (dx, dy), (rows, cols) = surface.origin, surface.cell, surface.shape

@@ -56,10 +56,7 @@ class ScanSupport:
 
     @property
     def expectation(self) -> str:
-        """Forecast for a planar mapper, in words.
-
-        docs/results.md says how often it came true.
-        """
+        """Forecast for a planar mapper, in words; docs/results.md says how often it came true."""
         if not self.poses:
             return "the robot can stand nowhere"
         least, median = f"{self.wall_p10:.0f}", f"{self.wall_median:.0f}"
@@ -89,10 +86,7 @@ def scan_support(world: World, robot: Robot, *, seed: int = 0) -> ScanSupport:
         hits.append(points[:, :2])
     if not hits:
         return ScanSupport(robot=robot.name, beams=preset.beams, poses=0)
-    # All scans together: each call copies the surface.
-    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, NEAR)
-    scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
-    wall, ground = (np.bincount(scan[each], minlength=len(hits)).astype(np.float64) for each in (near, ~near))
+    wall, ground = count_hits(world, hits)
     return ScanSupport(
         robot=robot.name,
         beams=preset.beams,
@@ -103,6 +97,15 @@ def scan_support(world: World, robot: Robot, *, seed: int = 0) -> ScanSupport:
         ground_p10=float(np.percentile(ground, 10)),
         wall_share=float(wall.sum() / max(1.0, wall.sum() + ground.sum())),
     )
+
+
+def count_hits(world: World, hits: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return (n,) hits on walls and on other ground of scans with hits (k, 2)."""
+    # All scans together: each call copies the surface.
+    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, NEAR)
+    scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
+    walls, ground = (np.bincount(scan[each], minlength=len(hits)) for each in (near, ~near))
+    return walls.astype(np.float64), ground.astype(np.float64)
 
 
 def observed_support(world: World, scans: Sequence[LaserScan], poses: Sequence[Pose3]) -> dict[str, float]:
@@ -119,9 +122,7 @@ def observed_support(world: World, scans: Sequence[LaserScan], poses: Sequence[P
     points = [
         (pose @ scan.T_base_laser).apply(scan.points)[:, :2] for scan, pose in zip(scans, poses, strict=True)
     ]
-    near = near_obstacle(np.concatenate(points), world.surface, world.walls, NEAR)
-    scan = np.repeat(np.arange(len(points)), [len(each) for each in points])
-    walls = np.bincount(scan[near], minlength=len(points))
+    walls, _ = count_hits(world, points)
     return {
         "beams": len(scans[0].ranges),
         "range_max": scans[0].range_max,

@@ -36,12 +36,7 @@ class LostRule:
         self._too_long: tuple[float, float] | None = None
 
     def observe(self, stamp: float, lost: bool) -> None:
-        """Take in whether the mapper knew its place after a scan.
-
-        Args:
-            stamp: of the scan, seconds.
-            lost: as the mapper reports.
-        """
+        """Take in whether the mapper knew its place after the scan of a stamp, seconds."""
         self._scans += 1
         if not lost:
             self._in_a_row = 0
@@ -56,10 +51,7 @@ class LostRule:
 
     @property
     def too_long(self) -> str | None:
-        """Message about the longest loss, with start and duration.
-
-        None below 5 s or 10 scans.
-        """
+        """Message about the longest loss; None below 5 s or 10 scans."""
         if self._too_long is None:
             return None
         seconds, begun = self._too_long
