@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +17,7 @@ from lirs_validation.metrics.alignment import associated
 from lirs_validation.metrics.verdict import VerdictClass
 from lirs_validation.record.formatting import NOTHING, Entry
 from lirs_validation.record.run_record import read_record
-from lirs_validation.report.page import render
+from lirs_validation.report.page import data_url, png, render
 from lirs_validation.report.table import ReportTable
 from lirs_wct import SourceError, Trajectory
 from lirs_wct.arrays import FloatArray
@@ -108,11 +106,10 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:
     Raises:
         OutputError: a file cannot be written.
     """
-    picture = BytesIO()
-    decision_figure(answers, out).savefig(picture, dpi=110, format="png")
+    picture = png(decision_figure(answers, out))
     write_json(out / "verdict.json", {"command": command, "answers": [a.to_dict() for a in answers]})
     with atomic_write(out / "verdict.png") as path:
-        path.write_bytes(picture.getvalue())
+        path.write_bytes(picture)
     html = render(
         "decision.html.j2",
         title="Verdict: " + ", ".join(dict.fromkeys(answer.world for answer in answers)),
@@ -120,7 +117,7 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:
         methods=methods_table(answers),
         changed=changes_table(answers),
         drives=drives_table(answers),
-        picture="data:image/png;base64," + base64.b64encode(picture.getvalue()).decode(),
+        picture=data_url(picture),
         command=command,
     )
     page = out / "verdict.html"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from statistics import median
 from typing import Any
 
@@ -36,6 +38,7 @@ from lirs_validation.report.run_tables import (
     verdicts_by_method,
 )
 from lirs_validation.report.table import ReportTable
+from lirs_wct.drawing.canvas import Drawing
 
 SKIPPED = "Folders that are damaged or of another version: in no table below."
 MOST_PICTURES = 120
@@ -85,6 +88,18 @@ def render(template: str, package: str = __package__, **context: Any) -> str:
     )
     style, _, _ = own.get_source(environment, "report.css")
     return environment.get_template(template).render(style=style, worse_mark=WORSE_MARK, **context)
+
+
+def png(drawing: Drawing) -> bytes:
+    """Return a drawing as a PNG file."""
+    picture = BytesIO()
+    drawing.savefig(picture, dpi=110, format="png")
+    return picture.getvalue()
+
+
+def data_url(picture: bytes) -> str:
+    """Return the address of a PNG file that a page holds itself."""
+    return "data:image/png;base64," + base64.b64encode(picture).decode()
 
 
 def _rtf_over_time(report: Report) -> dict[str, str] | None:

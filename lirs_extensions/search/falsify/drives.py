@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,7 +15,7 @@ from lirs_envs.generators.arena import ArenaConfig, arena
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
-from lirs_extensions.bench.episode import EpisodeLog, episode_metrics, run_episode
+from lirs_extensions.bench.episode import episode_metrics, run_episode
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.task_worlds import WorldSpec
 from lirs_extensions.bench.tasks import BenchTask, TaskSet, set_entry
@@ -83,11 +83,7 @@ class SearchLimits(SearchSpace):
 
 
 def search_limits(options: FalsifyOptions) -> SearchLimits:
-    """Return the limits of a search.
-
-    Raises:
-        ConfigError: the file of the limits cannot be used.
-    """
+    """Return the limits of a search."""
     limits = SearchLimits() if options.limits is None else read_search_limits(Path(options.limits))
     return limits if options.policy is None else limits.of_policy()
 
@@ -208,35 +204,20 @@ def write_case(
         method: mapper of the run.
         seed: of the drive and its sensors.
         comment: first line of the file with the run's options.
-
-    Raises:
-        OutputError: the folder cannot be written.
     """
     run: dict[str, Any] = {"robot": options.robot, "mapper": method, "seed": seed}
     run |= {"seconds": float(options.seconds)}
-    run |= {p.name: _number(case, p.name) for p in PARAMETERS if p.name in OF_RUN and _is_set(case, p.name)}
+    changed = SearchLimits().difference(case)
+    values = {p.name: case.values[p.name] for p in changed if p.name in OF_RUN}
+    run |= {p.name: int(values[p.name]) if p.whole else values[p.name] for p in changed if p.name in values}
     arena(folder.name, ArenaConfig(**arena_options(case, options.seed))).save(folder)
-    if any(_is_set(case, p.name) for p in PARAMETERS if p.group == "sensors"):
+    if any(p.group == "sensors" for p in changed):
         write_noise(folder / NOISE, case_noise(case, options.robot), "Sensor noise of this case.")
         run["noise"] = NOISE
     text = yaml.safe_dump({"run": run, "parameters": dict(case.values)}, sort_keys=False)
     with atomic_write(folder / CASE) as path:
         path.write_text((f"# {comment}\n" if comment else "") + text, encoding="utf-8")
-    return read_case(folder)
-
-
-def read_case(folder: Path, changed: Mapping[str, Any] | None = None) -> RunConfig:
-    """Return the run of a case's folder, with some options changed."""
-    return RunConfig(source=str(folder), **(case_options(folder) | dict(changed or {})))
-
-
-def _is_set(case: Case, name: str) -> bool:
-    return case.values[name] != next(p.default for p in PARAMETERS if p.name == name)
-
-
-def _number(case: Case, name: str) -> float:
-    value = case.values[name]
-    return int(value) if next(p.whole for p in PARAMETERS if p.name == name) else value
+    return RunConfig(source=str(folder), **case_options(folder))
 
 
 GOAL = (11.0, 0.0)
@@ -268,11 +249,7 @@ class DriveScore:
 
 
 def check_methods(options: FalsifyOptions) -> None:
-    """Check that robot and methods exist.
-
-    Raises:
-        WctError: one does not, or cannot run.
-    """
+    """Check that robot and methods exist."""
     if options.policy is not None:
         policy_task(options, SearchLimits().easiest, options.seed)  # checks the robot
     for method in filter(None, (options.method, options.compared_with)):
@@ -305,13 +282,7 @@ def measure(options: FalsifyOptions, method: str, case: Case, seed: int, returns
 
 
 def _measure_mapper(config: RunConfig, least: float) -> DriveScore:
-    """Return the score of a mapper's drive.
-
-    Raises:
-        ConfigError: the robot fits nowhere.
-        MapperError: the mapper failed.
-        SimulationError: nothing was driven.
-    """
+    """Return the score of a mapper's drive."""
     entry = run_unwritten(config)
     trajectory, scans, reason = entry["trajectory"], entry["scans"], entry["reason"]
     error, odometry = trajectory.get("ate_rmse"), trajectory.get("odometry_ate_rmse")
@@ -354,16 +325,11 @@ def policy_suite(tasks: Sequence[BenchTask]) -> dict[str, Any]:
     return set_entry(TaskSet(name="cases", version=1, tasks=tuple(tasks)))
 
 
-def policy_episode(method: str, task: BenchTask) -> EpisodeLog:
-    """Run a policy on a case's task."""
-    return run_episode(task, PolicyChoice(method))
-
-
 def _measure_policy(options: FalsifyOptions, method: str, case: Case, seed: int) -> DriveScore:
     """Return the score of a policy's episode."""
     task = policy_task(options, case, seed)
     try:
-        log = policy_episode(method, task)
+        log = run_episode(task, PolicyChoice(method))
     except (SimulationError, ConfigError) as error:  # start or goal are blocked
         return DriveScore(0.0, counted=False, reason=str(error))
     metrics = episode_metrics(task, log)
@@ -429,11 +395,7 @@ class CaseDrives:
         return score.counted and score.ratio > FAILURE_FACTOR
 
     def run(self, trials: Sequence[Trial]) -> list[DriveScore]:
-        """Return the scores of trials, in their order; with a reference, as `against` compares them.
-
-        Raises:
-            WctError: a worker process died, or the archive cannot be written.
-        """
+        """Return the scores of trials, in their order; with a reference, as `against` compares them."""
         scores = self._scores(self.options.method, trials)
         reference = self.options.compared_with
         if reference is not None:
@@ -451,7 +413,6 @@ class CaseDrives:
 
     def _key(self, method: str, case: Case, seed: int) -> str:
         """Return the digest of everything that decides a drive."""
-        options = asdict(self.options)
-        decisive = {name: options[name] for name in ("policy", "robot", "seconds", "seed")}
+        decisive = {name: getattr(self.options, name) for name in ("policy", "robot", "seconds", "seed")}
         entry = decisive | {"method": method, "drive": seed, "returns": self.limits.returns}
         return trial_key(entry | {"values": dict(case.values)})

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from io import BytesIO
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -16,11 +14,12 @@ import yaml
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from lirs_extensions.bench.episode import run_episode
+from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.search.case_search import SearchParameter
 from lirs_extensions.search.falsify.drives import (
     WORST,
     CaseDrives,
-    policy_episode,
     policy_suite,
     policy_task,
     sentence,
@@ -30,7 +29,7 @@ from lirs_extensions.search.falsify.search import LEAST, NEW_SEEDS, FoundCase
 from lirs_extensions.search.options import FAILURE_FACTOR
 from lirs_validation.experiment.run import run
 from lirs_validation.record.run_record import RunRecord
-from lirs_validation.report.page import render
+from lirs_validation.report.page import data_url, png, render
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.suites import CASE
 from lirs_wct import MapperError, Pose2, Trajectory, World
@@ -89,13 +88,7 @@ class CasePaths:
 
 
 def case_figure(world: World, paths: CasePaths | None, heading: str) -> Drawing:
-    """Draw world, paths and moment of failure, and the error of a mapper over time.
-
-    Args:
-        world: of the case.
-        paths: of its drive; None if the mapper raised.
-        heading: above the world.
-    """
+    """Draw world, paths (None if the mapper raised) and moment of failure."""
     wide = paths is not None and paths.estimate is not None
     figure = new_figure(10.4 if wide else 5.4, 5.2)
     axes = figure.add_subplot(1, 1 + wide, 1)
@@ -141,12 +134,7 @@ def _draw_errors(axes: Axes, paths: CasePaths) -> None:
 
 
 def search_figure(drives: CaseDrives, found: Sequence[int]) -> Drawing:
-    """Draw the ratio of error and limit of each drive, and the confirmed cases.
-
-    Args:
-        drives: of the search.
-        found: numbers of drives at which cases were confirmed.
-    """
+    """Draw each drive's ratio of error and limit, and lines at confirmed cases."""
     figure = new_figure(10.4, 3.6)
     axes = figure.add_subplot()
     handles = []
@@ -182,15 +170,7 @@ CAPTION = (
 
 @dataclass(frozen=True)
 class WrittenCase:
-    """A case with its files.
-
-    Attributes:
-        name: of its folder.
-        found: the case.
-        failures: number of new seeds with which it fails.
-        sentence: on the failure.
-        picture: PNG of its world, path and failure.
-    """
+    """A case with its folder, its failures with new seeds, and its PNG."""
 
     name: str
     found: FoundCase
@@ -215,9 +195,6 @@ def write_results(out: Path, drives: CaseDrives, cases: Sequence[FoundCase], com
     """Write everything but the archive of drives; return the page's path.
 
     The results of an earlier search stay until all files are written.
-
-    Raises:
-        OutputError: a file cannot be written.
     """
     with staged_files(out) as staged:
         _write_files(staged, out, drives, cases, command)
@@ -238,7 +215,7 @@ def _write_files(
     sentences = conclusion(drives, cases)
     write_json(folder / "falsify.json", _summary(drives, written, sentences))
     (folder / "cases.md").write_text(table.as_markdown(), encoding="utf-8")
-    chart = _png(search_figure(drives, [c.found.position for c in written]))
+    chart = png(search_figure(drives, [c.found.position for c in written]))
     (folder / "search.png").write_bytes(chart)
     html = render(
         "falsify.html.j2",
@@ -246,8 +223,8 @@ def _write_files(
         title=f"Failures of {short_name(drives.options.method)}",
         sentences=sentences,
         table=table,
-        cases=[(c, _data_url(c.picture), parameters_table(c, drives.limits.parameters)) for c in written],
-        chart=_data_url(chart),
+        cases=[(c, data_url(c.picture), parameters_table(c, drives.limits.parameters)) for c in written],
+        chart=data_url(chart),
         command=command,
     )
     (folder / PAGE).write_text(html, encoding="utf-8")
@@ -300,7 +277,7 @@ def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found:
             text = f"{text.removesuffix('.')}: {error}".replace(str(staged), str(out))
     else:
         paths = _policy_paths(drives, found)
-    picture = _png(case_figure(World.load(folder), paths, name))
+    picture = png(case_figure(World.load(folder), paths, name))
     (folder / "case.png").write_bytes(picture)
     failures = sum(map(drives.fails, found.scores))
     return WrittenCase(name, found, failures, text, picture)
@@ -317,7 +294,8 @@ def _moved(record: RunRecord, old: Path, new: Path) -> RunRecord:
 def _policy_paths(drives: CaseDrives, found: FoundCase) -> CasePaths:
     """Return the path of a policy's episode."""
     options = drives.options
-    log = policy_episode(options.method, policy_task(options, found.case, found.seed))
+    task = policy_task(options, found.case, found.seed)
+    log = run_episode(task, PolicyChoice(options.method))
     poses = np.array(log.poses)
     stamps = np.linspace(0.0, float(log.last["time"]), len(poses))
     return CasePaths(Trajectory.from_poses(stamps, [Pose2(*pose) for pose in poses.tolist()]))
@@ -344,13 +322,3 @@ def _summary(drives: CaseDrives, cases: Sequence[WrittenCase], sentences: Sequen
         "drives": drives.count,
         "cases": [{"name": c.name, "sentence": c.sentence} | asdict(c.found) for c in cases],
     }
-
-
-def _png(figure: Drawing) -> bytes:
-    picture = BytesIO()
-    figure.savefig(picture, dpi=110, format="png")
-    return picture.getvalue()
-
-
-def _data_url(picture: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(picture).decode()

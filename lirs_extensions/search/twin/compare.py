@@ -106,14 +106,7 @@ def simulate_scans(real: LogComparison, start: FloatArray, noise: LidarNoise, se
 
 
 def noisy_ranges(exact: FloatArray, range_max: float, noise: LidarNoise, seed: int) -> Float32Array:
-    """Return (n, beams) ranges that a lidar with `noise` measures, meters.
-
-    Args:
-        exact: (n, beams) expected ranges; inf = no wall.
-        range_max: largest range, meters.
-        noise: of the lidar.
-        seed: of its random numbers.
-    """
+    """Return exact ranges (n, beams) as a lidar measures them, meters; inf = no wall."""
     rng = np.random.default_rng(seed)
     ranges = np.empty(exact.shape, np.float32)
     for k, row in enumerate(exact):

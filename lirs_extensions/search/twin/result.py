@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from dataclasses import asdict, dataclass, replace
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +16,13 @@ from lirs_extensions.search.twin.compare import CLUSTER, GATE, LogComparison, no
 from lirs_extensions.search.twin.fit import FittedNoise, FittedOdometry, curve
 from lirs_extensions.search.twin.replay import FACTOR, Replay
 from lirs_validation.record.formatting import NOTHING
-from lirs_validation.report.page import render
+from lirs_validation.report.page import data_url, png, render
 from lirs_validation.report.table import ReportTable
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.drawing.canvas import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
 
 LIMIT = 0.1
 """Largest residual that the picture shows, meters."""
-DPI = 110
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,12 @@ class TwinResult:
             "log": self.name,
             "lidar": self.lidar,
             "sentences": list(self.sentences),
-            "scans": {"log": self.total, **_scan_counts(self.real)},
+            "scans": {
+                "log": self.total,
+                "used": len(self.real.used),
+                "odd blocks": int((~self.real.scans.even).sum()),
+                "localized": int(self.real.used.sum()),
+            },
             "beams": _beam_shares(self.real),
             "noise": {"fitted": asdict(f.noise), "low": asdict(f.low), "high": asdict(f.high)},
             "kolmogorov": {"before": self.distance_before, "after": f.distance},
@@ -106,12 +108,6 @@ class TwinResult:
             "odometry": None if self.odometry is None else asdict(self.odometry),
             "replay": None if self.replay is None else self.replay.figures(),
         }
-
-
-def _scan_counts(real: LogComparison) -> dict[str, int]:
-    """Return the counts of scans in the comparison."""
-    used, odd = int(real.used.sum()), int((~real.scans.even).sum())
-    return {"used": len(real.used), "odd blocks": odd, "localized": used}
 
 
 def _beam_shares(real: LogComparison) -> dict[str, float]:
@@ -164,15 +160,14 @@ def _map_share(fitted: FittedNoise) -> float:
 
 
 def write_page(folder: Path, result: TwinResult, command: str) -> Path:
-    """Write `twin.html` and its pictures; return the page's path.
-
-    Raises:
-        OSError: a file cannot be written.
-    """
+    """Write `twin.html` and its pictures; return the page's path."""
     pictures = {"scans": scans_figure(result), "residuals": residual_figure(result.fitted)}
     if result.replay is not None and result.replay.pairs:
         pictures["replay"] = replay_figure(result.replay)
-    urls = {name: _save(drawing, folder / f"{name}.png") for name, drawing in pictures.items()}
+    drawn = {name: png(drawing) for name, drawing in pictures.items()}
+    for name, picture in drawn.items():
+        (folder / f"{name}.png").write_bytes(picture)
+    urls = {name: data_url(picture) for name, picture in drawn.items()}
     tables = (
         scans_table(result),
         residuals_table(result),
@@ -190,14 +185,6 @@ def write_page(folder: Path, result: TwinResult, command: str) -> Path:
     page = folder / "twin.html"
     page.write_text(html, encoding="utf-8")
     return page
-
-
-def _save(drawing: Drawing, path: Path) -> str:
-    """Save a drawing; return it as the address of an image on the page."""
-    png = BytesIO()
-    drawing.savefig(png, dpi=DPI, format="png")
-    path.write_bytes(png.getvalue())
-    return "data:image/png;base64," + base64.b64encode(png.getvalue()).decode()
 
 
 def ranked_scans(result: TwinResult) -> tuple[IntArray, FloatArray]:

@@ -94,11 +94,7 @@ def run_twin(
 def _compare_and_fit(
     config: MapConfig, mapped: MappedLog, usual: Sequence[int], lidar: str, seed: int, progress: Progress
 ) -> TwinResult:
-    """Compare the log's scans with its map, and fit noise and odometry.
-
-    Raises:
-        SourceError: the log is too short, or too few beams can be compared.
-    """
+    """Compare the log's scans with its map, and fit noise and odometry."""
     kept = usual[:: -(-len(usual) // MOST_SCANS)]
     scans = [mapped.log.scans[k] for k in kept]
     log = scan_arrays(scans, mapped.trajectory)
@@ -142,11 +138,7 @@ def _fit_wheels(
 
 
 def _usual_scans(path: str, scans: Sequence[LaserScan]) -> list[int]:
-    """Return the scans with the usual number of beams.
-
-    Raises:
-        SourceError: there are no scans.
-    """
+    """Return the scans with the usual number of beams."""
     if not scans:
         raise SourceError(f"{path}: needs planar scans, got none")
     beams = int(np.bincount([len(scan.ranges) for scan in scans]).argmax())

@@ -15,7 +15,6 @@ from lirs_extensions.search.falsify.drives import (
     PHRASES,
     SearchLimits,
     arena_options,
-    read_case,
     read_search_limits,
     sentence,
     write_case,
@@ -115,7 +114,6 @@ def test_a_case_folder_holds_the_run(tmp_path: Path) -> None:
     assert (config.mapper, config.seed, config.actors, config.speed) == ("gmapping", 7, 2, 0.5)
     assert config.noise == str(tmp_path / "case-1" / "noise.yaml")
     assert (tmp_path / "case-1" / "case.yaml").read_text().startswith("# a line\n")
-    assert read_case(tmp_path / "case-1", {"mapper": "hector"}).mapper == "hector"
 
 
 @settings(max_examples=20, deadline=None)
