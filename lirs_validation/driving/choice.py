@@ -42,12 +42,6 @@ def make_driver(
     mapper's map, and nothing of the world but where the robot is set down. The policy that ships is given
     scans, odometry, and the direction to its goal.
 
-    Args:
-        world: where it drives.
-        robot: that is driven.
-        config: driver, seed and seconds.
-        mapper_map: returns the mapper's present map, map frame.
-
     Raises:
         ConfigError: the robot fits nowhere in this world, or a replay is of another world, robot or lidar.
         SourceError: waypoints or recorded commands cannot be used.
@@ -172,11 +166,7 @@ def driver_files(config: RunConfig) -> list[Path]:
 
 
 def _automatic(config: RunConfig) -> tuple[str, str]:
-    """Return kind and path of a driver that drives by itself.
-
-    Raises:
-        ConfigError: it is `manual` or `client`.
-    """
+    """Return kind and path of a driver that drives by itself."""
     kind, path = driver_parts(config.driver)
     if kind in (MANUAL, CLIENT):
         raise ConfigError(f"driver {kind}: a person or client drove; replay:RUN drives the same again")
@@ -184,11 +174,7 @@ def _automatic(config: RunConfig) -> tuple[str, str]:
 
 
 def _goal(driver: str) -> RoutePoint:
-    """Return the goal of a driver such as `goal:X,Y`.
-
-    Raises:
-        ConfigError: the text is no such place.
-    """
+    """Return the goal of a driver such as `goal:X,Y`."""
     kind, text = driver_parts(driver)
     x, y = read_point(text, f"driver {kind}:X,Y")
     if not (math.isfinite(x) and math.isfinite(y)):
@@ -197,11 +183,7 @@ def _goal(driver: str) -> RoutePoint:
 
 
 def _start(world: World, free: OccupancyGrid, robot: Robot, config: RunConfig) -> Pose2:
-    """Return the requested start, or else the seed's spawn pose.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world, or cannot drive from the start that was asked for.
-    """
+    """Return the requested start, or else the seed's spawn pose."""
     if world.start is not None:
         if not free.free_at(world.start.x, world.start.y):
             cause, nearest = _cause(world, robot, (world.start.x, world.start.y))
@@ -228,16 +210,7 @@ CELLS = 500
 
 
 def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigError:
-    """Return the error for a world without space for a robot.
-
-    It names robots that fit.
-
-    Args:
-        source: as the user called it.
-        world: that has no place.
-        robot: that needs one.
-        margin: meters that it needs beyond its radius.
-    """
+    """Return the error for a world without space for a robot, with robots that fit."""
     needed = (
         f"{source}: no place for {robot.name}: it needs {2 * (robot.radius + margin):.1f} m of free "
         f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg"

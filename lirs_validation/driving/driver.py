@@ -80,12 +80,7 @@ class WrappedDriver:
 
 
 class StandingDriver(WrappedDriver):
-    """Driver that hands over to another one after the robot has stood still.
-
-    Args:
-        driver: drives then; its time begins with the first motion.
-        seconds: simulated time to stand still.
-    """
+    """Driver that hands over to another one after some simulated seconds at rest."""
 
     def __init__(self, driver: Driver, seconds: float) -> None:
         super().__init__(driver)

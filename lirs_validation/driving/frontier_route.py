@@ -213,14 +213,7 @@ NEIGHBORHOOD = 1.5
 
 
 class FrontierRoute:
-    """Route to the nearest frontier, or else to the place visited longest ago.
-
-    Args:
-        mapper_map: returns the mapper's present map, map frame.
-        footprint: radius of the robot, meters.
-        clearance: distance that its center keeps from occupied cells, meters.
-        config: how paths are driven.
-    """
+    """Route to the nearest frontier, or else to the place visited longest ago."""
 
     frame: Frame = "map"
     refresh = 1.0

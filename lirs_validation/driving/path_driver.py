@@ -69,10 +69,7 @@ def speed_profile(
 
 
 def _limit_acceleration(speed: FloatArray, acceleration: float) -> FloatArray:
-    """Limit acceleration and braking along a path.
-
-    The path ends at rest.
-    """
+    """Limit acceleration and braking along a path, which ends at rest."""
     squared = np.square(speed).tolist()
     gain = 2 * acceleration * SPACING
     squared[-1] = min(squared[-1], gain)
@@ -84,23 +81,32 @@ def _limit_acceleration(speed: FloatArray, acceleration: float) -> FloatArray:
     return profile
 
 
-class Pursuit:
-    """Follows one path; remembers how far it got.
+@dataclass(frozen=True)
+class Path:
+    """A path to drive.
 
-    Args:
-        points: (n, 2) meters, 0.1 m apart, in the frame of the poses.
+    Attributes:
+        points: (n, 2) meters, about 0.1 m apart, in the driver's frame.
         speed: (n,) m/s.
-        config: how to drive.
+        yaw: where to face at its end; None = as it comes.
     """
+
+    points: FloatArray
+    speed: FloatArray
+    yaw: float | None = None
+
+
+class Pursuit:
+    """Follows one path; remembers how far it got."""
 
     WINDOW = 1.5
     """Meters ahead in which the nearest point of the path is looked for: it never jumps a loop."""
 
-    def __init__(self, points: FloatArray, speed: FloatArray, config: PursuitConfig) -> None:
+    def __init__(self, path: Path, config: PursuitConfig) -> None:
         self.config = config
-        self._x: list[float] = points[:, 0].tolist()
-        self._y: list[float] = points[:, 1].tolist()
-        self._speed: list[float] = speed.tolist()
+        self._x: list[float] = path.points[:, 0].tolist()
+        self._y: list[float] = path.points[:, 1].tolist()
+        self._speed: list[float] = path.speed.tolist()
         self._at = 0
         self._turning = False
         self.distance = 0.0
@@ -187,21 +193,6 @@ class DriverConfig(Checked, of="a driver"):
     facing: float = limited(math.radians(5), "(0, inf]")
 
 
-@dataclass(frozen=True)
-class Path:
-    """A path to drive.
-
-    Attributes:
-        points: (n, 2) meters, about 0.1 m apart, in the driver's frame.
-        speed: (n,) m/s.
-        yaw: where to face at its end; None = as it comes.
-    """
-
-    points: FloatArray
-    speed: FloatArray
-    yaw: float | None = None
-
-
 class Route(Protocol):
     """Interface of a route: the source of a driver's paths."""
 
@@ -225,21 +216,12 @@ class Route(Protocol):
         ...
 
     def avoid(self, point: tuple[float, float], radius: float) -> None:
-        """Avoid a place where the robot got stuck.
-
-        Meters, in the driver's frame.
-        """
+        """Avoid a place where the robot got stuck, meters in the driver's frame."""
         ...
 
 
 class PathDriver:
-    """Follows the paths of a route.
-
-    Attributes:
-        start: where the robot is set down, world frame.
-        frame: frame of the poses that it receives.
-        state: current activity.
-    """
+    """Follows the paths of a route."""
 
     def __init__(self, route: Route, start: Pose2, config: DriverConfig) -> None:
         self.start, self.frame = start, route.frame
@@ -295,10 +277,7 @@ class PathDriver:
         return self._pursue(pose, time)
 
     def _pursue(self, pose: Pose2, time: float) -> Twist:
-        """Follow the path.
-
-        Replan at its end or far from it; back off without progress.
-        """
+        """Follow the path; replan at its end or far from it; back off without progress."""
         twist = self._pursuit.twist(pose)
         if self._pursuit.distance > self.config.off_path or self._pursuit.remaining < self.config.step:
             if self._path.yaw is not None and self._pursuit.distance <= self.config.off_path:
@@ -326,10 +305,7 @@ class PathDriver:
         return Twist(0.0, max(-limit, min(limit, 2.0 * error)))
 
     def _give_way(self, pose: Pose2, time: float) -> Twist:
-        """Back off and avoid the place ahead.
-
-        Give up after too many tries.
-        """
+        """Back off and avoid the place ahead; give up after too many tries."""
         self._failures += 1
         if self._failures > self.config.tries:
             self.state = "stuck"
@@ -368,7 +344,7 @@ class PathDriver:
         if self.state == "waiting":
             self._mark, self._moved_at = 0.0, time
         self.state, self._path = "driving", path
-        self._pursuit = Pursuit(path.points, path.speed, self.config.pursuit)
+        self._pursuit = Pursuit(path, self.config.pursuit)
 
 
 SPEED_SHARE, TURN_SHARE, ACCELERATION_SHARE = 0.8, 0.6, 0.2

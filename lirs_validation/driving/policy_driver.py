@@ -24,11 +24,6 @@ class PolicyDriver:
 
     As in the environments, the policy sees distance and bearing of the goal from the true pose.
 
-    Attributes:
-        start: start pose of the robot, world frame.
-        frame: frame of the poses that it receives.
-        stuck: whether it gave up.
-
     Args:
         policy: reads the observations `scan`, `goal` and `odometry`.
         robot: figures of the robot.

@@ -22,13 +22,7 @@ COMMANDS = "commands.csv"
 
 
 class ReplayDriver:
-    """Gives recorded commands, whatever comes of them.
-
-    Args:
-        commands: start pose, and a command each period.
-        period: seconds between two commands.
-        name: of the recorded run.
-    """
+    """Gives recorded commands, whatever comes of them."""
 
     frame: Frame = "world"
     stuck = False
@@ -82,12 +76,7 @@ def replay(folder: Path, config: RunConfig, world: str) -> ReplayDriver:
 
 
 def read_replay(folder: Path, robot: str) -> Commands:
-    """Read the commands of a finished run of a robot.
-
-    Raises:
-        SourceError: the folder holds no run, or none whose commands were recorded.
-        ConfigError: the run was one of another robot.
-    """
+    """Read the commands of a finished run of a robot."""
     found = read_record(folder)["config"]["robot"]
     if found != robot:
         raise ConfigError(f"{folder}: drives {found!r}, this run {robot!r}: the same robot is needed")

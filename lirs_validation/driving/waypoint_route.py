@@ -93,13 +93,6 @@ def check_waypoints(
 ) -> None:
     """Check that a robot can stand at every waypoint, and drive to each.
 
-    Args:
-        path: of the file that they come from.
-        waypoints: world frame.
-        free: free cells = where the robot's center may be, world frame.
-        robot: its name.
-        cause: returns why the robot cannot stand at a place of the world.
-
     Raises:
         SourceError: a waypoint is off the map, where the robot cannot be, or cut off from the first.
     """

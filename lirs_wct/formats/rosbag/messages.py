@@ -191,12 +191,7 @@ def clock(stamp: float) -> bytearray:
 
 
 def laser_scan(scan: LaserScan, period: float) -> bytearray:
-    """Return `sensor_msgs/LaserScan`.
-
-    Args:
-        scan: of the lidar.
-        period: from scan to scan, seconds.
-    """
+    """Return `sensor_msgs/LaserScan`; the period from scan to scan is in seconds."""
     n = len(scan.ranges)
     angle_max = scan.angle_min + scan.angle_increment * (n - 1)
     message = _SCAN.pack(
@@ -286,13 +281,7 @@ def pose(stamp: float, T_map_base: Pose3) -> bytearray:
 
 
 def transforms(stamp: float, edges: Edges, poses: tuple[Pose3, ...]) -> bytearray:
-    """Return `tf2_msgs/TFMessage` of `T_parent_child`.
-
-    Args:
-        stamp: seconds, of all.
-        edges: names of parents and children.
-        poses: as many.
-    """
+    """Return `tf2_msgs/TFMessage` with `T_parent_child` of each edge."""
     time = _time(stamp)
     values: list[float] = [len(edges)]
     for T in poses:
@@ -360,12 +349,7 @@ class BagTick:
 
 
 class TickMessages:
-    """The messages of consecutive scans of a drive.
-
-    Args:
-        period: from scan to scan, seconds.
-        errors: of the sensors, for covariances.
-    """
+    """The messages of consecutive scans of a drive."""
 
     def __init__(self, period: float, errors: SensorErrors = NO_ERRORS) -> None:
         self._period, self._errors = period, errors

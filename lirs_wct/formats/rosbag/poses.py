@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Any
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.frames import BASES, Frames, is_named, pose_of, seconds
@@ -38,13 +37,11 @@ def read_poses(path: Path, topic: str | None = None) -> Trajectory:
 def _poses(bag: Bag, topic: str | None) -> Trajectory:
     if topic is not None:
         require_topic(bag.path, "BAG:/TOPIC", topic, (*POSES, *TRANSFORMS), bag.kinds)
-        if bag.kinds[topic] in TRANSFORMS:
-            return _follow_transforms(bag, required=True) or _nothing()
-        return _read_topic(bag, topic)
-    found = of_kinds(bag.kinds, POSES)
-    in_map = _follow_transforms(bag, required=not found)
-    if in_map is not None:
-        return in_map
+    found = of_kinds(bag.kinds, POSES) if topic is None else [topic]
+    if topic is None or bag.kinds[topic] in TRANSFORMS:
+        in_map = _follow_transforms(bag, required=topic is not None or not found)
+        if in_map is not None:
+            return in_map
     if len(found) != 1:
         raise SourceError(f"{bag.path}: BAG:/TOPIC must say where its poses are; {list_topics(bag.kinds)}")
     return _read_topic(bag, found[0])
@@ -79,16 +76,7 @@ def _read_topic(bag: Bag, topic: str) -> Trajectory:
         if bag.kinds[topic] == PATH:
             found = {}
         for each in message.poses if bag.kinds[topic] == PATH else (message,):
-            pose = _innermost(each.pose)
+            pose = getattr(each.pose, "pose", each.pose)  # a covariance lies around some poses
             found[seconds(each.header.stamp)] = pose_of(pose.position, pose.orientation)
     stamps = sorted(found)
-    return Trajectory.from_poses(stamps, [found[t] for t in stamps]) if stamps else _nothing()
-
-
-def _innermost(pose: Any) -> Any:
-    """Return the pose inside a PoseWithCovariance, else the pose itself."""
-    return getattr(pose, "pose", pose)
-
-
-def _nothing() -> Trajectory:
-    return Trajectory.from_poses([], list[Pose3]())
+    return Trajectory.from_poses(stamps, [found[t] for t in stamps])

@@ -473,17 +473,14 @@ def _inertial(c: _Contents, mounts: Mapping[str, Pose3]) -> ImuReadings:
 def _imu(reading: _Reading, mounted: Pose3) -> Imu:
     """Convert a reading with attitude to the base's axes by the sensor's mount."""
     assert reading.attitude is not None, "left out before"
-    attitude, rates, force = _unit(reading.attitude), reading.rates, reading.force
+    n = math.sqrt(sum(part * part for part in reading.attitude)) or 1.0
+    attitude = Pose3(0.0, 0.0, 0.0, *(part / n for part in reading.attitude))
+    rates, force = reading.rates, reading.force
     if mounted.qw != 1.0:
         unmounted = Pose3(0, 0, 0, mounted.qw, mounted.qx, mounted.qy, mounted.qz).inverse()
         attitude = attitude @ unmounted
         rates, force = _rotate(mounted, rates), _rotate(mounted, force)
     return Imu(attitude.roll, attitude.pitch, rates, force, reading.stamp)
-
-
-def _unit(q: tuple[float, float, float, float]) -> Pose3:
-    n = math.sqrt(sum(part * part for part in q)) or 1.0
-    return Pose3(0.0, 0.0, 0.0, q[0] / n, q[1] / n, q[2] / n, q[3] / n)
 
 
 def _rotate(mounted: Pose3, vector: Vector) -> Vector:

@@ -103,11 +103,7 @@ class BagWriter:
             raise self._output_error(error) from error
 
     def add(self, tick: BagTick) -> None:
-        """Add the messages of a scan; they are buffered before writing.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Add the messages of a scan; they are buffered before writing."""
         self._waiting.append(tick)
         if len(self._waiting) < TOGETHER:
             return
@@ -117,11 +113,7 @@ class BagWriter:
             raise self._output_error(error) from error
 
     def close(self, grid: OccupancyGrid | None = None) -> None:
-        """Write the buffered scans, the map in the map frame, and the bag's end.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Write the buffered scans, the map in the map frame, and the bag's end."""
         try:
             self._write_waiting()
             if grid is not None and self._last is not None:
@@ -144,13 +136,10 @@ class BagWriter:
 
     def _write_waiting(self) -> None:
         for tick in self._waiting:
-            self._write_tick(tick)
+            for topic, stamp, message in self._messages.of(tick):
+                self._write(topic, stamp, message)
             self._last = tick
         self._waiting.clear()
-
-    def _write_tick(self, tick: BagTick) -> None:
-        for topic, stamp, message in self._messages.of(tick):
-            self._write(topic, stamp, message)
 
     def _write(self, topic: str, stamp: float, message: bytearray) -> None:
         self._writer.write(self._connection(topic), nanoseconds(stamp), memoryview(message))
