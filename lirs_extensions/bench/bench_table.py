@@ -75,11 +75,7 @@ def _row(result: PolicyResult, results: Sequence[PolicyResult]) -> tuple[str, ..
 
 
 def write_scores(path: Path, results: Sequence[PolicyResult], about: dict[str, object]) -> None:
-    """Write the table as JSON, each policy with its tasks' scores.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write the table as JSON, each policy with its tasks' scores."""
     policies = [
         {"policy": result.policy.name, "arguments": dict(result.policy.arguments)}
         | {"score": vars(result.score), "success": result.successes, "collision": result.collisions}

@@ -80,11 +80,7 @@ def bench(options: BenchCommand, engine: EngineOptions) -> None:
 
 
 def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTask]:
-    """Return the tasks whose worlds can be made; print the errors of the others.
-
-    Raises:
-        SourceError: the folder is none, or no world can be made.
-    """
+    """Return the tasks whose worlds can be made; print the errors of the others."""
     if data is not None and not data.is_dir():
         raise SourceError(f"{data}: no such folder")
     missing: dict[str, str] = {}
@@ -107,11 +103,7 @@ def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTa
 def _read_policies(
     names: Sequence[str], parameters: str, task: BenchTask, data: Path | None
 ) -> list[PolicyChoice]:
-    """Return the policies, each of which was made once for a task.
-
-    Raises:
-        ConfigError: an argument is no pair, or a policy is none.
-    """
+    """Return the policies, each of which was made once for a task."""
     from lirs_extensions.bench.episode import make_task_env
     from lirs_extensions.bench.policies import BASELINES, PolicyChoice
 
@@ -132,7 +124,7 @@ def _show(
     output: Path, tasks: TaskSet, chosen: Sequence[BenchTask], policies: Sequence[PolicyChoice]
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
-    from lirs_extensions.bench.bench_table import bench_table, score_line, write_scores
+    from lirs_extensions.bench.bench_table import bench_table, difference_line, score_line, write_scores
     from lirs_extensions.bench.experiment import read_results
 
     results = read_results(output, tasks, chosen)
@@ -151,16 +143,10 @@ def _show(
         if result.policy in policies:
             counted = f"{result.score.count} of {len(chosen)} {task} tasks of {tasks.name} ({split})"
             out.print(score_line(result, counted), markup=False, highlight=False, soft_wrap=True)
-    _show_differences([result for policy in policies for result in results if result.policy == policy])
+    own = [result for policy in policies for result in results if result.policy == policy]
+    for other in own[1:]:
+        out.print(difference_line(other, own[0]), markup=False, highlight=False, soft_wrap=True)
     out.print(str(path), markup=False, highlight=False, soft_wrap=True)
-
-
-def _show_differences(results: Sequence[PolicyResult]) -> None:
-    """Print paired differences of the scores from those of the first policy."""
-    from lirs_extensions.bench.bench_table import difference_line
-
-    for other in results[1:]:
-        out.print(difference_line(other, results[0]), markup=False, highlight=False, soft_wrap=True)
 
 
 def _tell_failures(result: PolicyResult) -> None:

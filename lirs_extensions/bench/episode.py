@@ -14,7 +14,7 @@ import numpy as np
 from lirs_envs.env import Observed, RobotEnv
 from lirs_envs.policies import Policy
 from lirs_extensions.bench.policies import PolicyChoice
-from lirs_extensions.bench.scores import coverage_area, distance_share, success_by_path_length
+from lirs_extensions.bench.scores import coverage_area, success_by_path_length
 from lirs_extensions.bench.tasks import BenchTask
 from lirs_validation.processes import is_interrupt
 from lirs_wct.arrays import Float32Array, FloatArray
@@ -70,13 +70,7 @@ class EpisodeLog:
 def make_task_env(
     task: BenchTask, data: Path | None, observe: tuple[str, ...] | None, render_mode: str | None = None
 ) -> RobotEnv:
-    """Return the environment of a task.
-
-    Args:
-        task: whose.
-        data: folder with the files that do not ship.
-        observe: groups of observations; None = the task's own.
-        render_mode: of the environment.
+    """Return the environment of a task, with other groups of observations if given.
 
     Raises:
         WctError: its world cannot be made, or there is no such group.
@@ -217,5 +211,5 @@ def episode_metrics(task: BenchTask, log: EpisodeLog) -> dict[str, Any]:
     else:
         whole = float(log.first["distance"])
         entry |= {"distance": whole, "progress": float(last["progress"])}
-        score = 1.0 if entry["success"] else distance_share(float(last["progress"]), whole)
+        score = 1.0 if entry["success"] else float(np.clip(entry["progress"] / whole, 0.0, 1.0))
     return entry | ({} if log.trace else {"score": score})

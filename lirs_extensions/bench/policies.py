@@ -55,8 +55,8 @@ METHODS = ("reset", "act")
 class DrivenPolicy(ABC):
     """Policy that takes its actions from a driver; a flying robot keeps its height."""
 
-    def __init__(self, context: PolicyContext) -> None:
-        self.context = context
+    def __init__(self, env: RobotEnv, context: PolicyContext) -> None:
+        self._env, self.context = env, context
         self._time = 0.0
 
     @abstractmethod
@@ -84,21 +84,14 @@ class DrivenPolicy(ABC):
 class Explorer(DrivenPolicy):
     """Frontier exploration, or drive to a goal, on a mapper's map by the mapper's pose."""
 
-    def __init__(self, env: RobotEnv, context: PolicyContext) -> None:
-        super().__init__(context)
-        self._env = env
-
     def driver(self) -> Driver:
         """Return the explorer with a new mapper."""
         robot = self.context.robot
         self._mapper = make_mapper(MAPPER, seed=self.context.seed)
         self._pose, self._stamp = Pose2(), -math.inf
         pace = driver_config(robot)
-        self._route = (
-            FrontierRoute(self._mapper.map, robot.radius, robot.radius + MARGIN, pace)
-            if self._env.view.goal is None
-            else GoalRoute(self._mapper.map, robot.radius, robot.radius + MARGIN, pace)
-        )
+        kind = FrontierRoute if self._env.view.goal is None else GoalRoute
+        self._route = kind(self._mapper.map, robot.radius, robot.radius + MARGIN, pace)
         return PathDriver(self._route, Pose2(), pace)
 
     def pose(self, observation: Mapping[str, Any]) -> Pose2:
@@ -117,10 +110,6 @@ class Explorer(DrivenPolicy):
 
 class OnTrueMap(DrivenPolicy):
     """Upper bound: drive on the true map by the true pose."""
-
-    def __init__(self, env: RobotEnv, context: PolicyContext) -> None:
-        super().__init__(context)
-        self._env = env
 
     def pose(self, observation: Mapping[str, Any]) -> Pose2:
         """Return the true pose."""
@@ -167,12 +156,7 @@ class OnTrueMap(DrivenPolicy):
 class UnseenRoute:
     """Next-best-view route: most unseen area per meter of path.
 
-    Args:
-        free: cells that the robot's center may enter, world frame.
-        start: start pose of the robot.
-        unseen: returns (n, 2) centers of unseen cells, meters.
-        config: configuration of the driver.
-        surface: the ground; steep parts are driven more slowly.
+    `unseen` returns (n, 2) centers of unseen cells, meters.
     """
 
     frame: Frame = "world"

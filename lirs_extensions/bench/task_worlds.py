@@ -58,10 +58,7 @@ class WorldSpec:
     files: tuple[FileSpec, ...] = ()
 
     def world(self, data: Path | None) -> World:
-        """Make the world.
-
-        Args:
-            data: folder with the files that do not ship.
+        """Make the world, of files in a folder where they do not ship.
 
         Raises:
             SourceError: a file is missing or cannot be used.
@@ -71,11 +68,7 @@ class WorldSpec:
         return _from_files(tuple(self.places(data)), self.options)
 
     def places(self, data: Path | None) -> list[Path]:
-        """Return the paths of its files.
-
-        Raises:
-            SourceError: one is missing.
-        """
+        """Return the paths of its files."""
         found = [_find(file, data) for file in self.files]
         for file, path in zip(self.files, found, strict=True):
             if path is None:
@@ -93,9 +86,6 @@ def read_world(name: str, entry: Mapping[str, Any]) -> WorldSpec:
     """Return a world of its JSON value (see `WorldSpec.describe`).
 
     Options of the maker `files` are those of `BuildOptions`.
-
-    Raises:
-        ConfigError: it is no such value.
     """
     options = dict(entry)
     maker, files = str(options.pop("maker")), options.pop("files", [])

@@ -271,11 +271,6 @@ class ClientDriver:
     """Driver that follows /cmd_vel, or one of ours.
 
     A client that asks for a new start ends the drive.
-
-    Args:
-        start: pose in the world frame.
-        client: state of the client.
-        driver: that drives instead of the client; None = /cmd_vel.
     """
 
     def __init__(self, start: Pose2, client: Client, driver: Driver | None) -> None:

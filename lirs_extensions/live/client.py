@@ -14,7 +14,7 @@ from lirs_extensions.live.graph import MAP_TYPE, START_POSE, TRANSFORMS_TYPE, TW
 from lirs_extensions.live.middleware import Received
 from lirs_extensions.live.options import LiveOptions
 from lirs_wct import ConfigError, OccupancyGrid, Pose2, Pose3, Trajectory
-from lirs_wct.formats.rosbag.frames import Frames, pose_of
+from lirs_wct.formats.rosbag.frames import Frames, is_finite, pose_of
 from lirs_wct.formats.rosbag.messages import BASE, DRIVEN, MAP, ODOM, transforms
 
 STOPPED_AFTER = 0.5
@@ -119,7 +119,7 @@ class Client:
             if (t.header.frame_id.lstrip("/"), t.child_frame_id.lstrip("/")) != (MAP, ODOM):
                 continue
             T = pose_of(t.transform.translation, t.transform.rotation)
-            if not all(map(math.isfinite, (*T.position, *T.quaternion))):
+            if not is_finite(T):
                 raise ConfigError("map -> odom is not finite")
             self._T_map_odom, self._maps = T, True
             if self._answer != "cmd_vel":
@@ -128,11 +128,7 @@ class Client:
         return answered
 
     def _legal(self, twist: Any) -> Twist:
-        """Return a command within the robot's limits.
-
-        Raises:
-            ConfigError: it is not finite.
-        """
+        """Return a finite command within the robot's limits."""
         v, omega, climb = twist.linear.x, twist.angular.z, twist.linear.z
         if not all(map(math.isfinite, (v, omega, climb))):
             raise ConfigError("the command is not finite")

@@ -56,11 +56,7 @@ def live(
 
 
 def _single(name: str, value: Any) -> Any:
-    """Return the one value of an axis.
-
-    Raises:
-        ConfigError: there are several.
-    """
+    """Return the one value of an axis."""
     if name not in RUN_AXES:
         return value
     if len(value) > 1:

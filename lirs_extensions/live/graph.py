@@ -35,8 +35,6 @@ MAP_TYPE, TRANSFORMS_TYPE = "nav_msgs/msg/OccupancyGrid", "tf2_msgs/msg/TFMessag
 START_POSE, EMPTY = "geometry_msgs/msg/PoseWithCovarianceStamped", "std_msgs/msg/Empty"
 NO_HASH = "TypeHashNotSupported"
 """Hash of a type in rmw_zenoh for Humble."""
-ZENOH_DEPTH = 42
-"""Depth of rmw_zenoh's default profile, which tokens omit."""
 
 
 @dataclass(frozen=True)
@@ -134,16 +132,6 @@ def zenoh_key(topic: LiveTopic, domain: int, distribution: Distribution) -> str:
     return f"{domain}/{topic.name.strip('/')}/{dds_type(topic.kind)}/{hashed}"
 
 
-def zenoh_quality(topic: LiveTopic) -> str:
-    """Return a topic's quality of service as in rmw_zenoh's tokens, without its default values.
-
-    >>> zenoh_quality(LiveTopic("/scan", "sensor_msgs/msg/LaserScan"))
-    '::,10:,:,:,,'
-    """
-    depth = "" if topic.depth == ZENOH_DEPTH else f"{topic.depth}"
-    return f":{1 if topic.durable else ''}:,{depth}:,:,:,,"
-
-
 def zenoh_token(
     zid: str,
     entity: int,
@@ -167,7 +155,9 @@ def zenoh_token(
         return node
     hashed = type_hash(topic.kind, distribution) or NO_HASH
     name = topic.name.replace("/", "%")
-    return f"{node}/{name}/{dds_type(topic.kind)}/{hashed}/{zenoh_quality(topic)}"
+    # Quality of service without rmw_zenoh's default values: transient local or volatile, and the depth.
+    quality = f":{1 if topic.durable else ''}:,{topic.depth}:,:,:,,"
+    return f"{node}/{name}/{dds_type(topic.kind)}/{hashed}/{quality}"
 
 
 def zenoh_attachment(sequence: int, nanoseconds: int, gid: bytes) -> bytes:

@@ -36,7 +36,12 @@ class LiveOptions(Options):
         panel=LIVE,
     )
     every: int = option(
-        1, "With --lockstep: wait for an answer to every K-th scan.", metavar="K", panel=LIVE, rare=True
+        1,
+        "With --lockstep: wait for an answer to every K-th scan.",
+        metavar="K",
+        panel=LIVE,
+        check=within("[1, inf)"),
+        rare=True,
     )
     answer: Literal["any", "cmd_vel", "tf"] = option(
         "any",
@@ -70,8 +75,6 @@ class LiveOptions(Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.every < 1:
-            raise ConfigError(f"every must be 1 or more, got {self.every}")
         if self.every > 1 and not self.lockstep:
             raise ConfigError("the option every is for --lockstep")
         if self.lockstep and self.rate != 1.0:

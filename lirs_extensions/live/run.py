@@ -45,12 +45,7 @@ PACKAGES = {"dds": "cyclonedds", "zenoh": "zenoh"}
 
 @dataclass(frozen=True)
 class LiveRun:
-    """Result of a live drive.
-
-    Attributes:
-        run: as of any mapper.
-        bridge: with the counts of scans and answers.
-    """
+    """Result of a live drive."""
 
     run: Run
     bridge: Bridge
@@ -105,39 +100,35 @@ def _warm_up(scenario: Scenario, robot: Robot, start: Pose2) -> float:
         return seconds()
 
 
+@dataclass(frozen=True)
 class _Session:
     """Drives of one client, one after the other.
 
-    Args:
-        scenario: where they take place.
-        robot: that drives.
-        middleware: connection to the client.
-        options: of the connection.
-        first: start pose of the first drive, world frame; the client's map frame begins there.
-        compile_seconds: wall seconds that the compiler took.
+    Attributes:
+        scenario: World and options of the drives.
+        robot: Robot that drives.
+        middleware: Connection to the client.
+        options: Options of the connection.
+        first: Start pose of the first drive, world frame; the client's map frame begins there.
+        compile_seconds: Wall seconds that the compiler took.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        robot: Robot,
-        middleware: Middleware,
-        options: LiveOptions,
-        first: Pose2,
-        compile_seconds: float,
-    ) -> None:
-        self._scenario, self._robot, self._middleware = scenario, robot, middleware
-        self._options, self._first, self._compile_seconds = options, first, compile_seconds
+    scenario: Scenario
+    robot: Robot
+    middleware: Middleware
+    options: LiveOptions
+    first: Pose2
+    compile_seconds: float
 
     def drives(self, out: Path | None, progress: Progress) -> Iterator[LiveRun]:
         """Yield the drives until the configured time is over."""
-        config, T_map_start, left, count = self._scenario.config, Pose2(), self._scenario.config.seconds, 0
+        config, T_map_start, left, count = self.scenario.config, Pose2(), self.scenario.config.seconds, 0
         while True:
             count += 1
             ready, bridge = self._ready(T_map_start, left)
             if count > 1:
-                self._middleware.receive()  # what the client sent since the former drive is not for this one
-            name = run_name(config, self._scenario.world.name)
+                self.middleware.receive()  # what the client sent since the former drive is not for this one
+            name = run_name(config, self.scenario.world.name)
             with _ended_by_interrupt(bridge.client):
                 run = drive_and_conclude(ready, out, progress, name if count == 1 else f"{name}-{count}")
             yield LiveRun(run, bridge)
@@ -147,21 +138,21 @@ class _Session:
             T_map_start = self._requested(bridge.client.start)
 
     def _ready(self, T_map_start: Pose2, seconds: float) -> tuple[ReadyRun, Bridge]:
-        config, scenario = self._scenario.config, self._scenario
-        simulation = scenario.simulation(self._robot, inertial=True)
-        bridge = Bridge(self._middleware, self._options, simulation, sensor_errors(config), T_map_start)
+        config, scenario = self.scenario.config, self.scenario
+        simulation = scenario.simulation(self.robot, inertial=True)
+        bridge = Bridge(self.middleware, self.options, simulation, sensor_errors(config), T_map_start)
         mapper = self._mapper(bridge, simulation, T_map_start)
         own = None
         if config.driver != CLIENT:
-            own = make_driver(scenario.world, self._robot, config, mapper.map)
+            own = make_driver(scenario.world, self.robot, config, mapper.map)
             own = StandingDriver(own, config.stand) if config.stand else own
-        start = self._first @ T_map_start if own is None else own.start
+        start = self.first @ T_map_start if own is None else own.start
         driver = ClientDriver(start, bridge.client, own)
-        return ReadyRun(scenario, simulation, driver, mapper, seconds, self._compile_seconds), bridge
+        return ReadyRun(scenario, simulation, driver, mapper, seconds, self.compile_seconds), bridge
 
     def _mapper(self, bridge: Bridge, simulation: Simulation, T_map_start: Pose2) -> MapperUnderTest:
-        config = self._scenario.config
-        if config.mapper == self._options.client:
+        config = self.scenario.config
+        if config.mapper == self.options.client:
             clouds = simulation.preset.rings > 1
             return ClientMapper(bridge, config.mapper, reads_clouds=clouds, T_start_map=T_map_start.inverse())
         return PublishedMapper(bridge, start_mapper(config))
@@ -170,12 +161,12 @@ class _Session:
         """Return the requested start, map frame; the first one if the robot cannot stand there."""
         if T_map_start is None:
             return Pose2()
-        start = self._first @ T_map_start
-        if can_stand(self._scenario.world, self._robot, start):
+        start = self.first @ T_map_start
+        if can_stand(self.scenario.world, self.robot, start):
             return T_map_start
         where = f"({T_map_start.x:.2f}, {T_map_start.y:.2f})"
         warnings.warn(
-            f"/initialpose: {self._robot.name} cannot stand at {where}; starts at (0, 0)", stacklevel=2
+            f"/initialpose: {self.robot.name} cannot stand at {where}; starts at (0, 0)", stacklevel=2
         )
         return Pose2()
 
@@ -199,11 +190,7 @@ def _ended_by_interrupt(client: Client) -> Iterator[None]:
 
 
 def _check(config: RunConfig, options: LiveOptions) -> None:
-    """Check that the middleware is installed, and that mapper and driver suit a live drive.
-
-    Raises:
-        ConfigError: they do not.
-    """
+    """Check that the middleware is installed, and that mapper and driver suit a live drive."""
     package = PACKAGES[options.middleware]
     if find_spec(package) is None:
         raise ConfigError(
@@ -230,11 +217,7 @@ def _topics(config: RunConfig, options: LiveOptions) -> tuple[LiveTopic, ...]:
 
 
 def open_middleware(options: LiveOptions, topics: tuple[LiveTopic, ...]) -> Middleware:
-    """Join a network.
-
-    Raises:
-        ConfigError: domain or host cannot be used.
-    """
+    """Join a network."""
     if options.middleware == "dds":
         from lirs_extensions.live.dds import DdsNode
 
@@ -245,11 +228,7 @@ def open_middleware(options: LiveOptions, topics: tuple[LiveTopic, ...]) -> Midd
 
 
 def _await_client(middleware: Middleware, options: LiveOptions, announce: Callable[[str], None]) -> None:
-    """Wait for a subscriber of scans; with lockstep, also for a publisher of answers.
-
-    Raises:
-        ConfigError: there is none in time.
-    """
+    """Wait for a subscriber of scans; with lockstep, also for a publisher of answers."""
     if not options.wait:
         return
     place = f"{options.middleware} domain {options.domain} on {options.host or 'loopback'}"

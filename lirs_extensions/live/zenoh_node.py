@@ -107,11 +107,7 @@ class ZenohNode:
 
 
 def _open(options: LiveOptions) -> tuple[Any, str]:
-    """Return a session as router, or as client of a running one, and its role.
-
-    Raises:
-        ConfigError: neither works.
-    """
+    """Return a session as router, or as client of a running one, and its role."""
     endpoint = f"tcp/{own_address(options.host)}:{options.port}"
     for role, link in (("router", "listen"), ("client", "connect")):
         config = zenoh.Config()

@@ -68,10 +68,13 @@ def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
         drives = CaseDrives(options, limits, output, pool)
         found = search.falsify(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))
     page = write_results(output, drives, found, shlex.join(["lirs-wct", *sys.argv[1:]]))
-    for name in (page, *(output / f"case-{k}" for k in range(1, len(found) + 1))):
-        out.print(f"{name}", soft_wrap=True, highlight=False)
-    for sentence in conclusion(drives, found):
-        out.print(sentence, soft_wrap=True, highlight=False, markup=False)
+    _show(page, *(output / f"case-{k}" for k in range(1, len(found) + 1)), *conclusion(drives, found))
+
+
+def _show(*lines: object) -> None:
+    """Print lines as they are."""
+    for line in lines:
+        out.print(str(line), soft_wrap=True, highlight=False, markup=False)
 
 
 @common(
@@ -102,10 +105,8 @@ def tune(
         tuned = search.tune(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))
         found = search.compare(drives, tuned)
     paths = search.write_results(output, drives, tuned, found)
-    out.print(search.conclusion(drives, tuned, found), soft_wrap=True, highlight=False, markup=False)
-    for line in (*search.parameters_table(drives, tuned).as_markdown().splitlines(), *map(str, paths)):
-        out.print(line, soft_wrap=True, highlight=False, markup=False)
-    out.print(f"again: {search.again(drives, tuned)}", soft_wrap=True, highlight=False, markup=False)
+    table = search.parameters_table(drives, tuned).as_markdown().splitlines()
+    _show(search.conclusion(drives, tuned, found), *table, *paths, f"again: {search.again(drives, tuned)}")
 
 
 def _tune_target(
@@ -163,6 +164,4 @@ def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> N
             command=shlex.join(["lirs-wct", *sys.argv[1:]]),
             progress=progress,
         )
-    for sentence in result.sentences:
-        out.print(sentence, soft_wrap=True, highlight=False)
-    out.print(f"{folder / 'twin.html'}", soft_wrap=True, highlight=False)
+    _show(*result.sentences, folder / "twin.html")

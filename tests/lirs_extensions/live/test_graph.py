@@ -16,7 +16,6 @@ from lirs_extensions.live.graph import (
     user_data,
     zenoh_attachment,
     zenoh_key,
-    zenoh_quality,
     zenoh_token,
 )
 
@@ -76,12 +75,9 @@ def test_zenoh_tokens_are_rmw_zenohs():
         + HASH
         + "/::,10:,:,:,,"
     )
-
-
-def test_zenoh_quality_leaves_out_rmw_zenohs_defaults():
-    """qos_to_keyexpr of the same file; defaults in src/detail/qos.cpp: reliable, volatile, keep last 42."""
-    assert zenoh_quality(LiveTopic("/a", SCAN.kind, 42)) == "::,:,:,:,,"
-    assert zenoh_quality(LiveTopic("/a", SCAN.kind, 1, durable=True)) == ":1:,1:,:,:,,"
+    # qos_to_keyexpr of the same file; defaults in src/detail/qos.cpp: reliable, volatile, keep last.
+    durable = zenoh_token("abc", 7, 5, "jazzy", LiveTopic("/a", SCAN.kind, 1, durable=True), "MP")
+    assert durable.endswith("/:1:,1:,:,:,,")
 
 
 def test_zenoh_attachment_has_33_bytes():

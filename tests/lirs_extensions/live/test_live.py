@@ -229,7 +229,7 @@ def test_drives_that_cannot_be_are_refused(monkeypatch, run, options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"every": 0, "lockstep": True}, "every must be 1 or more"),
+        ({"every": 0, "lockstep": True}, "every must be at least 1"),
         ({"every": 2}, "the option every is for --lockstep"),
         ({"lockstep": True, "rate": 2.0}, "--rate is for drives without --lockstep"),
         ({"rate": 0.0}, "rate"),
