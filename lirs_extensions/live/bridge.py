@@ -51,13 +51,6 @@ class Bridge:
         late: scans answered later.
         delays: wall seconds from each scan to its answer.
         jitter: seconds by which each scan was published too late, without lockstep.
-
-    Args:
-        middleware: connection to the client.
-        options: pace and answers.
-        simulation: whose true pose is published.
-        errors: of the sensors, for covariances.
-        T_map_start: start pose in the client's map frame.
     """
 
     def __init__(

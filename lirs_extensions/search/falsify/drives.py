@@ -76,16 +76,14 @@ class SearchLimits(SearchSpace):
     parameters: tuple[SearchParameter, ...] = PARAMETERS
     returns: float = LEAST_RETURNS
 
-    def of_policy(self) -> SearchLimits:
-        """Return the limits of a search for a policy's failures."""
-        other = [p.name for p in self.parameters if p.group not in OF_A_POLICY or p.name == "actors"]
-        return replace(self.held(other), returns=0.0)
-
 
 def search_limits(options: FalsifyOptions) -> SearchLimits:
     """Return the limits of a search."""
     limits = SearchLimits() if options.limits is None else read_search_limits(Path(options.limits))
-    return limits if options.policy is None else limits.of_policy()
+    if options.policy is None:
+        return limits
+    other = [p.name for p in limits.parameters if p.group not in OF_A_POLICY or p.name == "actors"]
+    return replace(limits.held(other), returns=0.0)
 
 
 def read_search_limits(path: Path) -> SearchLimits:
@@ -195,16 +193,7 @@ def case_noise(case: Case, robot: str) -> SensorNoise:
 def write_case(
     folder: Path, case: Case, options: FalsifyOptions, *, method: str, seed: int, comment: str = ""
 ) -> RunConfig:
-    """Write a case into a folder; return the run that `lirs-wct validate` reads from it.
-
-    Args:
-        folder: for the files.
-        case: values of its parameters.
-        options: of the search.
-        method: mapper of the run.
-        seed: of the drive and its sensors.
-        comment: first line of the file with the run's options.
-    """
+    """Write a case into a folder; return the run that `lirs-wct validate` reads there."""
     run: dict[str, Any] = {"robot": options.robot, "mapper": method, "seed": seed}
     run |= {"seconds": float(options.seconds)}
     changed = SearchLimits().difference(case)
@@ -260,15 +249,7 @@ def check_methods(options: FalsifyOptions) -> None:
 
 
 def measure(options: FalsifyOptions, method: str, case: Case, seed: int, returns: float) -> DriveScore:
-    """Drive a method through a case and return its score.
-
-    Args:
-        options: of the search.
-        method: mapper or policy.
-        case: values of the parameters.
-        seed: of the drive and its sensors.
-        returns: smallest median share of beams with a return.
-    """
+    """Drive a method through a case with a seed; return its score."""
     if options.policy is not None:
         return _measure_policy(options, method, case, seed)
     with TemporaryDirectory(prefix="lirs-wct-case-") as folder:
@@ -369,12 +350,6 @@ class CaseDrives:
     Attributes:
         history: every score of the method under test, in order, with its stage, case and seed.
         stage: present part of the search.
-
-    Args:
-        options: of the search.
-        limits: plausibility of a case.
-        out: folder of the archive.
-        pool: runs drives in other processes; None = in this one.
     """
 
     def __init__(

@@ -65,10 +65,6 @@ Report = Callable[[str], None]
 def falsify(drives: CaseDrives, report: Report = lambda line: None) -> tuple[FoundCase, ...]:
     """Search for failures until the drives are used or enough cases are found.
 
-    Args:
-        drives: runs drives; its options and limits are those of the search.
-        report: called with a line on each batch and case.
-
     Raises:
         WctError: a drive cannot be run, or its score not be written.
     """

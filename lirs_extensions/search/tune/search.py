@@ -86,15 +86,7 @@ def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpa
 
 
 class TuneDrives:
-    """Runs the drives of a tuning and keeps their scores.
-
-    Args:
-        target: world and robot, or log, with the parameters that are held.
-        options: of the search.
-        space: parameters.
-        out: folder of the archive.
-        pool: runs drives in other processes; None = in this one.
-    """
+    """Runs the drives of a tuning and keeps their scores."""
 
     def __init__(
         self,

@@ -91,9 +91,7 @@ def compare(scans: LogScans) -> LogComparison:
 
 
 def simulate_scans(real: LogComparison, start: FloatArray, noise: LidarNoise, seed: int) -> LogScans:
-    """Return the scans that a lidar with `noise` measures in the map.
-
-    They are taken at the matched poses.
+    """Return the scans that a lidar with `noise` measures at the matched poses.
 
     Args:
         real: comparison of the log.

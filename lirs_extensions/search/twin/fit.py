@@ -81,10 +81,7 @@ class Sample:
         return np.flatnonzero(self.counts[:, 0])
 
     def widths(self, blocks: IntArray) -> FloatArray:
-        """Return (bins,) half the central 68 % of the residuals, meters.
-
-        A bin with too few residuals has NaN.
-        """
+        """Return (bins,) half the central 68 % of residuals, meters; NaN of too few."""
         some = np.concatenate([np.arange(self.first[b], self.first[b + 1]) for b in blocks])
         residual, bins = self.residual[some], np.digitize(self.ranges[some], BINS) - 1
         widths = np.full(len(BINS) - 1, np.nan)
