@@ -100,12 +100,7 @@ BACK = Pose2(0.0, 0.0, math.pi)
 
 
 class ReversingDriver(WrappedDriver):
-    """Driver that follows the path of another one backwards for part of the time.
-
-    Args:
-        driver: plans and follows the path.
-        share: share of the time in which it drives backwards.
-    """
+    """Driver that follows the path of another one backwards for a share of the time."""
 
     def __init__(self, driver: Driver, share: float) -> None:
         super().__init__(driver)

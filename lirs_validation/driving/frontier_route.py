@@ -320,10 +320,7 @@ class FrontierRoute:
         return row, col
 
     def _to_old_place(self, chart: ExplorationMap, first: IntArray) -> IntArray | None:
-        """Return the cells (n, 2) to the place left longest ago.
-
-        The nearest of several; None if there is none.
-        """
+        """Return the cells (n, 2) to the nearest place left longest ago; None without one."""
         left = chart.last_visits(np.array(self._stood), NEIGHBORHOOD)
         reach = search(chart.weight, first[None], chart.grid.resolution)
         cells = np.argwhere((chart.room > 0) & (reach.cost > self._config.step) & np.isfinite(reach.cost))

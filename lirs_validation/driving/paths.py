@@ -25,10 +25,7 @@ STRAIGHT = 1.2
 
 
 def room_in(free: BoolArray, resolution: float) -> FloatArray:
-    """Return (rows, cols) meters to the nearest cell that is not free.
-
-    The border counts as such; 0 where not free.
-    """
+    """Return (rows, cols) meters to the border or the nearest cell that is not free."""
     padded = np.pad(free, 1).astype(np.uint8)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return np.where(free, distance * resolution, 0.0)
@@ -67,10 +64,7 @@ def area_round(grid: OccupancyGrid, start: Pose2) -> BoolArray:
 
 
 def nearest(mask: BoolArray, cell: IntArray) -> IntArray:
-    """Return (2,) row and column of the nearest marked cell.
-
-    The given cell may lie outside the grid.
-    """
+    """Return (2,) row and column of the marked cell nearest to any cell."""
     cells = np.argwhere(mask).astype(np.int64)
     found: IntArray = cells[int(np.argmin(np.sum((cells - cell) ** 2, axis=1)))]
     return found

@@ -114,9 +114,7 @@ def warm_up_log_mapper(config: MapConfig) -> None:
 
 
 def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
-    """Return the inertial reading at each scan.
-
-    None without a file, or without a reading within 0.02 s.
+    """Return the inertial reading at each scan; None without one within 0.02 s.
 
     Raises:
         SourceError: the file cannot be used, or has no reading at any scan.
@@ -138,10 +136,7 @@ def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
 
 
 def with_recorded_mount(config: MapConfig, log: LaserLog) -> LaserLog:
-    """Return the log with the laser mount of the file's comment.
-
-    It includes the height and the tilt.
-    """
+    """Return the log with the laser's mount of the comment, height and tilt included."""
     T_base_laser = read_mount(Path(config.log))
     if T_base_laser is None:
         return log

@@ -256,10 +256,7 @@ def _compare(
 
 
 def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
-    """Read the log with the laser options of the config.
-
-    A bag's point clouds are read if requested.
-    """
+    """Read the log with the config's laser options; of a bag, clouds if requested."""
     path = Path(config.log)
     topics = (config.scan_topic, config.odom_topic, config.imu_topic)
     if is_bag(path):
@@ -461,10 +458,7 @@ def resolve_source(
 
 
 def _read_ending(folder: Path) -> tuple[str, str] | None:
-    """Return status and reason of a finished mapping in a folder.
-
-    None if the folder holds no current result.
-    """
+    """Return status and reason of a finished mapping; None without a current result."""
     path = folder / "record.json"
     try:
         record = json.loads(path.read_text(encoding="utf-8"))

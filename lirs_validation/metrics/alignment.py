@@ -30,9 +30,7 @@ class StartAlignment:
 
 
 def start_alignment(truth: Trajectory, estimate: Trajectory) -> StartAlignment | None:
-    """Align an estimate with the truth.
-
-    None if fewer than two poses or no meter of path is common.
+    """Align an estimate with the truth; None without two poses and a meter in common.
 
     Args:
         truth: true poses in the world frame, from the start pose on.

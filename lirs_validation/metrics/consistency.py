@@ -163,10 +163,7 @@ class _PlacedScans:
 def _place_scans(
     scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
 ) -> _PlacedScans | None:
-    """Place spaced scans by a trajectory.
-
-    None of fewer than two poses, or of scans that are not level.
-    """
+    """Place spaced scans; None of fewer than two poses, or of scans not level."""
     i, j = associated(np.array([scan.stamp for scan in scans]), trajectory.stamps)
     poses = planar(trajectory)[j]
     chosen, driven = _select_spaced(poses)

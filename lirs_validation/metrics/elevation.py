@@ -83,10 +83,10 @@ class ElevationScores:
             make of it without any error of the poses.
     """
 
-    elevation_rmse: float | None
-    elevation_rmse_aligned: float | None
-    elevation_seen: float | None
-    reference_elevation_rmse: float | None
+    elevation_rmse: float | None = None
+    elevation_rmse_aligned: float | None = None
+    elevation_seen: float | None = None
+    reference_elevation_rmse: float | None = None
 
 
 def elevation_map(points: Iterable[FloatArray], bounds: tuple[float, float, float, float]) -> ElevationMap:
@@ -203,12 +203,7 @@ def evaluate_elevation(
         estimate: the mapper's final poses, world frame (moved by the true start pose).
     """
     if world.overhangs:
-        return None, ElevationScores(
-            elevation_rmse=None,
-            elevation_rmse_aligned=None,
-            elevation_seen=None,
-            reference_elevation_rmse=None,
-        )
+        return None, ElevationScores()
     bounds = _bounds(world, sample, truth)
     made = Elevations(
         elevation_map(_place_clouds(sample, truth, estimate), bounds),
@@ -221,10 +216,7 @@ def evaluate_elevation(
 
 
 def _place_clouds(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> Iterator[FloatArray]:
-    """Yield the points (n, 3) of each cloud, placed by its pose.
-
-    Clouds without a pose at their stamp are left out.
-    """
+    """Yield the points (n, 3) of each cloud that has a pose, placed by it."""
     i, j = associated(truth.stamps[sample.scans], poses.stamps)
     for k, pose in zip(i.tolist(), j.tolist(), strict=True):
         cloud = sample.clouds[k]
@@ -241,10 +233,7 @@ def _bounds(world: World, sample: CloudSample, truth: Trajectory) -> tuple[float
 
 
 def _alignment(truth: Trajectory, estimate: Trajectory) -> Pose3 | None:
-    """Return the spatial alignment of the estimate with the truth.
-
-    None if the path leaves a rotation undetermined.
-    """
+    """Return the spatial alignment; None if the path leaves a rotation undetermined."""
     i, j = associated(truth.stamps, estimate.stamps)
     if len(i) < 3:
         return None

@@ -71,14 +71,7 @@ def trajectory_accuracy(
     constraints: Sequence[RelativePoseConstraint] | None,
     reference: Trajectory | None,
 ) -> Accuracy:
-    """Compare an estimate in the map frame with relations and reference.
-
-    Args:
-        estimate: of every scan.
-        odometry: raw, any frame; may be empty.
-        constraints: true relative poses.
-        reference: poses in any frame.
-    """
+    """Compare an estimate in the map frame with relations and reference."""
     return Accuracy(
         None if constraints is None else constraint_errors(estimate, constraints, odometry),
         None if reference is None else reference_errors(estimate, reference),

@@ -109,12 +109,7 @@ def count_hits(world: World, hits: Sequence[FloatArray]) -> tuple[FloatArray, Fl
 
 
 def observed_support(world: World, scans: Sequence[LaserScan], poses: Sequence[Pose3]) -> dict[str, float]:
-    """Count returns and hits on walls of recorded scans.
-
-    Args:
-        world: where they were taken.
-        scans: at least one.
-        poses: `T_world_base`, one per scan.
+    """Count returns and hits on walls of recorded scans at poses `T_world_base`.
 
     Returns:
         beams, range_max (meters), returns_median and walls_median per scan.
@@ -132,10 +127,7 @@ def observed_support(world: World, scans: Sequence[LaserScan], poses: Sequence[P
 
 
 def standing_on(world: World, robot: Robot, pose: Pose2) -> Pose3:
-    """Return the pose of base_link on the plane through four ground points.
-
-    They lie ahead, behind, left and right of it.
-    """
+    """Return base_link's pose on the ground ahead, behind, left and right of it."""
     if robot.flies:
         z = float(np.nan_to_num(world.surface.height_at(pose.x, pose.y)))
         return Pose3.from_pose2(pose, z + robot.base_height)

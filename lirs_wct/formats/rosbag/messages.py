@@ -178,10 +178,7 @@ NO_ERRORS = SensorErrors()
 
 
 def nanoseconds(stamp: float) -> int:
-    """Convert a stamp in seconds to nanoseconds.
-
-    At least 1, since tf2 reads 0 as the latest time.
-    """
+    """Convert seconds to nanoseconds, at least 1: tf2 reads 0 as the latest time."""
     return max(1, round(stamp * 1e9))
 
 

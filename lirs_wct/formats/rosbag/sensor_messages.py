@@ -343,10 +343,7 @@ def _cloud(records: NDArray[Any], header: float, stamp: float, T_base_laser: Pos
 
 
 def _columns(valid: BoolArray, ring: NDArray[Any]) -> tuple[NDArray[np.uint16] | None, tuple[int, int]]:
-    """Return columns (n,) of the valid points, and rings x columns.
-
-    None and (0, 0) unless each row is one ring.
-    """
+    """Return columns (n,), and rings x columns; None and (0, 0) unless rows are rings."""
     if len(valid) < 2 or (ring != np.arange(len(valid))[:, None]).any():
         return None, (0, 0)
     return np.nonzero(valid)[1].astype(np.uint16), (valid.shape[0], valid.shape[1])
