@@ -14,7 +14,7 @@ import numpy as np
 from lirs_envs.env import Observed, RobotEnv
 from lirs_envs.policies import Policy
 from lirs_extensions.bench.policies import PolicyChoice
-from lirs_extensions.bench.scores import coverage_area, success_by_path_length
+from lirs_extensions.bench.scores import coverage_area, distance_share, success_by_path_length
 from lirs_extensions.bench.tasks import BenchTask
 from lirs_validation.processes import is_interrupt
 from lirs_wct.arrays import Float32Array, FloatArray
@@ -211,5 +211,5 @@ def episode_metrics(task: BenchTask, log: EpisodeLog) -> dict[str, Any]:
     else:
         whole = float(log.first["distance"])
         entry |= {"distance": whole, "progress": float(last["progress"])}
-        score = 1.0 if entry["success"] else float(np.clip(entry["progress"] / whole, 0.0, 1.0))
+        score = 1.0 if entry["success"] else distance_share(entry["progress"], whole)
     return entry | ({} if log.trace else {"score": score})

@@ -84,3 +84,8 @@ def coverage_area(driven: Sequence[float], coverage: Sequence[float], budget: fl
     gained: FloatArray = np.clip((np.array(coverage) - first) / (COVERED - first), 0.0, 1.0)
     at = np.minimum(np.append(np.array(driven, dtype=np.float64), budget), budget)
     return float(np.trapezoid(np.append(gained, gained[-1]), at) / budget)
+
+
+def distance_share(gained: float, whole: float) -> float:
+    """Return the gained meters of the distance to the goal as a share, 0 to 1."""
+    return float(np.clip(gained / whole, 0.0, 1.0))

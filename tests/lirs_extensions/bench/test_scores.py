@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lirs_extensions.bench.scores import coverage_area, score_of, success_by_path_length
+from lirs_extensions.bench.scores import coverage_area, distance_share, score_of, success_by_path_length
 
 
 def test_spl_is_the_shortest_way_over_the_driven_one() -> None:
@@ -25,6 +25,12 @@ def test_coverage_area_of_a_ramp() -> None:
     assert coverage_area([0.0, 40.0, 41.0], [0.15, 0.15, 0.95], 40.0) == pytest.approx(0.0, abs=1e-12)
 
     assert coverage_area([0.0, 0.0, 0.0], [0.3, 0.3, 0.3], 10.0) == 0.0
+
+
+def test_distance_share_is_within_0_and_1() -> None:
+    assert distance_share(5.0, 20.0) == 0.25
+    assert distance_share(-3.0, 20.0) == 0.0
+    assert distance_share(21.0, 20.0) == 1.0
 
 
 def test_a_score_has_an_interval_that_is_the_same_each_time() -> None:
