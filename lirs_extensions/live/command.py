@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,8 +51,9 @@ def live(
     given = {name: _single(name, value) for name, value in run.items()}
     given = {"seconds": SECONDS, "driver": CLIENT, "mapper": live.client, **given}
     config = RunConfig(source=source, build=build, **given)
+    announce = partial(err.print, highlight=False, markup=False, soft_wrap=True)
     with progress_bar(source, err) as progress:
-        for result in drive_live(config, live, out=options.output, progress=progress, announce=_tell):
+        for result in drive_live(config, live, out=options.output, progress=progress, announce=announce):
             _show(result)
 
 
@@ -62,10 +64,6 @@ def _single(name: str, value: Any) -> Any:
     if len(value) > 1:
         raise ConfigError(f"live is one drive: --{name.replace('_', '-')} takes one value, got {len(value)}")
     return value[0]
-
-
-def _tell(line: str) -> None:
-    err.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def _show(result: LiveRun) -> None:

@@ -172,10 +172,13 @@ class Frames:
         return max(self._moving.get(name, {"": []}).values(), key=len)
 
     def _edge(self, name: str) -> tuple[FloatArray, list[Pose3]]:
-        """Return rising stamps and poses of a frame in its parent; one if fixed."""
+        """Return rising stamps and poses in the parent; a fixed frame has one pose."""
         if name not in self._edges:
-            fixed = name in self._fixed and name not in self._moving
-            self._edges[name] = (np.zeros(1), [self._fixed[name][1]]) if fixed else _rising(self._steps(name))
+            found = {stamp: T for _, stamp, T in self._steps(name)}
+            if name in self._fixed and name not in self._moving:
+                found = {0.0: self._fixed[name][1]}
+            stamps = sorted(found)
+            self._edges[name] = np.array(stamps), [found[t] for t in stamps]
         return self._edges[name]
 
     def _above(self, name: str) -> str:
@@ -197,13 +200,6 @@ class Frames:
 
 def _is_odom(frame: str) -> bool:
     return frame.rpartition("/")[2].startswith("odom")
-
-
-def _rising(steps: Sequence[Step]) -> tuple[FloatArray, list[Pose3]]:
-    """Return the poses by stamp; of equal stamps, the last."""
-    found = {stamp: T for _, stamp, T in steps}
-    stamps = sorted(found)
-    return np.array(stamps), [found[t] for t in stamps]
 
 
 def _interpolate(stamps: FloatArray, poses: list[Pose3], t: float) -> Pose3:
