@@ -274,7 +274,7 @@ def replay_log(
     for k, name in enumerate(names):
         progress(f"replay {name}", k / len(names))
         options: dict[str, Any] = {"mapper": name, "seed": config.seed, "second": "none"}
-        own: dict[str, Any] = {"mapper_python": None, "particles": None, "resolution": None, "imu": None}
+        own: dict[str, Any] = {"mapper_python": None, "parameters": "", "resolution": None, "imu": None}
         plain = replace(config, relations=None, reference=None, **options, **own)
         try:
             real = run_mapping(plain)
