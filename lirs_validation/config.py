@@ -13,11 +13,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from lirs_wct.checks import one_of, positive, within
 from lirs_wct.contact.contact_geometry import ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.suffixes import STORAGES, Storage
-from lirs_wct.option import Options, Slider, declared, digest_fields, documented, option
+from lirs_wct.option import (
+    Options,
+    Slider,
+    declared,
+    digest_fields,
+    documented,
+    one_of,
+    option,
+    positive,
+    within,
+)
 from lirs_wct.sources.options import BuildOptions
 from slam_baselines.mapper import MAPPERS, file_name, read_parameters
 

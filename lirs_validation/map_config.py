@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_validation.config import Attitude, digest_text, sha256
-from lirs_wct.checks import positive, within
 from lirs_wct.formats.suffixes import Clock
-from lirs_wct.option import Options, digest_fields, documented, option
+from lirs_wct.option import Options, digest_fields, documented, option, positive, within
 from slam_baselines.mapper import MAPPERS, read_parameters
 
 LOG = "The log"

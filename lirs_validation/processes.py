@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from multiprocessing import Pipe
 from types import FrameType
@@ -139,7 +140,9 @@ def end_with(parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _interrupt)  # a mapper's own `sys.exit` ends nothing but its run
     if sys.platform != "win32":
-        os.register_at_fork(after_in_child=_handle_as_usual)
+        # Python drops a signal that a child gets before it handles signals itself, unless it is blocked.
+        block = partial(signal.pthread_sigmask, signal.SIG_BLOCK, {signal.SIGTERM})
+        os.register_at_fork(before=block, after_in_parent=_unblock, after_in_child=_handle_as_usual)
     threading.Thread(target=_die_with, args=(parent,), daemon=True).start()
 
 
@@ -147,6 +150,11 @@ def _handle_as_usual() -> None:
     """Handle signals as Python does: a pool of processes ends its own by SIGTERM."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    _unblock()
+
+
+def _unblock() -> None:
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
 
 
 def end_group(leader: int) -> None:

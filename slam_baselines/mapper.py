@@ -116,7 +116,7 @@ CLOUD_MAPPERS: Mapping[str, Method] = {
     "kiss-icp": _wrap_package("kiss_icp", "KissIcpConfig", module="slam_baselines", extra="slam"),
     "genz-icp": _wrap_package("genz_icp", "GenzIcpConfig", extra="slam"),
     "small-gicp": _wrap_package("small_gicp", "SmallGicpConfig", extra="slam"),
-    "rko-lio": _wrap_package("rko_lio", "RkoLioConfig", needs=_INERTIAL),
+    "rko-lio": _wrap_package("rko_lio", "RkoLioConfig", needs=_INERTIAL, extra="slam"),
     "evalio:ct": _evalio("ct", "rolling sweeps"),
     "evalio:dlio": _evalio("dlio", _INERTIAL),
     "evalio:form": _evalio("form", "organized clouds"),

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from lirs_wct.checks import positive, within
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, documented, option
+from lirs_wct.option import Options, documented, option, positive, within
 
 Distribution = Literal["humble", "jazzy", "kilted"]
 LIVE = "Live topics (extra [live])"

@@ -16,8 +16,7 @@ from lirs_validation.cli.sources import OneSource, World
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
 from lirs_wct import BuildOptions, ConfigError
-from lirs_wct.checks import within
-from lirs_wct.option import Options, option
+from lirs_wct.option import Options, option, within
 
 
 @dataclass(frozen=True, kw_only=True)

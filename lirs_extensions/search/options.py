@@ -7,9 +7,8 @@ from typing import Any, Literal
 
 from lirs_extensions.bench import UPPER_BOUND
 from lirs_validation.config import DRIVABLE, RunConfig
-from lirs_wct.checks import within
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, declared, documented, option
+from lirs_wct.option import Options, declared, documented, option, within
 
 SEARCH = "Search of parameters"
 FAILURE_FACTOR = 3.0

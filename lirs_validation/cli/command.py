@@ -6,7 +6,6 @@ import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass
 from io import StringIO
-from pathlib import Path
 from typing import Any
 
 import click
@@ -27,8 +26,10 @@ OLD: Mapping[str, str] = {
     "--against": "differences are from the first policy that the command names",
     "--as": "is now --kind picture|map",
     "--bag": "is now lirs-wct record",
+    "--cell-memory": "is gone: the limits of your system, such as `ulimit -v`, do it",
     "--csv": "is now --tables FOLDER for `report`, -o FILE.csv for `compare`",
     "--denoise-method": "is now --option denoise=median|bilateral",
+    "--engine": "is now --jobs N, or --address of a Ray cluster",
     "--factor": "is gone: it is always 3",
     "--json": "is now -o FILE.json",
     "--log-mapper": "is now lirs-wct map LOG --mapper NAME; the map's YAML is a source",
@@ -71,7 +72,7 @@ def common(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
 
 
 @dataclass(frozen=True)
-class Group:
+class OptionGroup:
     """Class of options as a parameter of a command's function.
 
     Attributes:
@@ -100,7 +101,7 @@ class Group:
         return values if self.as_dict else self.kind(**values)
 
 
-def groups_of(function: Callable[..., Any]) -> Iterator[Group]:
+def groups_of(function: Callable[..., Any]) -> Iterator[OptionGroup]:
     """Yield the classes of options that a function takes.
 
     `C` stands for an instance, `Annotated[C, Few(...)]` for one with few flags, and `Annotated[dict, C]` for
@@ -111,7 +112,7 @@ def groups_of(function: Callable[..., Any]) -> Iterator[Group]:
         (mark,) = getattr(parameter.annotation, "__metadata__", (None,))
         as_dict = not issubclass(kind, Options)
         options: Any = mark if as_dict else kind
-        yield Group(name, options, as_dict, mark.names if isinstance(mark, Few) else None)
+        yield OptionGroup(name, options, as_dict, mark.names if isinstance(mark, Few) else None)
 
 
 class Command(click.Command):
@@ -253,17 +254,6 @@ def _completer(option: Option) -> Callable[[Any, Any, str], list[str]]:
         return [f"{before}{comma}{name}" for name in names if str(name).startswith(last)]
 
     return complete
-
-
-def complete_source(incomplete: str) -> list[str]:
-    """Return bundled worlds and paths that begin with a text, for the shell."""
-    # Slow to import; only the shell's completion needs it.
-    from lirs_wct.sources.bundled import RECIPES
-
-    worlds = [name for name in RECIPES if name.startswith(incomplete)]
-    folder, separator, name = incomplete.rpartition("/")
-    found = [path.name for path in Path(folder + separator).glob("*") if path.name.startswith(name)]
-    return worlds + sorted(folder + separator + name for name in found)
 
 
 def help_text(command: Command, ctx: click.Context, *, everything: bool) -> str:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from lirs_validation.cli.command import Few, complete_source
+from lirs_validation.cli.command import Few
 from lirs_validation.cli.progress import err, progress_bar
 from lirs_validation.config import WORLD_FLAGS
 from lirs_wct.option import Options, argument
@@ -16,6 +16,17 @@ from lirs_wct.sources.options import BuildOptions
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
 World = Annotated[BuildOptions, Few(WORLD_FLAGS)]
 """Options of a world for commands that drive through it; `build` has a flag for each."""
+
+
+def complete_source(incomplete: str) -> list[str]:
+    """Return bundled worlds and paths that begin with a text, for the shell."""
+    # Slow to import; only the shell's completion needs it.
+    from lirs_wct.sources.bundled import RECIPES
+
+    worlds = [name for name in RECIPES if name.startswith(incomplete)]
+    folder, separator, name = incomplete.rpartition("/")
+    found = [path.name for path in Path(folder + separator).glob("*") if path.name.startswith(name)]
+    return worlds + sorted(folder + separator + name for name in found)
 
 
 def source_argument(**given: Any) -> Any:

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from lirs_wct.checks import positive
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.option import Options, documented, option
+from lirs_wct.option import Options, documented, option, positive
 
 _PANEL: dict[str, Any] = {"panel": "Mesh files"}
 

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Literal
 
-from lirs_wct.checks import positive, within
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.images.picture import MAX_PIXELS
 from lirs_wct.formats.suffixes import Encoding
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.option import Options, Slider, changed, declared, documented, option
+from lirs_wct.option import Options, Slider, changed, declared, documented, option, positive, within
 
 
 class SourceKind(Enum):

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from lirs_validation.cli.command import complete_source
 from lirs_validation.cli.progress import out
-from lirs_validation.cli.sources import SOURCE_HELP
-from lirs_wct.checks import within
+from lirs_validation.cli.sources import SOURCE_HELP, complete_source
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import Options, argument, option
+from lirs_wct.option import Options, argument, option, within
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,9 +13,8 @@ from lirs_validation.cli.sources import OneSource
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.provenance import command_of
-from lirs_wct.checks import positive
 from lirs_wct.errors import ConfigError, LogSourceError
-from lirs_wct.option import option
+from lirs_wct.option import option, positive
 from lirs_wct.sources.options import BuildOptions, SourceKind, without_effect
 
 

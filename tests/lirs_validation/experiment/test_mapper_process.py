@@ -253,6 +253,27 @@ def test_a_mapper_may_use_a_pool_of_processes() -> None:
         assert process.stats.received == 6
 
 
+FORKS = """
+import os, signal, sys, time
+from lirs_validation.processes import end_with
+
+end_with(os.getppid())
+for _ in range(20):
+    child = os.fork()
+    if child == 0:
+        time.sleep(60)
+    os.kill(child, signal.SIGTERM)
+    os.waitpid(child, 0)
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there is no fork")
+def test_a_child_that_is_ended_at_once_ends() -> None:
+    """A child of a mapper's process lost the signal, and its pool waited for ever."""
+    assert subprocess.run([sys.executable, "-c", FORKS], timeout=30, check=False).returncode == 0
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no process groups")
 def test_what_a_mapper_leaves_behind_ends_with_it() -> None:
     with closing(observed("own_mappers:LeavesChild")) as process:
