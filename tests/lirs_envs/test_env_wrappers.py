@@ -1,6 +1,5 @@
 """Wrappers: a difficulty that follows success, and what a mapper makes of the scans."""
 
-from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -11,17 +10,7 @@ from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.observations import GROUPS
 from lirs_envs.sb3 import _adapter
 from lirs_envs.vector_env import RobotVectorEnv
-from lirs_envs.wrappers import (
-    FREE,
-    OCCUPIED,
-    UNKNOWN,
-    Curriculum,
-    MapObservation,
-    VectorCurriculum,
-    local_map,
-    map_group,
-    map_groups,
-)
+from lirs_envs.wrappers import FREE, OCCUPIED, UNKNOWN, Curriculum, local_map, map_groups
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
@@ -29,42 +18,6 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World
 from slam_baselines.mapper import make_mapper
 from tests.lirs_envs.test_sb3 import VecEnvInterface
-
-
-class Scripted(gym.Env[Any, Any]):
-    """Episodes of one step whose outcome is scripted."""
-
-    observation_space = gym.spaces.Discrete(1)
-    action_space = gym.spaces.Discrete(2)
-    difficulty = 0.0
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[int, dict[str, Any]]:
-        return 0, {}
-
-    def step(self, action: Any) -> tuple[int, float, bool, bool, dict[str, Any]]:
-        return 0, 0.0, True, False, {"success": bool(action)}
-
-
-def test_curriculum_follows_success() -> None:
-    inner = Scripted()
-    env = Curriculum(inner, difficulty=0.4, step=0.2, episodes=4, raise_at=0.75, lower_at=0.25)
-    told = []
-    for outcome in [1, 1, 1, 0] + [1] * 16 + [0] * 12 + [1, 0, 1, 0]:
-        told.append(env.reset()[1]["difficulty"])
-        assert inner.difficulty == told[-1]
-        env.step(outcome)
-    assert told[::4] == pytest.approx([0.4, 0.6, 0.8, 1.0, 1.0, 1.0, 0.8, 0.6, 0.4])
-    assert env.difficulty == pytest.approx(0.4)
-
-
-def test_curriculum_on_an_environment() -> None:
-    env = Curriculum(RobotEnv("traverse", kind="steps"), difficulty=0.3)
-    _, info = env.reset(seed=0)
-    assert info["difficulty"] == pytest.approx(0.3)
-    with pytest.raises(ConfigError, match="needs an environment with a difficulty"):
-        Curriculum(gym.make("CartPole-v1"))
-    with pytest.raises(ConfigError, match="0 <= lower_at < raise_at <= 1"):
-        Curriculum(Scripted(), raise_at=0.2)
 
 
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
@@ -77,7 +30,7 @@ def test_curriculum_of_a_vector(mode: str, plane: World, monkeypatch: pytest.Mon
     monkeypatch.setattr(
         episodes, "infos", lambda: infos() | {"success": good & (episodes.terminated | episodes.truncated)}
     )
-    env = VectorCurriculum(vector, difficulty=0.5, step=0.1, episodes=8, raise_at=0.75, lower_at=0.25)
+    env = Curriculum(vector, difficulty=0.5, step=0.1, episodes=8, raise_at=0.75, lower_at=0.25)
     env.reset(seed=0)
     seen = [0.5]
 
@@ -99,7 +52,7 @@ def test_curriculum_of_a_vector(mode: str, plane: World, monkeypatch: pytest.Mon
 
 def test_a_vector_with_a_curriculum_is_one_for_stable_baselines(plane: World) -> None:
     options: dict[str, Any] = {"world": plane, "time_limit": 0.2, "autoreset_mode": "SameStep"}
-    vector = VectorCurriculum(RobotVectorEnv(2, "navigation", **options), episodes=2, difficulty=0.3)
+    vector = Curriculum(RobotVectorEnv(2, "navigation", **options), episodes=2, difficulty=0.3)
     adapted = _adapter(VecEnvInterface)([vector])
     adapted.reset()
     for _ in range(2):
@@ -107,9 +60,9 @@ def test_a_vector_with_a_curriculum_is_one_for_stable_baselines(plane: World) ->
     assert done.all()
     assert adapted.get_attr("difficulty") == pytest.approx([0.25, 0.25])
     with pytest.raises(ConfigError, match="0 < step <= 1"):
-        VectorCurriculum(RobotVectorEnv(1, "navigation", **options), step=0)
+        Curriculum(RobotVectorEnv(1, "navigation", **options), step=0)
     with pytest.raises(ConfigError, match="needs environments with a difficulty"):
-        VectorCurriculum(gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync"))
+        Curriculum(gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync"))
 
 
 class Corner:
@@ -131,41 +84,41 @@ class Corner:
         return OccupancyGrid.from_probability(p, 0.25, Pose2(-5.0, -5.0))
 
 
-def test_a_group_with_maps_is_the_wrapper_for_vectors(rough: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Row by row the wrapper's maps of single environments, also those of an episode's end."""
-    mapper = partial(make_mapper, "hector")
-    monkeypatch.setitem(GROUPS, "my_map", map_group(mapper, cells=32))
+def test_maps_of_a_vector_are_those_of_single_environments(
+    rough: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Row by row, also those of an episode's end."""
     made = []
-    for name, group in map_groups(lambda: made.append(1) or mapper(), cells=32).items():
+
+    def mapper() -> Any:
+        made.append(make_mapper("hector"))
+        return made[-1]
+
+    for name, group in map_groups(mapper, cells=32).items():
         monkeypatch.setitem(GROUPS, name, group)
-    options: dict[str, Any] = {"world": rough, "time_limit": 0.8}
-    vector = RobotVectorEnv(
-        2, "mapping", observe=["my_map", "local_map", "map_pose"], autoreset_mode="SameStep", **options
-    )
-    singles = [
-        MapObservation(RobotEnv("mapping", observe=["scan"], **options), mapper, cells=32) for _ in "ab"
-    ]
+    options: dict[str, Any] = {"world": rough, "time_limit": 0.8, "observe": ["local_map", "map_pose"]}
+    vector = RobotVectorEnv(2, "mapping", autoreset_mode="SameStep", **options)
+    singles = [RobotEnv("mapping", **options) for _ in "ab"]
     together, _ = vector.reset(seed=3)
     alone = [env.reset(seed=3 + i)[0] for i, env in enumerate(singles)]
     actions, ends, values = np.array(((1.0, 0.3), (-0.8, 0.5)), np.float32), 0, set()
     for _ in range(12):
         for i in range(2):
-            np.testing.assert_array_equal(together["my_map"][i], alone[i]["local_map"])
             for name in ("local_map", "map_pose"):
                 np.testing.assert_array_equal(together[name][i], alone[i][name])
-        values |= set(np.unique(together["my_map"]).tolist())
+        values |= set(np.unique(together["local_map"]).tolist())
         together, *_, infos = vector.step(actions)
         for i, env in enumerate(singles):
             alone[i], _, _, over, _ = env.step(actions[i])
             if over:
-                np.testing.assert_array_equal(infos["final_obs"][i]["my_map"], alone[i]["local_map"])
+                np.testing.assert_array_equal(infos["final_obs"][i]["local_map"], alone[i]["local_map"])
                 alone[i], ends = env.reset()[0], ends + 1
     assert ends == 2
-    assert len(made) == 4, "map and pose come from one mapper an episode"
+    assert len(made) == 8, "map and pose come from one mapper an episode"
     assert np.ptp(together["map_pose"]) > 0.05
     assert {UNKNOWN, FREE} <= values
     with pytest.raises(ConfigError, match="size above 0"):
-        map_group(mapper, cells=0)
+        map_groups(mapper, cells=0)
 
 
 def test_local_map_around_a_pose() -> None:
@@ -183,21 +136,22 @@ def test_local_map_around_a_pose() -> None:
     assert (west[:8] == UNKNOWN).all()
 
 
-def test_map_observation(plane: World) -> None:
-    env = MapObservation(RobotEnv("mapping", world=plane, control_hz=50), Corner, cells=16)
+def test_a_mapper_receives_each_new_scan(plane: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    def mapper() -> Corner:
+        made.append(Corner())
+        return made[-1]
+
+    for name, group in map_groups(mapper, cells=16).items():
+        monkeypatch.setitem(GROUPS, name, group)
+    env = RobotEnv("mapping", world=plane, control_hz=50, observe=["local_map", "map_pose"])
     observation, _ = env.reset(seed=0)
-    assert env.observation_space.contains(observation)
-    first = env.mapper
     for _ in range(10):
         observation, *_ = env.step(np.array((0.5, 0.2), np.float32))
         assert env.observation_space.contains(observation)
-        assert observation["map_pose"] == pytest.approx(
-            env.unwrapped.view.reading().odometry.as_array(), abs=0.03
-        )
-    assert isinstance(first, Corner)
+        assert observation["map_pose"] == pytest.approx(env.view.reading().odometry.as_array(), abs=0.03)
     # The lidar's 25 Hz, not the 50 of the steps.
-    assert first.stamps == pytest.approx([0.0, 0.04, 0.08, 0.12, 0.16, 0.2])
+    assert made[0].stamps == pytest.approx([0.0, 0.04, 0.08, 0.12, 0.16, 0.2])
     env.reset()
-    assert env.mapper is not first
-    with pytest.raises(ConfigError, match="wrap before flattening"):
-        MapObservation(gym.wrappers.FlattenObservation(RobotEnv("mapping", world=plane)), Corner)
+    assert len(made) == 2

@@ -17,7 +17,7 @@ from lirs_envs.env import RobotEnv
 from lirs_envs.robots.robot import ROBOTS
 from lirs_envs.sb3 import _adapter, as_vec_env
 from lirs_envs.vector_env import RobotVectorEnv, split_infos
-from lirs_envs.wrappers import VectorCurriculum
+from lirs_envs.wrappers import Curriculum
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 
@@ -133,7 +133,7 @@ def sync(count: int = 3, wrap: Any = lambda env: env) -> Any:
 
 
 @pytest.mark.parametrize(
-    "wrap", [RecordEpisodeStatistics, lambda env: VectorCurriculum(DictInfoToList(env), difficulty=0.2)]
+    "wrap", [RecordEpisodeStatistics, lambda env: Curriculum(DictInfoToList(env), difficulty=0.2)]
 )
 @pytest.mark.parametrize("make", [vector, sync])
 def test_wrapped_vectors_and_those_of_single_environments(make: Any, wrap: Any) -> None:
