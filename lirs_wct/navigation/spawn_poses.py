@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -43,14 +46,16 @@ class Footprint:
         )
 
 
-FOOTPRINTS = (
-    Footprint("husky", 0.58, math.radians(25)),
-    Footprint("jackal", 0.31, math.radians(30)),
-    Footprint("turtlebot3_waffle", 0.26, math.radians(10)),
-    Footprint("turtlebot2", 0.18, math.radians(10)),
-    Footprint("turtlebot3_burger", 0.14, math.radians(10)),
+ROBOT_FIGURES: dict[str, dict[str, Any]] = tomllib.loads(
+    Path(__file__).with_name("robots.toml").read_text(encoding="utf-8")
 )
-"""Wheeled robots, the largest first, with the values of the robot catalog."""
+"""Figures of the robots by name (see `lirs_envs.robots.robot.Robot`)."""
+FOOTPRINTS = tuple(
+    Footprint(name, figures["radius"], math.radians(figures["max_slope"]))
+    for name, figures in sorted(ROBOT_FIGURES.items(), key=lambda item: -item[1]["radius"])
+    if "left_wheels" in figures
+)
+"""Wheeled robots, the largest first."""
 
 
 EDGE = 0.15

@@ -99,6 +99,7 @@ def _files(kind: SourceKind, path: Path) -> tuple[Path, ...]:
 @lru_cache(maxsize=1)
 def _program_digest() -> bytes:
     digest = hashlib.sha256(f"{np.__version__} {cv2.__version__}".encode())
-    for file in sorted(Path(lirs_wct.__file__).parent.rglob("*.py")):
+    package = Path(lirs_wct.__file__).parent
+    for file in sorted((*package.rglob("*.py"), *package.rglob("*.toml"))):
         digest.update(file.read_bytes())
     return digest.digest()
