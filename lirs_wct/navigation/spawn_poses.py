@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from importlib.resources import files
 
 import cv2
 import numpy as np
@@ -46,13 +45,10 @@ class Footprint:
         )
 
 
-ROBOT_FIGURES: dict[str, dict[str, Any]] = tomllib.loads(
-    Path(__file__).with_name("robots.toml").read_text(encoding="utf-8")
-)
-"""Figures of the robots by name (see `lirs_envs.robots.robot.Robot`)."""
+ROBOTS = tomllib.loads(files("lirs_wct").joinpath("robots.toml").read_text(encoding="utf-8"))
 FOOTPRINTS = tuple(
     Footprint(name, figures["radius"], math.radians(figures["max_slope"]))
-    for name, figures in sorted(ROBOT_FIGURES.items(), key=lambda item: -item[1]["radius"])
+    for name, figures in sorted(ROBOTS.items(), key=lambda item: -item[1]["radius"])
     if "left_wheels" in figures
 )
 """Wheeled robots, the largest first."""

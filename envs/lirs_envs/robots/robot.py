@@ -1,4 +1,4 @@
-"""Robots as data: one MJCF file under `assets/` and a part of `lirs_wct/navigation/robots.toml` each.
+"""Robots as data: one MJCF file under `assets/` and a part of `lirs_wct/robots.toml` each.
 
 Required contents of a robot's MJCF file:
 
@@ -13,7 +13,9 @@ Required contents of a robot's MJCF file:
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,7 +23,6 @@ from lirs_wct.checks import is_finite, require_within
 from lirs_wct.display import ShownAsTable
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry import Pose3
-from lirs_wct.navigation.spawn_poses import ROBOT_FIGURES
 
 ASSETS = Path(__file__).parent / "assets"
 POSITIVE = (
@@ -190,7 +191,8 @@ def _read_robot(name: str, figures: dict[str, Any]) -> Robot:
     return Robot(name=name, **fields)
 
 
-ROBOTS = {name: _read_robot(name, figures) for name, figures in ROBOT_FIGURES.items()}
+FIGURES = tomllib.loads(files("lirs_wct").joinpath("robots.toml").read_text(encoding="utf-8"))
+ROBOTS = {name: _read_robot(name, figures) for name, figures in FIGURES.items()}
 """Robots by name."""
 
 
