@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_envs.generators.maze import maze
 from lirs_envs.generators.natural import NODES, fractal
 from lirs_envs.generators.obstacles import OBSTACLES, X, Y, at_difficulty, nodes_within
-from lirs_envs.generators.route import CELL, distance_to_route, winding_route
+from lirs_envs.generators.route import CELL, distance_to_route, maze, winding_route
 from lirs_wct import HeightField, Pose2, World, unknown_name
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.checks import positive, within

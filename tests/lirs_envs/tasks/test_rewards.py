@@ -155,13 +155,13 @@ def test_weights_are_plain_options(plane: World) -> None:
     ("weights", "message"),
     [
         ({"tiped": -1.0}, "unknown reward 'tiped'; legal: collision, contact, crossing, effort, left"),
-        ({"collision": 5.0}, "collision of the rewards must be within),
-        ({"collision": float("nan")}, "collision of the rewards must be within),
+        ({"collision": 5.0}, "collision of the rewards must be within"),
+        ({"collision": float("nan")}, "collision of the rewards must be within"),
         ({"success": -1.0}, "success of the rewards"),
         ({"tipped": -1.0}, "tipped of the rewards must be at most that of a collision, -5, got -1"),
         ({"collision": -20.0}, "tipped of the rewards must be at most that of a collision, -20, got -10"),
         ({"left": 0.0}, "left of the rewards must be"),
-        ({"effort": "much"}, "effort of the rewards must be within),
+        ({"effort": "much"}, "effort of the rewards must be within"),
         ([("tipped", -9.0)], "mapping of names to weights"),
     ],
 )
