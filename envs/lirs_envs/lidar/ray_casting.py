@@ -20,9 +20,10 @@ distance to that triangle in double precision.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Collection
 from importlib import import_module
-from typing import Any, Literal, Protocol, get_args
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
@@ -49,7 +50,27 @@ SLACK = 1e-4
 """Meters added to Embree's largest range: single precision at a kilometer."""
 
 
-class MeshCaster:
+class Caster(ABC):
+    """Geometry that beams can meet."""
+
+    @abstractmethod
+    def hits(
+        self, origins: FloatArray, directions: FloatArray, max_range: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ranges (n,) as `ranges` does, and (n,) reflectivities times cosines of the incidence."""
+
+    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
+        """Return (n,) meters along unit directions; inf where nothing is within `max_range`.
+
+        Args:
+            origins: (3,) start of all rays, or (n, 3) of each; world frame, meters, finite.
+            directions: (n, 3) unit vectors, world frame, contiguous.
+            max_range: meters.
+        """
+        return self.hits(origins, directions, max_range)[0]
+
+
+class MeshCaster(Caster):
     """Ranges to the triangles of a mesh, from outside and from inside alike.
 
     Raises:
@@ -87,22 +108,10 @@ class MeshCaster:
         self.__dict__.update(state)
         self._build_scene()
 
-    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
-        """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
-        return self._met(origins, directions, max_range)[0]
-
     def hits(
         self, origins: FloatArray, directions: FloatArray, max_range: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return ranges and reflectances (see `lirs_envs.lidar.ray_casting.Caster`)."""
-        ranges, faces = self._met(origins, directions, max_range)
-        a, b, c = self._vertices[self._faces[faces]].transpose(1, 0, 2)
-        return ranges, reflect(GROUND, np.cross(b - a, c - a), directions)
-
-    def _met(
-        self, origins: FloatArray, directions: FloatArray, max_range: float
-    ) -> tuple[FloatArray, Int32Array]:
-        """Return (n,) ranges and triangles, -1 = none."""
+        """Return ranges and reflectances (see `Caster`)."""
         origins = origins - self._middle
         starts = np.empty(directions.shape, np.float32)
         starts[:] = origins
@@ -111,7 +120,8 @@ class MeshCaster:
         ranges = np.empty(len(directions))
         starts_exact = np.broadcast_to(origins, directions.shape)
         _refine(self._vertices, self._faces, met["primID"], starts_exact, directions, max_range, ranges)
-        return ranges, met["primID"]
+        a, b, c = self._vertices[self._faces[met["primID"]]].transpose(1, 0, 2)
+        return ranges, reflect(GROUND, np.cross(b - a, c - a), directions)
 
 
 @njit
@@ -155,25 +165,7 @@ def _plane_range(vertices: FloatArray, face: Int32Array, o: FloatArray, d: Float
     return clipped
 
 
-class Caster(Protocol):
-    """Geometry that beams can meet."""
-
-    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
-        """Return (n,) meters along unit directions; inf where nothing is within `max_range`.
-
-        Args:
-            origins: (3,) start of all rays, or (n, 3) of each; world frame, meters, finite.
-            directions: (n, 3) unit vectors, world frame, contiguous.
-            max_range: meters.
-        """
-
-    def hits(
-        self, origins: FloatArray, directions: FloatArray, max_range: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return ranges (n,) as `ranges` does, and (n,) reflectivities times cosines of the incidence."""
-
-
-class RayCaster:
+class RayCaster(Caster):
     """Ranges from a point along rays to the nearest triangle or wall of a world."""
 
     def __init__(self, surface: HeightField, walls: WallGrid | None = None) -> None:
@@ -314,7 +306,7 @@ def resolve_rays(name: str) -> Rays:
     raise unknown_name("rays", name, RAYS)
 
 
-class GeomCaster:
+class GeomCaster(Caster):
     """MuJoCo's rays on groups of its geoms, in the present state."""
 
     def __init__(self, data: mujoco.MjData, groups: tuple[int, ...]) -> None:
@@ -324,34 +316,26 @@ class GeomCaster:
         self._reflectivity[model.geom_group == PROP_GROUP] = PROP
         self._reflectivity[model.geom_group == WALKER_GROUP] = WALKER
 
-    def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
-        """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
-        return self._hits(origins, directions, max_range)[0]
-
     def hits(
         self, origins: FloatArray, directions: FloatArray, max_range: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return ranges and reflectances (see `Caster`)."""
-        ranges, geoms, normals = self._hits(origins, directions, max_range)
-        return ranges, self._reflectivity[geoms] * reflect(1.0, normals, directions)
-
-    def _hits(
-        self, origins: FloatArray, directions: FloatArray, max_range: float
-    ) -> tuple[FloatArray, Int32Array, FloatArray]:
         model = self._data.model
         # Poses of geoms are those before the last step; bringing them up to date does not change stepping.
         mujoco.mj_kinematics(model, self._data)
-        return mujoco_hits(model, self._data, origins, directions, max_range, groups=self._groups)
+        rays = origins, directions, max_range
+        ranges, geoms, normals = mujoco_hits(model, self._data, *rays, groups=self._groups)
+        return ranges, self._reflectivity[geoms] * reflect(1.0, normals, directions)
 
 
-class NearestCaster:
+class NearestCaster(Caster):
     """The nearer range of two casters."""
 
     def __init__(self, first: Caster, second: Caster) -> None:
         self._first, self._second = first, second
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
-        """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
+        """Return (n,) ranges (see `Caster`)."""
         rays = (origins, directions, max_range)
         nearest: FloatArray = np.minimum(self._first.ranges(*rays), self._second.ranges(*rays))
         return nearest
@@ -369,7 +353,7 @@ class NearestCaster:
         return np.where(nearer, first, second), np.where(nearer, reflected_first, reflected_second)
 
 
-class WalkerCaster:
+class WalkerCaster(Caster):
     """Caster of walkers on top of another caster.
 
     Attributes:
@@ -386,7 +370,7 @@ class WalkerCaster:
         self.met: BoolArray = np.zeros(0, np.bool_)
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
-        """Return (n,) ranges (see `lirs_envs.lidar.ray_casting.Caster`)."""
+        """Return (n,) ranges (see `Caster`)."""
         return self._meet(self._caster.ranges(origins, directions, max_range), origins, directions, max_range)
 
     def hits(
