@@ -182,7 +182,7 @@ def make_config(options: dict[str, Any], *others: str) -> EnvConfig:
 
 def snapshot_of(episodes: Episodes, i: int) -> Snapshot:
     """Return the snapshot of episode `i` for rendering."""
-    simulation, goal = episodes.simulation, episodes.task.goal(i)
+    simulation, goal = episodes.simulation, EpisodeView(episodes, i).goal
     return Snapshot(
         world=simulation.worlds[i],
         config=simulation.config,

@@ -102,7 +102,6 @@ class MapMemory:
     """Mappers of N robots: each receives a robot's new scans, its odometry and attitude.
 
     Args:
-        stage: the robots.
         make_mapper: returns a new mapper for each episode.
         cells: along a side of the local map.
         cell: edge of its cells, meters.

@@ -112,7 +112,7 @@ class Episodes:
             if crossing
             else TASKS[task](self.stage)
         )
-        if {"goal", "goal_direction"} & set(names) and not self.task.has_goal:
+        if {"goal", "goal_direction"} & set(names) and self.task.goals is None:
             raise ConfigError(f"the {task} task has no goal to observe")
         self.observations = Observations(names, self.stage, self.task)
         self._randomization = Randomization(self.simulation, factors)
@@ -382,7 +382,7 @@ class EpisodeView:
     @property
     def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair
         """True pose of base_link."""
-        return self._episodes.stage.pose(self._i)
+        return self._episodes.simulation.pose(self._i)
 
     @property
     def world(self) -> World:
@@ -392,7 +392,11 @@ class EpisodeView:
     @property
     def goal(self) -> tuple[float, float] | None:
         """x, y of the goal, meters; None = the task has none."""
-        return self._episodes.task.goal(self._i)
+        goals = self._episodes.task.goals
+        if goals is None:
+            return None
+        x, y = goals[self._i].tolist()
+        return x, y
 
     def reading(self) -> Observation:
         """Return the last sensor readings as arguments of a mapper."""

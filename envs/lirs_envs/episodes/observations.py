@@ -208,11 +208,11 @@ def _body(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
 
 def _goal(stage: Stage, task: Task, ids: IntArray) -> FloatArray:
     """Return distance, meters, and bearing from the robot's heading, radians."""
+    assert task.goals is not None, "only tasks with a goal have it observed"
     polar = np.empty((len(ids), 2))
     for k, i in enumerate(ids.tolist()):
-        goal, T = task.goal(i), stage.pose(i)
-        assert goal is not None, "only tasks with a goal have it observed"
-        dx, dy = goal[0] - T.x, goal[1] - T.y
+        T = stage.simulation.pose(i)
+        dx, dy = (task.goals[i] - T.position[:2]).tolist()
         polar[k] = math.hypot(dx, dy), math.remainder(math.atan2(dy, dx) - T.yaw, math.tau)
     return polar
 
@@ -228,7 +228,7 @@ def _seen_map(stage: Stage, task: Task, ids: IntArray) -> ByteArray:
     assert stage.seen is not None
     maps = np.empty((len(ids), 1, MAP_CELLS, MAP_CELLS), np.uint8)
     for k, i in enumerate(ids.tolist()):
-        T = stage.pose(i)
+        T = stage.simulation.pose(i)
         stage.seen.local_map(i, T.x, T.y, T.yaw, maps[k, 0])
     return maps
 
@@ -236,7 +236,7 @@ def _seen_map(stage: Stage, task: Task, ids: IntArray) -> ByteArray:
 def _height_map(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
     maps = np.empty((len(ids), HEIGHT_CELLS, HEIGHT_CELLS), np.float32)
     for k, i in enumerate(ids.tolist()):
-        T, world = stage.pose(i), stage.simulation.worlds[i]
+        T, world = stage.simulation.pose(i), stage.simulation.worlds[i]
         surface, holes = world.surface, world.no_ground
         frame = (*surface.origin, *surface.cell)
         holes = np.zeros((0, 0), np.bool_) if holes is None else holes

@@ -30,7 +30,6 @@ class MappingTask(Task):
     observe: ClassVar = ("scan", "odometry", "attitude")
     time_limit: ClassVar = 120.0
     option_names: ClassVar = ("start",)
-    has_goal: ClassVar = False
     needs_seen: ClassVar = True
 
     def __init__(self, stage: Stage) -> None:
@@ -61,7 +60,7 @@ class MappingTask(Task):
     def begin(self, i: int) -> None:
         """Begin after the first scan, whose ground earns nothing."""
         self._reachable[i] = max(int(self.ground(i)[1].sum()), 1)
-        self._before[i], self._poses[i] = self._seen.cells[i], self.stage.pose(i)
+        self._before[i], self._poses[i] = self._seen.cells[i], self.stage.simulation.pose(i)
 
     def step(self, ids: IntArray) -> FloatArray:
         """Return the square meters newly seen; 0 for robots that stand."""
@@ -72,7 +71,7 @@ class MappingTask(Task):
 
     def _has_moved(self, i: int) -> bool:
         """Return whether robot `i` has moved since the last step."""
-        before, T = self._poses[i], self.stage.pose(i)
+        before, T = self._poses[i], self.stage.simulation.pose(i)
         self._poses[i] = T
         way, turn = math.dist(T.position, before.position), math.remainder(T.yaw - before.yaw, math.tau)
         robot, share = self.stage.simulation.config.robot, STANDING * self.stage.simulation.period
@@ -84,8 +83,5 @@ class MappingTask(Task):
 
     def infos(self) -> dict[str, Any]:
         """Return the coverage of the reachable ground, 0 to 1, and the seen area, m^2."""
-        return {"coverage": self._coverage(), "seen_area": self._seen.cells * SEEN_CELL**2}
-
-    def _coverage(self) -> FloatArray:
-        share: FloatArray = self._seen.wanted_cells / self._reachable
-        return share
+        coverage = self._seen.wanted_cells / self._reachable
+        return {"coverage": coverage, "seen_area": self._seen.cells * SEEN_CELL**2}

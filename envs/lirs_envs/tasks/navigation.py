@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from lirs_envs.tasks.site import Site, distance_at
-from lirs_envs.tasks.task import Stage, Task, point
+from lirs_envs.tasks.task import GoalTask, Stage, point
 from lirs_wct import Pose2, SimulationError
 from lirs_wct.arrays import FloatArray, IntArray
 
@@ -19,7 +19,7 @@ CANDIDATES = 8
 """Goals among which the difficulty picks one by the roughness of the straight line to it."""
 
 
-class NavigationTask(Task):
+class NavigationTask(GoalTask):
     """Navigation task: reward per meter gained on the shortest path to the goal.
 
     Goal and collision end the episode.
@@ -32,7 +32,6 @@ class NavigationTask(Task):
     observe: ClassVar = ("scan", "goal", "attitude")
     time_limit: ClassVar = 90.0
     option_names: ClassVar = ("start", "goal", "difficulty")
-    admits_flight: ClassVar = False
     ends_at_contact: ClassVar = True
 
     def __init__(self, stage: Stage) -> None:
@@ -42,11 +41,9 @@ class NavigationTask(Task):
         self._open = stage.site.world.traversable(
             clearance=0.0, max_slope=robot.max_slope, resolution=grid.resolution
         ).free
-        self._goals = np.zeros((stage.count, 2))
         self._costs: list[FloatArray] = [np.zeros((0, 0))] * stage.count
         self._ways = np.zeros((stage.count, 2))
         """Way to the goal at the start, and now."""
-        self._success = np.zeros(stage.count, np.bool_)
         self._collision = np.zeros(stage.count, np.bool_)
 
     def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
@@ -67,47 +64,44 @@ class NavigationTask(Task):
                     f"no way leads from ({start.x:.2f}, {start.y:.2f}) to the goal ({x:.2f}, {y:.2f})"
                 )
             return None
-        self._goals[i], self._costs[i], self._ways[i] = (x, y), cost, way
+        self.goals[i], self._costs[i], self._ways[i] = (x, y), cost, way
         return start
 
     def begin(self, i: int) -> None:
         """Begin with neither success nor collision."""
-        self._success[i] = self._collision[i] = False
+        self.success[i] = self._collision[i] = False
 
     def step(self, ids: IntArray) -> FloatArray:
         """Return the meters gained, plus the rewards of success and collision."""
-        stage, rewards = self.stage, np.zeros(len(ids))
-        success, collision = stage.rewards.success, stage.rewards.collision
-        for k, i in enumerate(ids.tolist()):
-            T = stage.pose(i)
-            way = _way(stage.site, self._costs[i], T.x, T.y)
-            if math.isfinite(way):
-                # Off the drivable ground the robot gains nothing until it returns.
-                rewards[k] = self._ways[i, 1] - way
-                self._ways[i, 1] = way
-            # Within the radius, but not through an obstacle.
-            near = max(self._distance(i), way) <= self._radius
-            self._success[i] = near and self._sees_goal(i)
-            self._collision[i] = bool(stage.simulation.touched[i]) and not self._success[i]
-            rewards[k] += success * bool(self._success[i]) + collision * bool(self._collision[i])
+        simulation, weights = self.stage.simulation, self.stage.rewards
+        places = simulation.T_world_base[ids, :2].tolist()
+        ways = np.array(
+            [_way(self.stage.site, self._costs[i], *place) for i, place in zip(ids, places, strict=True)]
+        )
+        # Off the drivable ground the robot gains nothing until it returns.
+        present = np.where(np.isfinite(ways), ways, self._ways[ids, 1])
+        gained = self._ways[ids, 1] - present
+        self._ways[ids, 1] = present
+        # Within the radius, but not through an obstacle.
+        near = np.maximum(self.distances()[ids], ways) <= self._radius
+        self.success[ids] = [near[k] and self._sees_goal(i) for k, i in enumerate(ids)]
+        self._collision[ids] = simulation.touched[ids] & ~self.success[ids]
+        rewards: FloatArray = gained + (
+            weights.success * self.success[ids] + weights.collision * self._collision[ids]
+        )
         return rewards
 
     def end(self, i: int) -> str:
         """Return "success" or "collision"."""
-        return "success" if self._success[i] else "collision" if self._collision[i] else ""
-
-    def goal(self, i: int) -> tuple[float, float]:
-        """Return x, y of the goal, meters."""
-        x, y = self._goals[i].tolist()
-        return x, y
+        return "success" if self.success[i] else "collision" if self._collision[i] else ""
 
     def infos(self) -> dict[str, Any]:
         """Return outcome, goal, straight distance to it and the shortest way from the start, meters."""
         return {
-            "success": self._success.copy(),
+            "success": self.success.copy(),
             "collision": self._collision.copy(),
-            "goal": self._goals.copy(),
-            "distance": np.array([self._distance(i) for i in range(self.stage.count)]),
+            "goal": self.goals.copy(),
+            "distance": self.distances(),
             "shortest_path": self._ways[:, 0].copy(),
         }
 
@@ -116,17 +110,14 @@ class NavigationTask(Task):
 
         A short path may lead around a wall.
         """
-        T, share = self.stage.pose(i), np.linspace(0.0, 1.0, 32)[:, None]
-        cells = self.stage.site.grid.cells((1 - share) * np.array((T.x, T.y)) + share * self._goals[i])
+        place, share = self.stage.simulation.T_world_base[i, :2], np.linspace(0.0, 1.0, 32)[:, None]
+        cells = self.stage.site.grid.cells((1 - share) * place + share * self.goals[i])
         row, col = np.clip(cells, 0, np.array(self._open.shape) - 1).T
         return bool(self._open[row, col].all())
 
-    def _distance(self, i: int) -> float:
-        T = self.stage.pose(i)
-        return math.hypot(self._goals[i, 0] - T.x, self._goals[i, 1] - T.y)
-
 
 def _way(site: Site, cost: FloatArray, x: float, y: float) -> float:
+    """Return the shortest way from a point to the goal of a cost grid, meters."""
     origin = site.grid.origin
     way: float = distance_at(cost, (origin.x, origin.y), site.grid.resolution, x, y)
     return way

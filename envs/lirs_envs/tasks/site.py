@@ -68,7 +68,6 @@ class Site:
     """Free ground of a robot in a world.
 
     Attributes:
-        world: the world.
         grid: its free cells are where the robot's middle may be.
         areas: (rows, cols) number of the connected area of each free cell, from 1; 0 = not free.
         largest: number of the largest area.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import SeenFrame, Site
-from lirs_wct import ConfigError, Pose2, Pose3
+from lirs_wct import ConfigError, Pose2
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.checks import Checked, limited
 
@@ -85,10 +86,6 @@ class Stage:
         """Number of robots, N."""
         return self.simulation.count
 
-    def pose(self, i: int) -> Pose3:
-        """Return the last valid `T_world_base` of robot `i`."""
-        return self.simulation.pose(i)
-
     def start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2:
         """Return the start that the options ask for, or one drawn, or the world's first."""
         given = options.get("start")
@@ -105,20 +102,20 @@ class Task(ABC):
         observe: groups of observations where the user names none.
         time_limit: seconds, where the user gives none.
         option_names: names of the options of `reset(options=...)`.
-        has_goal: whether there is a goal to observe.
         needs_seen: whether the task reads the ground that the robots have seen (`stage.seen`).
         admits_flight: whether a robot that flies may do the task.
         ends_at_contact: whether a collision ends the episode; else each second of contact costs.
         stage: state on which the task acts.
+        goals: (N, 2) x, y of the goals, meters; None = there are none to observe.
     """
 
     observe: ClassVar[tuple[str, ...]]
     time_limit: ClassVar[float]
     option_names: ClassVar[tuple[str, ...]]
-    has_goal: ClassVar[bool] = True
     needs_seen: ClassVar[bool] = False
     admits_flight: ClassVar[bool] = True
     ends_at_contact: ClassVar[bool] = False
+    goals: FloatArray | None = None
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage
@@ -158,9 +155,26 @@ class Task(ABC):
     def infos(self) -> dict[str, Any]:
         """Return (N, ...) arrays of the task's entries of `info`."""
 
-    def goal(self, i: int) -> tuple[float, float] | None:
-        """Return x, y of the goal of robot `i`, meters; None = it has none."""
-        return None
+
+class GoalTask(Task):
+    """Task that ends at a goal.
+
+    Attributes:
+        goals: (N, 2) x, y, meters.
+        success: (N,) whether the goal is reached.
+    """
+
+    goals: FloatArray
+    admits_flight: ClassVar = False
+
+    def __init__(self, stage: Stage) -> None:
+        super().__init__(stage)
+        self.goals, self.success = np.zeros((stage.count, 2)), np.zeros(stage.count, np.bool_)
+
+    def distances(self) -> FloatArray:
+        """Return (N,) straight distances to the goals, meters."""
+        ways = self.goals - self.stage.simulation.T_world_base[:, :2]
+        return np.array([math.hypot(x, y) for x, y in ways.tolist()])
 
 
 def point(value: Any, size: int, name: str) -> tuple[float, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
@@ -11,7 +10,7 @@ import numpy as np
 from lirs_envs.generators.terrain import KINDS, GeneratedTerrain, generate
 from lirs_envs.robots.robot import Robot
 from lirs_envs.tasks.site import SeenFrame, seen_frame
-from lirs_envs.tasks.task import Stage, Task
+from lirs_envs.tasks.task import GoalTask, Stage
 from lirs_wct import Pose2, SimulationError, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 
@@ -33,26 +32,27 @@ def course_scale(robot: Robot) -> CourseScale:
     return CourseScale(robot.radius / HUSKY_RADIUS, robot.friction / HUSKY_FRICTION)
 
 
-class TraverseTask(Task):
+class TraverseTask(GoalTask):
     """Traverse task: reward per share of the straight distance to the goal that is gained.
 
     Shares, as in the benchmark's score, weigh the same on a small robot's short course. The goal ends the
     episode.
+
+    Attributes:
+        courses: present course of each robot.
     """
 
     observe: ClassVar = ("scan", "goal", "attitude", "height_map")
     time_limit: ClassVar = 90.0
     option_names: ClassVar = ("difficulty", "kind")
-    admits_flight: ClassVar = False
 
     def __init__(self, stage: Stage, kind: str, scale: CourseScale) -> None:
         super().__init__(stage)
         self._kind, self._scale = check_kind(kind), scale
-        self._courses: list[GeneratedTerrain | None] = [None] * stage.count
-        self._kinds = [""] * stage.count
+        self.courses: dict[int, GeneratedTerrain] = {}
+        self._kinds, self._difficulties = [""] * stage.count, np.zeros(stage.count)
         self._distances = np.zeros((stage.count, 2))
         """To the goal at the start, and now."""
-        self._success = np.zeros(stage.count, np.bool_)
         self._radius = max(0.5 * scale.scale, stage.simulation.config.robot.radius)
 
     def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
@@ -69,7 +69,8 @@ class TraverseTask(Task):
             if not self.stage.randomize_terrain:
                 raise
             return None
-        self._courses[i], self._kinds[i] = course, kind
+        self.courses[i], self._kinds[i], self._difficulties[i] = course, kind, course.difficulty
+        self.goals[i] = course.goal.x, course.goal.y
         return course.start
 
     def ground(self, i: int) -> tuple[SeenFrame, BoolArray]:
@@ -79,47 +80,30 @@ class TraverseTask(Task):
 
     def begin(self, i: int) -> None:
         """Begin at the start."""
-        self._distances[i], self._success[i] = self._distance(i), False
+        self._distances[i], self.success[i] = self.distances()[i], False
 
     def step(self, ids: IntArray) -> FloatArray:
         """Return the reward of the share gained, plus that of success."""
-        weights, rewards = self.stage.rewards, np.zeros(len(ids))
-        for k, i in enumerate(ids.tolist()):
-            distance = self._distance(i)
-            self._success[i] = distance <= self._radius
-            gained = (self._distances[i, 1] - distance) / self._distances[i, 0]
-            rewards[k] = weights.crossing * gained + weights.success * bool(self._success[i])
-            self._distances[i, 1] = distance
+        weights, distances = self.stage.rewards, self.distances()[ids]
+        self.success[ids] = distances <= self._radius
+        gained = (self._distances[ids, 1] - distances) / self._distances[ids, 0]
+        self._distances[ids, 1] = distances
+        rewards: FloatArray = weights.crossing * gained + weights.success * self.success[ids]
         return rewards
 
     def end(self, i: int) -> str:
         """Return "success"."""
-        return "success" if self._success[i] else ""
-
-    def goal(self, i: int) -> tuple[float, float]:
-        """Return x, y of the goal, meters."""
-        goal = self.course(i).goal
-        return goal.x, goal.y
-
-    def course(self, i: int) -> GeneratedTerrain:
-        """Return the course of robot `i`."""
-        course = self._courses[i]
-        assert course is not None, "draw comes first"
-        return course
+        return "success" if self.success[i] else ""
 
     def infos(self) -> dict[str, Any]:
         """Return success, kind, difficulty, distance to the goal and meters gained."""
         return {
-            "success": self._success.copy(),
+            "success": self.success.copy(),
             "kind": np.array(self._kinds, dtype=object),
-            "difficulty": np.array([c.difficulty if c else 0.0 for c in self._courses]),
+            "difficulty": self._difficulties.copy(),
             "distance": self._distances[:, 1].copy(),
             "progress": self._distances[:, 0] - self._distances[:, 1],
         }
-
-    def _distance(self, i: int) -> float:
-        (x, y), T = self.goal(i), self.stage.pose(i)
-        return math.hypot(x - T.x, y - T.y)
 
 
 def check_kind(kind: Any) -> str:

@@ -277,7 +277,7 @@ def test_a_course_of_medium_difficulty_is_not_passed_straight_ahead_by_a_small_r
     for seed, along in ((1, False), (3, False), (3, True)):
         _, info = env.reset(seed=seed)
         assert isinstance(env.episodes.task, TraverseTask)
-        whole, route = info["distance"], env.episodes.task.course(0).route
+        whole, route = info["distance"], env.episodes.task.courses[0].route
         done = False
         while not done:
             action = along_route(route, env.view.T_world_base, robot) if along else (1.0, 0.0)
