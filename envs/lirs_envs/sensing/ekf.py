@@ -19,7 +19,7 @@ import numpy as np
 
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.odometry import Odometry, OdometryConfig, OdometryIncrement, integrate_motion
+from lirs_envs.sensing.odometry import Odometry, OdometryConfig, integrated_pose, yaw_rate
 from lirs_wct import ConfigError, Pose2
 from lirs_wct.arrays import FloatArray, Vector3
 from lirs_wct.checks import Checked, limited
@@ -64,7 +64,6 @@ class EkfOdometry(Odometry):
 
     Args:
         robot: robot with the wheels.
-        config: their noise.
         rng: random generator of the noise; the filter itself draws nothing.
         imu: noise of the gyro.
         filter_config: errors that the filter expects beyond those.
@@ -140,21 +139,19 @@ class EkfOdometry(Odometry):
         robot = self.robot
         distance = self.noise.measure(turned * robot.wheel_radius)
         wheel_turn = difference * robot.wheel_radius / (robot.track * robot.skid_factor)
-        self._add(OdometryIncrement(distance, wheel_turn, rates, roll, pitch, dt))
-
-    def _add(self, increment: OdometryIncrement) -> None:
-        turn, distance = increment.turn, abs(increment.distance)
-        self._moved = integrate_motion(self._moved, increment.forward, turn)
+        turn, moved = yaw_rate(rates, roll, pitch) * dt, self._moved
+        forward = distance * math.cos(pitch)
+        self._moved = Pose2(*integrated_pose((moved.x, moved.y, moved.yaw), forward, turn))
         if self._slip_radius and turn:
-            slide = self.filter_config.slide * self._slip_radius * abs(turn) / self.robot.friction
-            ahead, left = slide * math.sin(increment.pitch), -slide * math.sin(increment.roll)
+            slide = self.filter_config.slide * self._slip_radius * abs(turn) / robot.friction
+            ahead, left = slide * math.sin(pitch), -slide * math.sin(roll)
             self._moved = self._moved @ Pose2(ahead, left)
             self._drifted += math.hypot(ahead, left)
-        self._time += increment.dt
-        self._distance += distance
+        self._time += dt
+        self._distance += abs(distance)
         self._turned += turn
-        self._wheels_turned += increment.wheel_turn
-        self._wheel_distance += distance + abs(increment.wheel_turn) * self.robot.radius
+        self._wheels_turned += wheel_turn
+        self._wheel_distance += abs(distance) + abs(wheel_turn) * robot.radius
         self._readings += 1
 
     def _predict(self) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, IntArray, Vector3
+from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu
 from lirs_wct.kernels import njit
@@ -126,41 +126,6 @@ class ImuSensors:
 
 
 @njit
-def next_rates(errors: FloatArray, left: IntArray, true: Vector3) -> Vector3:
-    """Return the measured rates about x, y, z, rad/s.
-
-    The next row of errors is used, and `left` (1,) is decremented.
-    """
-    left[0] -= 1
-    row = left[0]
-    return true[0] + errors[row, 0], true[1] + errors[row, 1], true[2] + errors[row, 2]
-
-
-@njit
-def read_imu(
-    bias: FloatArray,
-    normal: FloatArray,
-    attitude: tuple[float, float],
-    force: Vector3,
-    dt: float,
-    parameters: ImuParameters,
-) -> tuple[float, float, float, float, float]:
-    """Return measured roll, pitch and specific force; `bias` (5,) advances by `dt` seconds."""
-    p = parameters
-    keep = math.exp(-dt / p.attitude_time)
-    fresh = math.sqrt(1 - keep * keep) * p.attitude_bias
-    bias[0] = keep * bias[0] + fresh * normal[0]
-    bias[1] = keep * bias[1] + fresh * normal[1]
-    return (
-        attitude[0] + (bias[0] + p.attitude_sigma * normal[2]),
-        attitude[1] + (bias[1] + p.attitude_sigma * normal[3]),
-        force[0] + (bias[2] + p.acceleration_sigma * normal[4]),
-        force[1] + (bias[3] + p.acceleration_sigma * normal[5]),
-        force[2] + (bias[4] + p.acceleration_sigma * normal[6]),
-    )
-
-
-@njit
 def _read_rates(
     ids: IntArray, qvel: FloatArray, errors: FloatArray, left: IntArray, rates: FloatArray
 ) -> bool:
@@ -168,8 +133,9 @@ def _read_rates(
     used_up = False
     for n in range(len(ids)):
         i = ids[n]
-        true = (qvel[i, 3], qvel[i, 4], qvel[i, 5])
-        rates[i, 0], rates[i, 1], rates[i, 2] = next_rates(errors[i], left[i : i + 1], true)
+        left[i] -= 1
+        for k in range(3):
+            rates[i, k] = qvel[i, 3 + k] + errors[i, left[i], k]
         used_up |= left[i] == 0
     return used_up
 
@@ -184,14 +150,20 @@ def _read(
     attitude: FloatArray,
     force: FloatArray,
 ) -> None:
-    qpos, true_force = true
-    bias, normals = noise
+    """Fill rows of `attitude` and `force`; the biases (N, 5) advance by `dt` seconds."""
+    (qpos, true_force), (bias, normals), p = true, noise, parameters
+    keep = math.exp(-dt / p.attitude_time)
+    fresh = math.sqrt(1 - keep * keep) * p.attitude_bias
     for n in range(len(ids)):
         i = ids[n]
-        f = (true_force[i, 0], true_force[i, 1], true_force[i, 2])
-        roll, pitch, x, y, z = read_imu(bias[i], normals[i], _attitude(qpos[i]), f, dt, parameters)
-        attitude[i, 0], attitude[i, 1] = roll, pitch
-        force[i, 0], force[i, 1], force[i, 2] = x, y, z
+        errors, normal = bias[i], normals[i]
+        roll, pitch = _attitude(qpos[i])
+        errors[0] = keep * errors[0] + fresh * normal[0]
+        errors[1] = keep * errors[1] + fresh * normal[1]
+        attitude[i, 0] = roll + (errors[0] + p.attitude_sigma * normal[2])
+        attitude[i, 1] = pitch + (errors[1] + p.attitude_sigma * normal[3])
+        for k in range(3):
+            force[i, k] = true_force[i, k] + (errors[2 + k] + p.acceleration_sigma * normal[4 + k])
 
 
 @njit

@@ -37,37 +37,6 @@ class OdometryConfig(Checked, of="the odometry"):
     method: Method = check_field(one_of(METHODS), default="gyro")
 
 
-class OdometryIncrement(NamedTuple):
-    """Motion between two control updates as wheels and IMU measure it.
-
-    Attributes:
-        distance: driven, by the wheels, meters.
-        wheel_turn: turn by the difference between the wheels, radians.
-        rates: rates of the gyro about x, y, z of the base, rad/s.
-        roll: attitude, radians.
-        pitch: attitude, radians.
-        dt: seconds.
-    """
-
-    distance: float
-    wheel_turn: float
-    rates: Vector3
-    roll: float
-    pitch: float
-    dt: float
-
-    @property
-    def forward(self) -> float:
-        """Distance projected into the plane, meters."""
-        return self.distance * math.cos(self.pitch)
-
-    @property
-    def turn(self) -> float:
-        """Change of yaw by the gyro, radians."""
-        rate: float = yaw_rate(self.rates, self.roll, self.pitch)
-        return rate * self.dt
-
-
 class DistanceNoises:
     """Scale errors of the distances of N robots: first-order Gauss-Markov processes over the distance driven.
 
@@ -106,20 +75,12 @@ class DistanceNoise(DistanceNoises):
         super().__init__(config, 1)
         self.begin(0, rng)
 
-    @property
-    def coming(self) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Scale error (1,), normal numbers (BLOCK,), and the used count (1,).
-
-        At least one number is left unused.
-        """
-        if self.used[0] == BLOCK:
-            self.draw()
-        return self.scale, self.normals[0], self.used
-
     def measure(self, distance: float) -> float:
         """Return the measured distance, meters."""
+        if self.used[0] == BLOCK:
+            self.draw()
         turned = distance * (1.0 + float(self.slip[0]))
-        meters: float = measured_distance(*self.coming, turned, self.parameters)
+        meters: float = measured_distance(self.scale, self.normals[0], self.used, turned, self.parameters)
         return meters
 
 
@@ -172,31 +133,6 @@ def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
     elif yaw <= -math.pi:
         yaw += math.tau
     return x + forward * math.cos(middle), y + forward * math.sin(middle), yaw
-
-
-@njit
-def reckoned_pose(
-    pose: Vector3,
-    noise: tuple[FloatArray, FloatArray, IntArray],
-    parameters: tuple[float, float, float],
-    distance: float,
-    readings: tuple[Vector3, float, float],
-    dt: float,
-) -> Vector3:
-    """Return x, y, yaw after a motion: distance from the wheels, heading from the gyro.
-
-    Args:
-        pose: x, y, yaw before.
-        noise: scale error, normal numbers and how many are used (see `measured_distance`).
-        parameters: parameters of the noise.
-        distance: distance from the turn of the wheels, meters.
-        readings: measured rates about x, y, z of the base, rad/s, roll and pitch, radians.
-        dt: seconds.
-    """
-    rates, roll, pitch = readings
-    meters = measured_distance(noise[0], noise[1], noise[2], distance, parameters)
-    reckoned: Vector3 = integrated_pose(pose, meters * math.cos(pitch), yaw_rate(rates, roll, pitch) * dt)
-    return reckoned
 
 
 class WheelJoints(NamedTuple):
@@ -280,16 +216,12 @@ def _integrate_wheels(
         i = ids[n]
         left, right = mean_angle(qpos[i], joints.left), mean_angle(qpos[i], joints.right)
         turned = ((left - angles[i, 0]) + (right - angles[i, 1])) / 2
-        measured = ((rates[i, 0], rates[i, 1], rates[i, 2]), attitude[i, 0], attitude[i, 1])
+        driven = turned * joints.radius * (1.0 + slip[i])
+        meters = measured_distance(scale[i : i + 1], normals[i], used[i : i + 1], driven, parameters)
+        roll, pitch = attitude[i, 0], attitude[i, 1]
+        turn = yaw_rate((rates[i, 0], rates[i, 1], rates[i, 2]), roll, pitch) * dt
         at: Vector3 = (pose[i, 0], pose[i, 1], pose[i, 2])
-        pose[i, 0], pose[i, 1], pose[i, 2] = reckoned_pose(
-            at,
-            (scale[i : i + 1], normals[i], used[i : i + 1]),
-            parameters,
-            turned * joints.radius * (1.0 + slip[i]),
-            measured,
-            dt,
-        )
+        pose[i, 0], pose[i, 1], pose[i, 2] = integrated_pose(at, meters * math.cos(pitch), turn)
         angles[i, 0], angles[i, 1] = left, right
         used_up |= used[i] == normals.shape[1]
     return used_up
@@ -335,8 +267,3 @@ class FlowOdometry(Odometry):
         # Axes of the true yaw: the camera's picture turns with the body.
         moved = Pose2((c * east + s * north) * scale, (c * north - s * east) * scale, turn)
         self.pose = self.pose @ moved
-
-
-def integrate_motion(pose: Pose2, forward: float, turn: float) -> Pose2:
-    """Return a pose after a short motion: meters forward while turning by radians."""
-    return Pose2(*integrated_pose((pose.x, pose.y, pose.yaw), forward, turn))
