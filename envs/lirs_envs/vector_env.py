@@ -179,7 +179,7 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
             SimulationError: an environment was not reset, or with autoreset disabled has ended.
         """
         episodes = self.episodes
-        actions = self._check_actions(actions)
+        actions = action_array(actions, self.action_space.shape or ())
         rewards = np.zeros(self.num_envs)
         waiting = self._over if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._over)
         ids = np.flatnonzero(~waiting)
@@ -288,9 +288,6 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
             raise ConfigError(f"reset_mask must be a bool array ({self.num_envs},) with a True, got {mask!r}")
         return np.flatnonzero(mask)
 
-    def _check_actions(self, actions: Any) -> FloatArray:
-        return action_array(actions, (self.num_envs, *(self.single_action_space.shape or ())))
-
 
 def split_infos(infos: Any, count: int) -> list[dict[str, Any]]:
     """Return a vector's infos as one dict per environment, with its own keys."""
@@ -322,12 +319,9 @@ def _divide(options: dict[str, Any], count: int) -> list[tuple[dict[str, Any], i
     return [({"world": world}, first[k + 1] - first[k]) for k, world in enumerate(worlds)]
 
 
-def _check_counts(**counts: object) -> None:
+def _check_counts(**counts: Any) -> None:
     """Check that counts are whole numbers from 1 up; None is legal except for `num_envs`."""
     for name, count in counts.items():
-        if not _is_count(count) and (count is not None or name == "num_envs"):
+        whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+        if not (whole and int(count) >= 1) and (count is not None or name == "num_envs"):
             raise ConfigError(f"{name} must be a whole number from 1 up, got {count!r}")
-
-
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
