@@ -186,7 +186,7 @@ def snapshot_of(episodes: Episodes, i: int) -> Snapshot:
     return Snapshot(
         world=simulation.worlds[i],
         config=simulation.config,
-        qpos=simulation.qpos(i).copy(),
+        qpos=simulation.bodies[i].qpos.copy(),
         walkers=simulation.walkers(i),
         goal=None if goal is None else Pose2(*goal),
     )

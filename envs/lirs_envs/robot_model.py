@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import mujoco
 import numpy as np
 
 from lirs_envs.collisions import check_divergence
-from lirs_envs.props import STATIC_ROBOT, Prop, StaticRobot, add_props
+from lirs_envs.props import STATIC_ROBOT, add_props
+from lirs_envs.robots.body_state import BodyState, base_pose
 from lirs_envs.robots.robot import Robot
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import Walkers, add_walkers
 from lirs_wct import ConfigError, HeightField, Pose3, World
-from lirs_wct.arrays import FloatArray, Vector3
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.arrays import FloatArray
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, surface_itself
 from lirs_wct.export.mjcf import world_spec, write_heights
 
@@ -41,12 +41,11 @@ TIPPED = 0.5
 """Cosine of the tilt from which a robot counts as tipped: 60 deg."""
 
 
-class RobotModel:
+class RobotModel(BodyState):
     """MuJoCo's model and data of one robot in one world.
 
     Attributes:
-        model: compiled.
-        data: its state.
+        data: state of the model.
         contact: the grid that wheels touch.
         timestep: seconds; the largest part of the period that is at most the robot's own.
         substeps: steps of each control update of one period.
@@ -54,40 +53,21 @@ class RobotModel:
         contact_drops: (ngeom,) least height of a geom's center above a contact that is no collision, meters;
             inf = every contact is one (the body), -inf = the geom is not the robot's.
         actuators: ids of the actuators of the wheels on the left and on the right, or of each rotor.
-        left_angles: indices of the driven wheels' angles on the left in `qpos`.
-        right_angles: the same on the right.
-        qpos: (nq,) positions, live; the first seven are those of `T_world_base`.
-        qvel: (nv,) velocities, live.
         ctrl: (nu,) controls, to be written: wheel speeds, rad/s, or rotor thrusts, newtons.
         walker_centers: (m, 3) centers of the walkers with a body, to be written.
         force: (3,) the accelerometer's true reading along x, y, z of the base, m/s^2, live.
 
     Args:
         world: ground and walls.
-        robot: its MJCF file and figures.
+        config: robot, props, walkers, contact geometry and height range.
         period: time from scan to scan, seconds: a whole number of steps.
-        props: further bodies in the world.
-        contact_geometry: contact ground (see `lirs_wct.contact.contact_geometry.CONTACT_GEOMETRIES`).
-        mujoco_rays: whether MuJoCo's own rays are to meet the surface, where something else is touched.
-        actors: number of walkers that have a body (see `lirs_envs.walkers`).
-        height_range: lowest and highest height that `replace_surface` may write, meters; the ground that is
-            touched is then the surface itself. None = the ground stays.
         contact_sensors: whether to add sensors of the robot's contacts.
     """
 
     def __init__(
-        self,
-        world: World,
-        robot: Robot,
-        period: float,
-        *,
-        props: Sequence[Prop | StaticRobot] = (),
-        contact_geometry: ContactGeometry = "hfield",
-        mujoco_rays: bool = False,
-        actors: int = 0,
-        height_range: tuple[float, float] | None = None,
-        contact_sensors: bool = False,
+        self, world: World, config: SimulationConfig, period: float, *, contact_sensors: bool = False
     ) -> None:
+        robot, height_range = config.robot, config.height_range
         if height_range is not None and world.kind != "terrain":
             raise ConfigError(f"{world.name}: a height_range is for terrains, this world is a {world.kind}")
         self._height_range = height_range
@@ -100,39 +80,33 @@ class RobotModel:
         self.substeps = tuple(min(most, steps - done) for done in range(0, steps, most))
         if contact_sensors:
             _add_contact_sensors(spec, robot)
-        add_props(spec, world, props)
-        if actors:
-            add_walkers(spec, actors)
-        self.model = world_spec(
+        add_props(spec, world, config.props)
+        if config.actors:
+            add_walkers(spec, config.walker_bodies)
+        model = world_spec(
             world,
             contact=self.contact,
             robot=spec,
-            contact_geometry=contact_geometry,
-            ray_surface=mujoco_rays,
+            contact_geometry=config.contact_geometry,
+            ray_surface=config.rays == "mujoco",
             height_range=height_range,
         ).compile()
+        super().__init__(model, robot)
         self.replace_surface(world.surface)
         self.data = mujoco.MjData(self.model)
         self.wheel_geoms = _wheel_geoms(self.model, robot)
         self.contact_drops = _contact_drops(self.model, robot, self.wheel_geoms)
         self._flies = robot.flies
-        self._find_drives(robot)
-        self._make_views()
-
-    def _find_drives(self, robot: Robot) -> None:
-        """Find the actuators, and the angles of the driven wheels."""
-        wheel_sides: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
-        sides = [(rotor,) for rotor in robot.rotors] or wheel_sides
+        wheels: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
+        sides = [(rotor,) for rotor in robot.rotors] or wheels
         self.actuators = [[int(self.model.actuator(name).id) for name in side] for side in sides]
-        self.left_angles, self.right_angles = (
-            [int(self.model.joint(name).qposadr[0]) for name in side] for side in wheel_sides
-        )
+        self._make_views()
 
     def _make_views(self) -> None:
         """Make views into the data once: making one costs as much as reading it."""
-        self.qpos: FloatArray = self.data.qpos
+        self.qpos = self.data.qpos
         self._base, self._posed = self.qpos[:7], (b"", Pose3())
-        self.qvel: FloatArray = self.data.qvel
+        self.qvel = self.data.qvel
         self.ctrl: FloatArray = self.data.ctrl
         self.force: FloatArray = self.data.sensor("accelerometer").data
         self.walker_centers: FloatArray = self.data.mocap_pos
@@ -156,11 +130,6 @@ class RobotModel:
         if self._height_range is not None:
             write_heights(self.model, surface, self._height_range)
 
-    @property
-    def gravity(self) -> float:
-        """Gravity along -z, m/s^2."""
-        return -float(self.model.opt.gravity[2])
-
     def pose(self) -> Pose3:
         """Return `T_world_base`."""
         # Called several times per scan: a comparison of states takes a fourth of the time of a new pose.
@@ -173,30 +142,6 @@ class RobotModel:
     def tipped(self) -> bool:
         """Whether the robot tilts by more than 60 deg or lies on its back."""
         return is_tipped(self.pose())
-
-    def rates(self) -> Vector3:
-        """Return the true rates about x, y, z of the base, rad/s.
-
-        From the state, as the pose is: MuJoCo's sensors lie one step behind it.
-        """
-        x, y, z = self.qvel[3:6].tolist()
-        return x, y, z
-
-    def velocity(self) -> Vector3:
-        """Return the true velocity of base_link along x, y, z of the base, m/s."""
-        x, y, z = (self.qvel[:3] @ self.pose().rotation).tolist()
-        return x, y, z
-
-    def wheel_angles(self) -> tuple[float, float]:
-        """Return the mean angles by which left and right wheels have turned, radians."""
-        return self.mean_angles(self.qpos)
-
-    def mean_angles(self, qpos: FloatArray) -> tuple[float, float]:
-        """Return `wheel_angles` of a state's positions (nq,)."""
-        angle = qpos.item
-        left = sum([angle(i) for i in self.left_angles]) / max(len(self.left_angles), 1)
-        right = sum([angle(i) for i in self.right_angles]) / max(len(self.right_angles), 1)
-        return left, right
 
     def step(self, steps: int) -> None:
         """Step with the present controls."""
@@ -295,13 +240,6 @@ class RobotModel:
 def _even_part(period: float, longest: float) -> float:
     """Return the largest whole part of a period that is at most `longest`, seconds."""
     return period / math.ceil(period / longest - 1e-9)
-
-
-def base_pose(qpos: FloatArray) -> Pose3:
-    """Return `T_world_base` from a state's positions (nq,)."""
-    x, y, z, qw, qx, qy, qz = qpos[:7].tolist()
-    norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-    return Pose3(x, y, z, qw / norm, qx / norm, qy / norm, qz / norm)
 
 
 def is_tipped(T_world_base: Pose3) -> bool:

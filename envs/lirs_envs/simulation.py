@@ -11,15 +11,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from lirs_envs.batch.bodies import SingleBody
-from lirs_envs.batch.robot_group import RobotGroup, make_body, make_walkers
+from lirs_envs.batch.robot_group import RobotGroup
 from lirs_envs.collisions import Collisions
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar
-from lirs_envs.lidar.ray_casting import WalkerCaster, make_caster
+from lirs_envs.lidar.ray_casting import Caster, WalkerCaster, make_caster
 from lirs_envs.placement import check_fit, resolve_start
+from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import Twist, Waypoint, check_command
 from lirs_envs.sensing.inertial import InertialUnit
-from lirs_envs.sensing.sensors import INERTIAL_STREAM, FaultInjector, Observation, sensor_streams
+from lirs_envs.sensing.sensors import INERTIAL_STREAM, LIDAR_STREAM, FaultInjector, Observation, sensor_stream
 from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.walkers import Walkers
 from lirs_wct import ConfigError, HeightField, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.checks import check_seed
@@ -66,20 +68,15 @@ class Simulation:
     """A robot with its sensors in a world; `reset` comes first.
 
     Attributes:
-        world: the world.
         config: robot, sensors and props.
-        robot: the config's.
         preset: specification of the lidar.
         period: time between two scans, seconds; one `advance`.
         body: MuJoCo's model of robot and world.
         caster: ray caster of the lidar against world and props; usable by custom sensors. A new terrain has
             a new caster.
-        walkers: the moving obstacles; None = there are none.
         timing: wall-clock seconds since the reset.
 
     Args:
-        world: the world.
-        config: robot, sensors and props.
         seed: seed of all random numbers; same seed and same commands, same bytes.
 
     Raises:
@@ -95,30 +92,30 @@ class Simulation:
         self.robot = config.robot
         self.preset = config.preset
         self.period = self.preset.period
-        self.body = make_body(
-            world, config, self.period, height_range=config.height_range, contact_sensors=False
-        )
+        self.body = RobotModel(world, config, self.period)
         self._bodies = SingleBody(config.robot, self.body, record_motion=config.inertial is not None)
         self._inertial = None
         if config.inertial is not None:
             self._inertial = InertialUnit(config.inertial, self.body.timestep, self.body.gravity)
-        self._row = RobotGroup(config, range(1), self._bodies, world.surface)
+        self._row = RobotGroup(config, range(1), self._bodies, world)
         self._commands = np.zeros((1, 3))
-        self._meet_world()
+        self.caster = self._make_caster()
         self._seed = seed
         self._begin()
 
-    def _meet_world(self) -> None:
-        """Create walkers and caster, which depend on the world's ground."""
-        world, config = self.world, self.config
-        self.walkers = make_walkers(world, config) if config.actors else None
-        self._row.surfaces[0], self._row.walkers = world.surface, [self.walkers] if self.walkers else []
-        self.caster = make_caster(world, config.rays, bool(config.props), self.body.data, self.walkers)
+    def _make_caster(self) -> Caster:
+        config, data = self.config, self.body.data
+        return make_caster(self.world, config.rays, bool(config.props), data, self.walkers)
+
+    @property
+    def walkers(self) -> Walkers | None:
+        """Moving obstacles; None = there are none."""
+        return self._row.walkers[0]
 
     def _begin(self) -> None:
         """Restart records, noise and odometry at the robot's present pose."""
         config, preset = self.config, self.preset
-        lidar, odometry, imu = sensor_streams(self._seed)
+        lidar = sensor_stream(self._seed, LIDAR_STREAM)
         noise = config.noise.of_lidar(preset)
         rolling_scan = config.noise.rolls(preset)
         mount = self.robot.T_base_laser
@@ -126,13 +123,12 @@ class Simulation:
         if config.noise.faults.any:
             self._faults = FaultInjector(config.noise.faults, self.period, preset.rings, self._seed)
         self._lidar = Lidar(preset, self.caster, mount, lidar, noise, rolling_scan=rolling_scan)
-        self._row.begin(0, odometry, imu, self.period)
+        self._row.begin(0, self._seed, self.period)
         filtered = self.robot.flies or config.noise.odometry.method == "ekf"
         self._row.track = None if config.inertial is None or filtered else []
         self._bodies.clear()
         if self._inertial is not None:
-            rng = np.random.default_rng((self._seed, INERTIAL_STREAM))
-            self._inertial.begin(self._bodies.motion(), rng)
+            self._inertial.begin(self._bodies.motion(), sensor_stream(self._seed, INERTIAL_STREAM))
         self._initial_state: FloatArray | None = None
         self._initial_walkers = None if self.walkers is None else self.walkers.state()
         self.timing = Timing()
@@ -177,7 +173,8 @@ class Simulation:
         surface = HeightField(heights.copy(), former.cell, former.origin)
         self.body.replace_surface(surface)
         self.world = replace(self.world, ground=Terrain(surface), spawn_poses=tuple(spawn_poses))
-        self._meet_world()
+        self._row.replace_world(0, self.world)
+        self.caster = self._make_caster()
         self._initial_state = None
 
     def advance(self, command: Twist | Waypoint) -> Observation:
@@ -206,7 +203,7 @@ class Simulation:
     def _observe(self) -> Observation:
         body, lidar, stamp = self.body, self._lidar, self.time
         velocity = BaseVelocity(body.velocity(), body.rates()) if lidar.time_increment else None
-        odometry, imu = Pose2(*self._row.odometry[0].tolist()), self._row.imu.reading(0, stamp)
+        odometry, imu = self._row.reading(0, stamp)
         inertial = None if self._inertial is None else self._inertial.read(self._bodies.take_motion())
         track = self._odometry_track(stamp)
         if self.preset.rings == 1:

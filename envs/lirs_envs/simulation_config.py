@@ -23,7 +23,6 @@ class SimulationConfig(Checked):
     """Configuration of a simulation: robot, sensors, props and walkers.
 
     Attributes:
-        robot: the robot.
         lidar: name of a lidar preset; None = the robot's own.
         noise: errors of all sensors.
         rays: whose rays meet the world: `builtin`, or `mujoco` for comparison: those of its
@@ -34,7 +33,7 @@ class SimulationConfig(Checked):
         actors: number of walkers on seeded paths (see `lirs_envs.walkers`); touched, and seen by the
             lidar.
         start: pose where a reset sets the robot down; None = the world's first start pose.
-        height_range: lowest and highest height that `Simulation.replace_terrain` may write, meters; wheels
+        height_range: lowest and highest height that `replace_terrain` may write, meters; wheels
             then touch the surface itself, node by node. None = the ground stays.
         inertial: noise of inertial readings near 200 Hz, which observations then hold; None = none.
 

@@ -32,6 +32,7 @@ from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation import ROW
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.collision import contact_metrics
 from lirs_validation.collision.random_drive import DEEP, MARGIN, PERIOD, drive_at_random
 from lirs_wct import Pose2, SimulationError, World
@@ -161,7 +162,7 @@ def check_collisions(
     check_fit(world, robot)
     check_seed(seed)
     positive(seconds, "seconds")
-    body = RobotModel(world, robot, PERIOD, contact_geometry=terrain)
+    body = RobotModel(world, SimulationConfig(robot=robot, contact_geometry=terrain), PERIOD)
     legs = list(drive_at_random(body, world, robot, seconds, np.random.default_rng((seed, STREAM))))
     climbed = None if robot.flies or legs[-1].diverged else climb(body, world, robot)
     p999, peak = contact_metrics.penetrations(legs)

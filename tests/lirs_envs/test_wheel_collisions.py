@@ -88,7 +88,7 @@ def test_validation_counts_a_wheel_at_a_wall(walled: World, T_world_wall: Pose2)
 def test_ground_that_can_be_driven_is_none(where: str, name: str) -> None:
     world, robot = world_of(where), make_robot(name)
     site = make_site(world, replace(robot, radius=robot.radius + 0.3))
-    body, rng = RobotModel(world, robot, 0.1), np.random.default_rng(2)
+    body, rng = RobotModel(world, SimulationConfig(robot=robot), 0.1), np.random.default_rng(2)
     driven = 0.0
     for _ in range(5):
         body.settle(standing_pose(world, robot, site.draw_start(rng)))

@@ -16,17 +16,11 @@ from mujoco.batch import Batch
 from mujoco.batch import SimulationError as BatchError
 
 from lirs_envs.collisions import KINDS, ContactMonitor, describe_divergence, divergence_reason, is_sound
-from lirs_envs.robot_model import (
-    CENTER_SENSOR,
-    CONTACT_SENSOR,
-    SETTLING_TIME,
-    WHEEL_CONTACTS,
-    RobotModel,
-    base_pose,
-)
+from lirs_envs.robot_model import CENTER_SENSOR, CONTACT_SENSOR, SETTLING_TIME, WHEEL_CONTACTS, RobotModel
+from lirs_envs.robots.body_state import BodyState
 from lirs_envs.robots.robot import Robot
 from lirs_wct import Pose3
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, Vector3
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from lirs_wct.kernels import njit
 
 
@@ -41,11 +35,10 @@ class Bodies:
         ctrl: (N, nu) controls, to be written.
         mocap_pos: (N, m, 3) centers of the walkers with a body, to be written.
         models: the model of each robot; one for all unless `own_models`.
+        views: state of each robot, for its sensors and control.
 
     Args:
-        robot: the robot's figures.
-        body: its compiled model, with contact sensors.
-        count: number of robots.
+        body: the compiled model, with contact sensors.
         own_models: whether each robot has a model of its own, to be edited and announced by `models_changed`.
     """
 
@@ -57,6 +50,7 @@ class Bodies:
         self._own_models = own_models
         self._touch, self._wheels, self._drops = _contact_sensors(body)
         self._force = int(body.model.sensor("accelerometer").adr[0])
+        self.views = [BodyState(model, robot) for model in self.models]
         self._make_batch()
 
     def _make_batch(self) -> None:
@@ -68,6 +62,8 @@ class Bodies:
         if self._own_models:
             self._batch.set_models(self.models)
         self.qpos, self.qvel, self.ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
+        for view, qpos, qvel in zip(self.views, self.qpos, self.qvel, strict=True):
+            view.qpos, view.qvel = qpos, qvel
         self.mocap_pos: FloatArray = self._batch.bind("mocap_pos")
         self._sensordata: FloatArray = self._batch.bind("sensordata")
 
@@ -85,11 +81,6 @@ class Bodies:
     def models_changed(self) -> None:
         """Let the physics read the models again after one was edited."""
         self._batch.set_models(self.models)
-
-    @property
-    def views(self) -> list[BodyView]:
-        """Each robot, for its sensors and control."""
-        return [BodyView(self, i) for i in range(self.count)]
 
     def step(self, ids: Int32Array | None, steps: int) -> dict[int, str]:
         """Step robots with their controls; return the errors of those that MuJoCo could not step."""
@@ -140,10 +131,6 @@ class Bodies:
         if not self.find_diverged()[i]:
             return ""
         return f"the simulation diverged: {divergence_reason(self._batch.warning[i, :, 1])}"
-
-    def pose(self, i: int) -> Pose3:
-        """Return `T_world_base` of robot `i`."""
-        return base_pose(self.qpos[i])
 
     def read_poses(self, rows: IntArray, out: FloatArray) -> None:
         """Fill rows of (N, 7) with x, y, z, qw, qx, qy, qz of `T_world_base`."""
@@ -200,47 +187,12 @@ def _read_poses(rows: IntArray, qpos: FloatArray, out: FloatArray) -> None:
         out[i, 3], out[i, 4], out[i, 5], out[i, 6] = w / norm, x / norm, y / norm, z / norm
 
 
-class BodyView:
-    """View of one robot of N for its sensors, and as `lirs_envs.robots.flight.FlyingBody`."""
-
-    def __init__(self, bodies: Bodies, i: int) -> None:
-        self._bodies, self._i = bodies, i
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The compiled model."""
-        return self._bodies.models[self._i]
-
-    @property
-    def gravity(self) -> float:
-        """Gravity along -z, m/s^2."""
-        return self._bodies.body.gravity
-
-    def pose(self) -> Pose3:
-        """Return `T_world_base`."""
-        return self._bodies.pose(self._i)
-
-    def rates(self) -> Vector3:
-        """Return the true rates about x, y, z of the base, rad/s."""
-        x, y, z = self._bodies.qvel[self._i, 3:6].tolist()
-        return x, y, z
-
-    def velocity(self) -> Vector3:
-        """Return the true velocity of base_link along x, y, z of the base, m/s."""
-        x, y, z = (self._bodies.qvel[self._i, :3] @ self.pose().rotation).tolist()
-        return x, y, z
-
-    def wheel_angles(self) -> tuple[float, float]:
-        """Return the mean angles by which left and right wheels have turned, radians."""
-        return self._bodies.body.mean_angles(self._bodies.qpos[self._i])
-
-
 class SingleBody:
     """One robot stepped by `mujoco.mj_step`, with the interface of `Bodies` and records of each step.
 
     Attributes:
-        robot: the robot's figures.
-        body: its compiled model and state.
+        body: the compiled model and state.
+        views: the model, for sensors and control.
         count: 1.
         contacts: statistics of the contacts since `clear`.
         qpos: (1, nq) positions, live.
@@ -249,13 +201,11 @@ class SingleBody:
         mocap_pos: (1, m, 3) centers of the walkers with a body, to be written.
 
     Args:
-        robot: the robot's figures.
-        body: its compiled model and state.
         record_motion: whether to record the base after each step (see `take_motion`).
     """
 
     def __init__(self, robot: Robot, body: RobotModel, *, record_motion: bool = False) -> None:
-        self.robot, self.body, self.count = robot, body, 1
+        self.robot, self.body, self.views, self.count = robot, body, [body], 1
         self._record_motion = record_motion
         self.clear()
         self._bind()
@@ -278,11 +228,6 @@ class SingleBody:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._bind()
-
-    @property
-    def views(self) -> list[RobotModel]:
-        """The model, for sensors and control."""
-        return [self.body]
 
     @property
     def controls(self) -> FloatArray:

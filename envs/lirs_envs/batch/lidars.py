@@ -5,7 +5,7 @@ Robots that share a caster are scanned in one kernel call.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from lirs_envs.lidar.obstacle_rays import WallCells
 from lirs_envs.lidar.presets import LidarNoise, NoiseParameters, measure
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
 from lirs_envs.lidar.terrain_rays import TerrainMipmap
+from lirs_envs.robots.body_state import BodyState
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray
-from lirs_wct.geometry import Pose3
+from lirs_wct.geometry import LaserScan, Pose3
 from lirs_wct.kernels import njit
 
 
@@ -27,7 +28,6 @@ class Lidars:
 
     Attributes:
         ranges: (N, beams) float32 of the last scans (see `LaserScan`).
-        time_increment: time between two beams of a rolling scan, seconds; otherwise 0.
     """
 
     def __init__(self, config: SimulationConfig, count: int) -> None:
@@ -35,13 +35,12 @@ class Lidars:
         self._config = config
         self._fan = mount.position[None], preset.directions @ mount.rotation.T
         self._limits = preset.range_min, preset.range_max
-        self._lidars: list[Lidar | None] = [None] * count
+        self._lidars: dict[int, Lidar] = {}
         self._rngs = [np.random.default_rng(0) for _ in range(count)]
-        self._casters: list[Caster | None] = [None] * count
         self._normals = np.zeros((count, preset.beams))
         self._uniforms = np.zeros((count, 0, 2))
         self._parameters = np.zeros((count, len(NoiseParameters._fields)))
-        self.time_increment = 0.0
+        self._rolling = False
         self.ranges: Float32Array = np.zeros((count, preset.beams), np.float32)
 
     def begin(self, i: int, caster: Caster, noise: LidarNoise, rng: np.random.Generator) -> None:
@@ -55,35 +54,34 @@ class Lidars:
             noise,
             rolling_scan=config.noise.rolls(config.preset.planar),
         )
-        self._lidars[i], self._casters[i], self._rngs[i] = lidar, caster, rng
-        self._parameters[i], self.time_increment = noise.parameters, lidar.time_increment
+        self._lidars[i], self._rngs[i] = lidar, rng
+        self._parameters[i], self._rolling = noise.parameters, bool(lidar.time_increment)
         if noise.draws_uniform and not self._uniforms.size:
             self._uniforms = np.zeros((*self.ranges.shape, 2))
 
-    def scan(self, rows: IntArray, T_world_base: FloatArray, velocity: Callable[[int], BaseVelocity]) -> None:
+    def scan(self, rows: IntArray, T_world_base: FloatArray, bodies: Sequence[BodyState]) -> None:
         """Scan from the poses (N, 7) of robots `rows`.
 
         Args:
             rows: indices of the robots.
             T_world_base: (N, 7) x, y, z, qw, qx, qy, qz.
-            velocity: returns the velocity of robot `i`; called for rolling scans only.
+            bodies: state of each robot; read for rolling scans only.
         """
-        for caster, group in self._by_caster(rows):
-            if isinstance(caster, RayCaster) and not self.time_increment:
-                self._scan_together(caster, np.array(group), T_world_base)
-                continue
-            for i in group:
-                lidar = self._lidars[i]
-                assert lidar is not None, "begin comes first"
-                moving = velocity(i) if self.time_increment else None
-                self.ranges[i] = lidar.ranges(Pose3(*T_world_base[i].tolist()), moving)
-
-    def _by_caster(self, rows: IntArray) -> list[tuple[Caster | None, list[int]]]:
-        groups: dict[int, tuple[Caster | None, list[int]]] = {}
+        together: dict[RayCaster, list[int]] = {}
         for i in rows.tolist():
-            caster = self._casters[i]
-            groups.setdefault(id(caster), (caster, []))[1].append(i)
-        return list(groups.values())
+            lidar = self._lidars[i]
+            if isinstance(lidar.caster, RayCaster) and not self._rolling:
+                together.setdefault(lidar.caster, []).append(i)
+                continue
+            body = bodies[i]
+            velocity = BaseVelocity(body.velocity(), body.rates()) if self._rolling else None
+            self.ranges[i] = lidar.ranges(Pose3(*T_world_base[i].tolist()), velocity)
+        for caster, group in together.items():
+            self._scan_together(caster, np.array(group), T_world_base)
+
+    def reading(self, i: int, stamp: float) -> LaserScan:
+        """Return the last scan of lidar `i`."""
+        return self._lidars[i].reading(self.ranges[i].copy(), stamp)
 
     def _scan_together(self, caster: RayCaster, rows: IntArray, T_world_base: FloatArray) -> None:
         for i in rows.tolist():

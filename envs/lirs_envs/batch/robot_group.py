@@ -14,15 +14,15 @@ import numpy as np
 from lirs_envs.batch.bodies import Bodies, SingleBody
 from lirs_envs.placement import check_settled, standing_pose
 from lirs_envs.props import footprint
-from lirs_envs.robot_model import RobotModel, base_pose, is_tipped
+from lirs_envs.robot_model import RobotModel, is_tipped
 from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import Waypoint
 from lirs_envs.sensing.imu import ImuSensors
 from lirs_envs.sensing.odometry import WheelJoints, WheelOdometries
-from lirs_envs.sensing.sensors import Odometries
+from lirs_envs.sensing.sensors import IMU_STREAM, ODOMETRY_STREAM, Odometries, sensor_stream
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import WALKER_STREAM, Walkers
-from lirs_wct import HeightField, Pose2, SimulationError, World
+from lirs_wct import HeightField, Imu, Pose2, SimulationError, World
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 
 B = TypeVar("B", bound=Bodies | SingleBody)
@@ -63,7 +63,7 @@ class RobotGroup(Generic[B]):
         bodies: physics.
         imu: inertial readings.
         surfaces: ground of each robot; replaceable.
-        walkers: walkers around each robot; empty = none; replaceable.
+        walkers: walkers around each robot; None = none; replaceable.
         waypoints: pose that each quadrotor flies to instead of its command; None = the command.
         track: odometry after each control update of the last `advance`, x, y, yaw each; None = not recorded.
         touched: (n,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
@@ -71,10 +71,11 @@ class RobotGroup(Generic[B]):
         sensor_seconds: wall-clock seconds of the last `advance` in gyro and odometry.
     """
 
-    def __init__(self, config: SimulationConfig, rows: range, bodies: B, surface: HeightField) -> None:
+    def __init__(self, config: SimulationConfig, rows: range, bodies: B, world: World) -> None:
         robot, noise, body, count = config.robot, config.noise, bodies.body, len(rows)
-        self.rows, self.bodies = rows, bodies
-        self.surfaces, self.walkers = [surface] * count, list[Walkers]()
+        self.rows, self.bodies, self._config = rows, bodies, config
+        self.surfaces: list[HeightField] = [world.surface] * count
+        self.walkers = [make_walkers(world, config) for _ in rows]
         self.touched: BoolArray = np.zeros(count, np.bool_)
         self.physics_seconds = self.sensor_seconds = 0.0
         self.imu = ImuSensors(noise.imu, count)
@@ -107,6 +108,15 @@ class RobotGroup(Generic[B]):
         """Lengthen the measured distance of robot `k` by a share, until it begins."""
         self._odometry.set_slip(k, share)
 
+    def replace_world(self, k: int, world: World) -> None:
+        """Replace the ground of robot `k` and the walkers around it.
+
+        Raises:
+            SimulationError: the world has no free ground for walkers.
+        """
+        self.surfaces[k] = world.surface
+        self.walkers[k] = make_walkers(world, self._config)
+
     def place(self, k: int, world: World, start: Pose2, seed: int) -> None:
         """Put robot `k` at rest on the ground, and the walkers around it on new paths.
 
@@ -114,22 +124,22 @@ class RobotGroup(Generic[B]):
             SimulationError: it cannot stand there.
         """
         bodies, robot = self.bodies, self.bodies.robot
-        T_world_base, touchable = standing_pose(world, robot, start), None
-        if self.walkers:
-            self.walkers[k].reset(start, np.random.default_rng((seed, WALKER_STREAM)))
-            touchable = self.walkers[k].touchable
+        T_world_base, touchable, walkers = standing_pose(world, robot, start), None, self.walkers[k]
+        if walkers is not None:
+            walkers.reset(start, np.random.default_rng((seed, WALKER_STREAM)))
+            touchable = walkers.touchable
         bodies.settle(k, T_world_base, touchable)
         divergence = bodies.divergence(k)
         if divergence:
             raise SimulationError(divergence)
-        settled = base_pose(bodies.qpos[k])
+        settled = bodies.views[k].pose()
         check_settled(robot, start, settled, tipped=is_tipped(settled))
 
-    def begin(self, k: int, odometry: np.random.Generator, imu: np.random.Generator, dt: float) -> None:
+    def begin(self, k: int, seed: int, dt: float) -> None:
         """Start robot `k` where it stands; its readings come every `dt` seconds."""
         bodies = self.bodies
-        self.imu.begin(k, bodies.qpos, bodies.qvel, imu)
-        self._odometry.begin(k, bodies.qpos, odometry)
+        self.imu.begin(k, bodies.qpos, bodies.qvel, sensor_stream(seed, IMU_STREAM))
+        self._odometry.begin(k, bodies.qpos, sensor_stream(seed, ODOMETRY_STREAM))
         self._control.begin(k)
         if self._late is not None:
             self._late.begin(k)
@@ -176,12 +186,17 @@ class RobotGroup(Generic[B]):
         self.imu.read(ids, self.bodies.qpos, self.bodies.specific_force(), dt)
         self._odometry.read(ids)
 
+    def reading(self, k: int, stamp: float) -> tuple[Pose2, Imu]:
+        """Return the last `T_odom_base` and inertial reading of robot `k`."""
+        return Pose2(*self.odometry[k].tolist()), self.imu.reading(k, stamp)
+
     def _walk(self, ids: IntArray, dt: float) -> None:
         """Advance the walkers before the robots' next step."""
-        for k in ids.tolist() if self.walkers else ():
-            x, y = self.bodies.qpos[k, :2].tolist()
-            self.walkers[k].advance(dt, x, y)
-            self.bodies.mocap_pos[k] = self.walkers[k].touchable
+        for k in ids.tolist() if self._config.actors else ():
+            walkers, (x, y) = self.walkers[k], self.bodies.qpos[k, :2].tolist()
+            if walkers is not None:
+                walkers.advance(dt, x, y)
+                self.bodies.mocap_pos[k] = walkers.touchable
 
 
 def make_groups(
@@ -195,37 +210,17 @@ def make_groups(
     for k in range(number):
         rows = range(k * count // number, (k + 1) * count // number)
         bodies = Bodies(config.robot, body, len(rows), own_models=own_models)
-        groups.append(RobotGroup(config, rows, bodies, world.surface))
+        groups.append(RobotGroup(config, rows, bodies, world))
     return groups
 
 
-def make_body(
-    world: World,
-    config: SimulationConfig,
-    period: float,
-    *,
-    height_range: tuple[float, float] | None,
-    contact_sensors: bool,
-) -> RobotModel:
-    """Return the compiled model of a config's robot, props and walkers (see `RobotModel`)."""
-    return RobotModel(
-        world,
-        config.robot,
-        period,
-        props=config.props,
-        contact_geometry=config.contact_geometry,
-        mujoco_rays=config.rays == "mujoco",
-        actors=config.walker_bodies,
-        height_range=height_range,
-        contact_sensors=contact_sensors,
-    )
-
-
-def make_walkers(world: World, config: SimulationConfig) -> Walkers:
-    """Return the walkers of a config in a world.
+def make_walkers(world: World, config: SimulationConfig) -> Walkers | None:
+    """Return the walkers of a config in a world; None = it has none.
 
     Raises:
         SimulationError: the world has no free ground.
     """
+    if not config.actors:
+        return None
     props = [footprint(prop) for prop in config.props]
     return Walkers(world, config.actors, config.robot.radius, props, bodies=config.walker_bodies)

@@ -10,14 +10,13 @@ import numpy as np
 
 from lirs_envs.batch.bodies import Bodies
 from lirs_envs.batch.lidars import Lidars
-from lirs_envs.batch.robot_group import RobotGroup, make_body, make_groups, make_walkers
+from lirs_envs.batch.robot_group import RobotGroup, make_groups
 from lirs_envs.batch.work_threads import Work, WorkThreads
-from lirs_envs.lidar.lidar import BaseVelocity
 from lirs_envs.lidar.ray_casting import Caster, make_caster
-from lirs_envs.robot_model import TIPPED
-from lirs_envs.sensing.sensors import Observation, sensor_streams
+from lirs_envs.robot_model import TIPPED, RobotModel
+from lirs_envs.sensing.sensors import LIDAR_STREAM, Observation, sensor_stream
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct import ConfigError, HeightField, LaserScan, Pose2, Pose3, World
+from lirs_wct import ConfigError, Pose2, Pose3, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.export.mjcf import write_heights
 
@@ -36,14 +35,11 @@ class BatchSimulation:
         worlds: the world of each robot.
         config: robot and sensors.
         period: time of one `advance`, seconds.
-        count: number of robots, N.
         body: the compiled model of all robots; own models may differ in friction, mass and heights.
         groups: groups of robots; one thread at a time advances a group.
+        places: group and row in it of each robot.
+        bodies: model, positions and velocities of each robot, live.
         casters: ray caster of each robot's lidar.
-        ranges: (N, beams) float32 of the last scans (see `LaserScan`).
-        odometry: (N, 3) `T_odom_base`: x, y, yaw, meters and radians.
-        attitude: (N, 2) measured roll and pitch, radians.
-        touched: (N,) whether the robot collided in the last `advance` (see `RobotModel.contact_drops`).
         T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the last valid pose of each robot.
         errors: reason why each robot's simulation cannot continue; empty = it can.
 
@@ -54,7 +50,6 @@ class BatchSimulation:
         period: seconds.
         threads: number of threads.
         own_models: whether each robot has a MuJoCo model of its own (see `Bodies`).
-        height_range: lowest and highest height of replacement terrains, meters; None = no replacement.
 
     Raises:
         ConfigError: the noise has faults, which only a single simulation has.
@@ -69,28 +64,19 @@ class BatchSimulation:
         period: float,
         threads: int = 1,
         own_models: bool = False,
-        height_range: tuple[float, float] | None = None,
     ) -> None:
         if config.noise.faults.any:
             raise ConfigError("faults of sensors are for one simulation, not for a batch of them")
         self.config, self.period, self.threads = config, period, threads
         self.worlds = [world] * count
-        self.body = make_body(world, config, period, height_range=height_range, contact_sensors=True)
-        self._height_range = height_range
-        self.groups = make_groups(
-            config,
-            self.body,
-            world,
-            count,
-            threads=threads,
-            own_models=own_models or height_range is not None,
-        )
-        for group in self.groups if config.actors else ():
-            group.walkers = [make_walkers(world, self.config) for _ in group.rows]
-        self._places = [(group, k) for group in self.groups for k in range(len(group.rows))]
+        self.body = RobotModel(world, config, period, contact_sensors=True)
+        own_models = own_models or config.height_range is not None
+        self.groups = make_groups(config, self.body, world, count, threads=threads, own_models=own_models)
+        self.places = [(group, k) for group in self.groups for k in range(len(group.rows))]
+        self.bodies = [body for group in self.groups for body in group.bodies.views]
         self._ray_data: list[mujoco.MjData] = []
         if config.props or config.rays == "mujoco":
-            self._ray_data = [mujoco.MjData(self.model(i)) for i in range(count)]
+            self._ray_data = [mujoco.MjData(body.model) for body in self.bodies]
         first = self._make_caster(0)
         alone = self._ray_data or config.actors
         self.casters = [first, *((self._make_caster(i) if alone else first) for i in range(1, count))]
@@ -112,40 +98,10 @@ class BatchSimulation:
         """Number of robots, N."""
         return len(self.worlds)
 
-    def model(self, i: int) -> mujoco.MjModel:
-        """Return the model of robot `i`. Call `model_changed` after an edit of a robot's own model."""
-        group, k = self._places[i]
-        return group.bodies.models[k]
-
-    def model_changed(self, i: int) -> None:
-        """Reload the edited model of robot `i` into the physics."""
-        self._places[i][0].bodies.models_changed()
-
-    def qpos(self, i: int) -> FloatArray:
-        """Return the positions (nq,) of robot `i`, live; the first seven are those of `T_world_base`."""
-        group, k = self._places[i]
-        return np.asarray(group.bodies.qpos[k])
-
-    def qvel(self, i: int) -> FloatArray:
-        """Return the velocities (nv,) of robot `i`, live."""
-        group, k = self._places[i]
-        return np.asarray(group.bodies.qvel[k])
-
-    def set_latency(self, i: int, seconds: float) -> None:
-        """Delay the commands of robot `i`, by whole control updates."""
-        group, k = self._places[i]
-        group.set_latency(k, seconds)
-
-    def set_slip(self, i: int, share: float) -> None:
-        """Lengthen the measured distance of robot `i` by a share, until its reset."""
-        group, k = self._places[i]
-        group.set_slip(k, share)
-
     def _make_caster(self, i: int) -> Caster:
         data = self._ray_data[i] if self._ray_data else self.body.data
-        group, k = self._places[i]
-        walkers = group.walkers[k] if group.walkers else None
-        return make_caster(self.worlds[i], self.config.rays, bool(self.config.props), data, walkers)
+        group, k = self.places[i]
+        return make_caster(self.worlds[i], self.config.rays, bool(self.config.props), data, group.walkers[k])
 
     def close(self) -> None:
         """End the threads; later calls run in the calling thread."""
@@ -175,16 +131,15 @@ class BatchSimulation:
         """Replace the world of robot `i` and the heights of its ground; call `reset` next.
 
         Raises:
-            ConfigError: the batch was made without a height range, or the heights do not fit it.
+            ConfigError: the config has no height range, or the heights do not fit it.
         """
-        if self._height_range is None:
+        if self.config.height_range is None:
             raise ConfigError(f"the world {self.worlds[i].name!r} cannot be replaced: it has no height range")
-        write_heights(self.model(i), world.surface, self._height_range)
-        self.model_changed(i)
-        group, k = self._places[i]
-        self.worlds[i], group.surfaces[k], self._bounds[i] = world, world.surface, world.surface.bounds
-        if group.walkers:
-            group.walkers[k] = make_walkers(world, self.config)
+        write_heights(self.bodies[i].model, world.surface, self.config.height_range)
+        group, k = self.places[i]
+        group.bodies.models_changed()
+        self.worlds[i], self._bounds[i] = world, world.surface.bounds
+        group.replace_world(k, world)
         self.casters[i] = self._make_caster(i)
 
     def reset(self, i: int, start: Pose2, seed: int) -> None:
@@ -193,17 +148,16 @@ class BatchSimulation:
         Raises:
             SimulationError: it cannot stand there.
         """
-        group, k = self._places[i]
+        group, k = self.places[i]
         self.errors[i] = "a robot must be reset before it is advanced"
         group.place(k, self.worlds[i], start, seed)
         self._read_poses(group, np.array((k,)))
         self._begin(i, seed)
 
     def _begin(self, i: int, seed: int) -> None:
-        group, k = self._places[i]
-        lidar, odometry, imu = sensor_streams(seed)
-        self._lidars.begin(i, self.casters[i], self.lidar_noise[i], lidar)
-        group.begin(k, odometry, imu, self.period)
+        group, k = self.places[i]
+        self._lidars.begin(i, self.casters[i], self.lidar_noise[i], sensor_stream(seed, LIDAR_STREAM))
+        group.begin(k, seed, self.period)
         self._ticks[i], self._stamps[i], self.errors[i] = 0, 0.0, ""
         self._scan(np.array((i,)))
 
@@ -262,16 +216,10 @@ class BatchSimulation:
     def _scan(self, rows: IntArray) -> None:
         for i in rows.tolist() if self._ray_data else ():
             data = self._ray_data[i]
-            group, k = self._places[i]
+            group, k = self.places[i]
             data.qpos[:], data.mocap_pos[:] = group.bodies.qpos[k], group.bodies.mocap_pos[k]
-        self._lidars.scan(rows, self.T_world_base, self._velocity)
+        self._lidars.scan(rows, self.T_world_base, self.bodies)
         self._stamps[rows] = self._ticks[rows] * self.period
-
-    def _velocity(self, i: int) -> BaseVelocity:
-        qvel = self.qvel(i)
-        x, y, z = (qvel[:3] @ self.pose(i).rotation).tolist()
-        roll, pitch, yaw = qvel[3:6].tolist()
-        return BaseVelocity((x, y, z), (roll, pitch, yaw))
 
     def pose(self, i: int) -> Pose3:
         """Return the last valid `T_world_base` of robot `i`."""
@@ -283,12 +231,9 @@ class BatchSimulation:
 
     def walkers(self, i: int) -> FloatArray:
         """Return (n, 3) centers of the walkers around robot `i`, meters."""
-        group, k = self._places[i]
-        return group.walkers[k].centers.copy() if group.walkers else np.zeros((0, 3))
-
-    def surface(self, i: int) -> HeightField:
-        """Return the ground of robot `i`."""
-        return self.worlds[i].surface
+        group, k = self.places[i]
+        walkers = group.walkers[k]
+        return np.zeros((0, 3)) if walkers is None else walkers.centers.copy()
 
     def find_tipped(self) -> BoolArray:
         """Return (N,) whether each robot tilts by more than 60 deg or lies on its back."""
@@ -303,15 +248,6 @@ class BatchSimulation:
 
     def reading(self, i: int) -> Observation:
         """Return the last sensor readings of robot `i` as arguments of a mapper."""
-        preset, (group, k) = self.config.preset, self._places[i]
-        scan = LaserScan(
-            self.ranges[i].copy(),
-            preset.angle_min,
-            preset.angle_increment,
-            preset.range_min,
-            preset.range_max,
-            float(self._stamps[i]),
-            self.config.robot.T_base_laser,
-            self._lidars.time_increment,
-        )
-        return Observation(scan, Pose2(*group.odometry[k].tolist()), group.imu.reading(k, self.time(i)))
+        group, k = self.places[i]
+        scan = self._lidars.reading(i, float(self._stamps[i]))
+        return Observation(scan, *group.reading(k, self.time(i)))

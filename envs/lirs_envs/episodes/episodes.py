@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,23 +61,17 @@ class Episodes:
     """N episodes of one task; array row i is robot i and depends on no other.
 
     Attributes:
-        config: options.
-        simulation: the robots.
-        task: the task of all robots.
         stage: state on which the task acts.
         action_space: action space of one robot.
-        observations: the chosen groups.
         terminated: (N,) whether the last step ended the episode by the task's rules, or by an accident.
         truncated: (N,) whether the time was up.
         max_steps: number of steps until an episode is truncated.
 
     Args:
         task: its name (see `TASKS`).
-        config: options.
         count: number of robots, N.
         threads: number of threads.
         kind: kind of course, for the traverse task only; None = `mixed`.
-        max_steps: see `limit_steps`.
     """
 
     def __init__(
@@ -98,12 +93,11 @@ class Episodes:
         self.config, self.count = config, count
         self.simulation = BatchSimulation(
             world,
-            config.simulation,
+            replace(config.simulation, height_range=scaled_height_range(*scale) if crossing else None),
             count=count,
             period=1 / config.control_hz,
             threads=threads,
             own_models=Randomization.needs_own_models(factors),
-            height_range=scaled_height_range(*scale) if crossing else None,
         )
         names = TASKS[task].observe if config.observe is None else config.observe
         self.stage = self._make_stage(factors, sees=TASKS[task].needs_seen or "seen_map" in names)
@@ -132,22 +126,21 @@ class Episodes:
         self.max_steps = int(min(steps or math.inf, max(1.0, np.rint(seconds * self.config.control_hz))))
 
     def _make_stage(self, factors: Factors, *, sees: bool) -> Stage:
-        site = make_site(self.simulation.worlds[0], self.config.simulation.robot)
+        robot = self.config.simulation.robot
+        site, mount = make_site(self.simulation.worlds[0], robot), robot.T_base_laser
+        beams = self.config.simulation.preset.directions @ mount.rotation.T
+        reach = FLYING_REACH if robot.flies else GROUND_REACH
+        shape = site.seen.height.shape
+        seen = SeenGround(self.count, shape, beams, mount.position, reach) if sees else None
         return Stage(
             simulation=self.simulation,
             site=site,
-            seen=self._make_seen(self.count, site.seen.height.shape) if sees else None,
+            seen=seen,
             rewards=self.config.weights,
             difficulty=np.full(self.count, float(self.config.difficulty)),
             randomize_start="start" in factors,
             randomize_terrain="terrain" in factors,
         )
-
-    def _make_seen(self, count: int, shape: tuple[int, int]) -> SeenGround:
-        robot, preset = self.config.simulation.robot, self.config.simulation.preset
-        mount = robot.T_base_laser
-        reach = FLYING_REACH if robot.flies else GROUND_REACH
-        return SeenGround(count, shape, preset.directions @ mount.rotation.T, mount.position, reach)
 
     def _make_rows(self, count: int) -> None:
         self.terminated: BoolArray = np.zeros(count, np.bool_)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from lirs_envs.batch.simulation import BatchSimulation
-from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.arrays import IntArray
 
 Factors = dict[str, tuple[float, float] | None]
 INTERVAL = 5.0
@@ -52,27 +52,28 @@ class Randomization:
         }
         if self._during:
             self._rngs[i] = np.random.default_rng(int(rng.integers(2**63)))
+        group, k = self._simulation.places[i]
         if "latency" in drawn:
-            self._simulation.set_latency(i, drawn["latency"])
+            group.set_latency(k, drawn["latency"])
         if "sensor" in drawn:
-            k, noise = drawn["sensor"], self._noise
+            factor, noise = drawn["sensor"], self._noise
             self._simulation.lidar_noise[i] = replace(
-                noise, sigma=k * noise.sigma, sigma_relative=k * noise.sigma_relative
+                noise, sigma=factor * noise.sigma, sigma_relative=factor * noise.sigma_relative
             )
         if not self.needs_own_models(self._factors):
             return
-        model, nominal = self._simulation.model(i), self._nominal
+        model, nominal = group.bodies.models[k], self._nominal
         model.geom_friction[self._geoms] = drawn.get("friction", 1.0) * nominal["geom_friction"]
         mass = drawn.get("mass", 1.0)
         model.body_mass[self._bodies] = mass * nominal["body_mass"]
         model.body_inertia[self._bodies] = mass * nominal["body_inertia"]
         mujoco.mj_setConst(model, mujoco.MjData(model))
-        self._simulation.model_changed(i)
+        group.bodies.models_changed()
 
     def begin(self, i: int) -> None:
         """Draw the first slip of robot `i`, which stands at its start."""
         if SLIP in self._during:
-            self._simulation.set_slip(i, self._rngs[i].uniform(*self._during[SLIP]))
+            self._set_slip(i)
 
     def disturb(self, ids: IntArray) -> None:
         """Push some robots before a step, and change the slip of some."""
@@ -81,10 +82,12 @@ class Randomization:
             rng = self._rngs[i]
             if PUSH in self._during and rng.random() < chance:
                 speed, angle = rng.uniform(*self._during[PUSH]), rng.uniform(-math.pi, math.pi)
-                self._push(i, np.array((math.cos(angle), math.sin(angle))) * speed)
+                # An impulse through the center of mass.
+                self._simulation.bodies[i].qvel[:2] += np.array((math.cos(angle), math.sin(angle))) * speed
             if SLIP in self._during and rng.random() < chance:
-                self._simulation.set_slip(i, rng.uniform(*self._during[SLIP]))
+                self._set_slip(i)
 
-    def _push(self, i: int, change: FloatArray) -> None:
-        """Add to the horizontal velocity of robot `i`: an impulse through its center of mass."""
-        self._simulation.qvel(i)[:2] += change
+    def _set_slip(self, i: int) -> None:
+        """Draw the slip of robot `i`."""
+        group, k = self._simulation.places[i]
+        group.set_slip(k, self._rngs[i].uniform(*self._during[SLIP]))

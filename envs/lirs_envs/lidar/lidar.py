@@ -84,7 +84,7 @@ class Lidar:
         Raises:
             SimulationError: the pose is not finite.
         """
-        return self._scan(self.ranges(T_world_base, velocity), stamp)
+        return self.reading(self.ranges(T_world_base, velocity), stamp)
 
     def sweep(
         self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None
@@ -104,9 +104,10 @@ class Lidar:
             self._column[met],
             (self.preset.rings, self.preset.beams),
         )
-        return self._scan(ranges, stamp), cloud
+        return self.reading(ranges, stamp), cloud
 
-    def _scan(self, ranges: Float32Array, stamp: float) -> LaserScan:
+    def reading(self, ranges: Float32Array, stamp: float) -> LaserScan:
+        """Return the scan with given ranges (see `ranges`)."""
         return LaserScan(ranges[self._horizon], *self._fan, stamp, self.T_base_laser, self.time_increment)
 
     def ranges(self, T_world_base: Pose3, velocity: BaseVelocity | None = None) -> Float32Array:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
-from lirs_envs.robots.flight import FlyingBody, QuadrotorController
+from lirs_envs.robots.body_state import BodyState
+from lirs_envs.robots.flight import QuadrotorController
 from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_wct.arrays import FloatArray, IntArray, RecordArray
 from lirs_wct.checks import Checked, limited
@@ -46,12 +47,6 @@ DRIVE = np.dtype([(name, np.float64) for name in (*LIMITS, *GAINS)])
 numbers takes longer to hand over than the kernel runs."""
 
 
-def drive_parameters(robot: Robot, config: DriveConfig) -> RecordArray:
-    """Return (1,) of `DRIVE`: the parameters of a robot with driven wheels."""
-    limits, gains = [getattr(robot, name) for name in LIMITS], [getattr(config, name) for name in GAINS]
-    return np.array([(*limits, *gains)], DRIVE)
-
-
 class WheelActuators(NamedTuple):
     """Indices of the driven wheels' actuators."""
 
@@ -69,7 +64,9 @@ class DifferentialDrives:
 
     def __init__(self, robot: Robot, actuators: WheelActuators, count: int) -> None:
         self._actuators = actuators
-        self._parameters = drive_parameters(robot, DriveConfig())
+        config = DriveConfig()
+        figures = [getattr(robot, name) for name in LIMITS] + [getattr(config, name) for name in GAINS]
+        self._parameters = np.array([tuple(figures)], DRIVE)
         self._state = np.zeros((count, 3))
 
     def begin(self, i: int) -> None:
@@ -79,7 +76,15 @@ class DifferentialDrives:
     def update(
         self, ids: IntArray, commands: FloatArray, rates: FloatArray, dt: float, ctrl: FloatArray
     ) -> None:
-        """Fill the wheel speeds, rad/s (see `Controllers`)."""
+        """Fill the controls to hold for `dt` seconds: wheel speeds, rad/s.
+
+        Args:
+            ids: rows of the robots.
+            commands: (N, 3) speeds, m/s, turn rates, rad/s, climbs, m/s; clipped to the robot's limits.
+            rates: (N, 3) measured by the gyro, rad/s.
+            dt: seconds.
+            ctrl: (N, nu) controls.
+        """
         _drive(ids, commands, rates, dt, self._parameters, self._actuators, self._state, ctrl)
 
 
@@ -140,8 +145,6 @@ class FlightControllers:
     """Rotor thrusts of N quadrotors.
 
     Args:
-        robot: the robot's figures.
-        bodies: the true state of each quadrotor.
         surfaces: the ground of each quadrotor; replaceable.
         waypoints: the pose that each quadrotor flies to instead of its command; None = the command.
     """
@@ -149,12 +152,12 @@ class FlightControllers:
     def __init__(
         self,
         robot: Robot,
-        bodies: Sequence[FlyingBody],
+        bodies: Sequence[BodyState],
         surfaces: Sequence[HeightField],
         waypoints: Sequence[Waypoint | None],
     ) -> None:
         self._robot, self._bodies, self._surfaces, self._waypoints = robot, bodies, surfaces, waypoints
-        self._controllers: list[QuadrotorController | None] = [None] * len(bodies)
+        self._controllers: dict[int, QuadrotorController] = {}
 
     def begin(self, i: int) -> None:
         """Create the controller of quadrotor `i` at its present pose."""
@@ -163,38 +166,19 @@ class FlightControllers:
     def update(
         self, ids: IntArray, commands: FloatArray, rates: FloatArray, dt: float, ctrl: FloatArray
     ) -> None:
-        """Fill the thrusts, newtons (see `Controllers`)."""
+        """Fill the thrusts, newtons (see `DifferentialDrives.update`)."""
         for i in ids.tolist():
-            controller = self._controllers[i]
-            assert controller is not None, "begin comes first"
             command = self._waypoints[i] or Twist(*commands[i].tolist())
-            ctrl[i] = controller.update(command, dt)
+            ctrl[i] = self._controllers[i].update(command, dt)
 
 
-class Controllers(Protocol):
-    """Actuator controls of N robots."""
-
-    def begin(self, i: int) -> None:
-        """Reset the control of robot `i` at its present pose."""
-
-    def update(
-        self, ids: IntArray, commands: FloatArray, rates: FloatArray, dt: float, ctrl: FloatArray
-    ) -> None:
-        """Fill the controls to hold for `dt` seconds: wheel speeds, rad/s, or rotor thrusts, newtons.
-
-        Args:
-            ids: rows of the robots.
-            commands: (N, 3) speeds, m/s, turn rates, rad/s, climbs, m/s; clipped to the robot's limits.
-            rates: (N, 3) measured by the gyro, rad/s.
-            dt: seconds.
-            ctrl: (N, nu) controls.
-        """
+Controllers = DifferentialDrives | FlightControllers
 
 
 def make_controllers(
     robot: Robot,
     actuators: Sequence[Sequence[int]],
-    bodies: Sequence[FlyingBody],
+    bodies: Sequence[BodyState],
     surfaces: Sequence[HeightField] = (),
     waypoints: Sequence[Waypoint | None] = (),
 ) -> Controllers:

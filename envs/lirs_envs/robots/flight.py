@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import mujoco
 import numpy as np
 
+from lirs_envs.robots.body_state import BodyState
 from lirs_envs.robots.robot import Robot, Twist, Waypoint, clip
-from lirs_wct.arrays import FloatArray, Vector3
+from lirs_wct.arrays import FloatArray
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Pose3, wrap_angle
 from lirs_wct.geometry.heightfield import HeightField
@@ -55,27 +55,6 @@ class FlightConfig(Checked, of="the flight control"):
     lookahead: float = limited(0.8, "(0, inf)")
 
 
-class FlyingBody(Protocol):
-    """True state of a body, in its MuJoCo model."""
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The compiled model."""
-
-    @property
-    def gravity(self) -> float:
-        """Gravity along -z, m/s^2."""
-
-    def pose(self) -> Pose3:
-        """Return `T_world_base`."""
-
-    def velocity(self) -> Vector3:
-        """Return the velocity along the body's axes, m/s."""
-
-    def rates(self) -> Vector3:
-        """Return the rates about the body's axes, rad/s."""
-
-
 @dataclass(frozen=True)
 class Airframe:
     """Mechanics of a quadrotor's body.
@@ -113,7 +92,7 @@ class QuadrotorController:
     `Waypoint` is a pose to fly to and hold.
     """
 
-    def __init__(self, robot: Robot, body: FlyingBody, surface: HeightField) -> None:
+    def __init__(self, robot: Robot, body: BodyState, surface: HeightField) -> None:
         self.robot, self.config = robot, FlightConfig()
         self._body = body
         self._surface = surface

@@ -7,22 +7,23 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Protocol, get_args
+from typing import Any, get_args
 
 import numpy as np
 import yaml
 
 from lirs_envs.lidar.presets import LidarNoise, LidarPreset, NoiseLevel, lidar_noise
+from lirs_envs.robots.body_state import BodyState
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
-from lirs_wct.arrays import FloatArray, IntArray, Vector3
+from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.checks import Checked, check_field, limited, of_type
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.yaml_text import load_yaml
-from lirs_wct.geometry import Imu, ImuReadings, LaserScan, PointCloud, Pose2, Pose3
+from lirs_wct.geometry import Imu, ImuReadings, LaserScan, PointCloud, Pose2
 
 FAULT_STREAM = 16
 """Random stream of the faults."""
@@ -59,10 +60,8 @@ class FaultInjector:
     """Applies faults to the readings of one robot, in the order of the scans.
 
     Args:
-        faults: of its sensors.
         period: time between two scans, seconds.
         rings: number of the lidar's rings.
-        seed: of the random numbers.
 
     Raises:
         ConfigError: a fault of planar lidars is on, and the lidar has several rings.
@@ -72,7 +71,7 @@ class FaultInjector:
         if rings > 1 and (faults.dust or faults.field_of_view < 360.0):
             raise ConfigError("field_of_view and dust are faults of planar lidars; this one has rings")
         self.faults = faults
-        self._rng = np.random.default_rng((seed, FAULT_STREAM))
+        self._rng = sensor_stream(seed, FAULT_STREAM)
         self._late: deque[tuple[LaserScan, PointCloud | None]] = deque(maxlen=1 + round(faults.lag / period))
         self._true, self._measured = Pose2(), Pose2()
 
@@ -172,9 +171,9 @@ class SensorNoise(Checked, of="the sensor noise"):
         return self.lidar if isinstance(self.lidar, LidarNoise) else lidar_noise(preset, self.lidar)
 
 
-def sensor_streams(seed: int) -> tuple[np.random.Generator, ...]:
-    """Return the random generators of lidar, odometry and inertial unit."""
-    return tuple(np.random.default_rng((seed, k)) for k in (LIDAR_STREAM, ODOMETRY_STREAM, IMU_STREAM))
+def sensor_stream(seed: int, stream: int) -> np.random.Generator:
+    """Return the random generator of a sensor's stream."""
+    return np.random.default_rng((seed, stream))
 
 
 SECTIONS: dict[str, type[Any]] = {
@@ -257,30 +256,17 @@ def write_noise(path: Path, noise: SensorNoise, comment: str) -> None:
         temporary.write_text(text + yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")
 
 
-class MovingBody(Protocol):
-    """True state that odometry measures."""
-
-    def pose(self) -> Pose3:
-        """Return `T_world_base`."""
-
-    def velocity(self) -> Vector3:
-        """Return the velocity along the body's axes, m/s."""
-
-    def wheel_angles(self) -> tuple[float, float]:
-        """Return the mean angles by which left and right wheels have turned, radians."""
-
-
 class Odometries:
     """Odometry `T_odom_base` of N robots with one object each: optical flow, or the Kalman filter.
 
     Attributes:
         pose: (N, 3) x, y, yaw, meters and radians.
-        of: odometry of each robot; None before it begins.
+        of: odometry of each robot that has begun.
     """
 
-    def __init__(self, robot: Robot, noise: SensorNoise, bodies: Sequence[MovingBody]) -> None:
+    def __init__(self, robot: Robot, noise: SensorNoise, bodies: Sequence[BodyState]) -> None:
         self._robot, self._noise, self._bodies = robot, noise, bodies
-        self.of: list[EkfOdometry | FlowOdometry | None] = [None] * len(bodies)
+        self.of: dict[int, EkfOdometry | FlowOdometry] = {}
         self._angles = [(0.0, 0.0)] * len(bodies)
         self.pose = np.zeros((len(bodies), 3))
 
@@ -305,7 +291,7 @@ class Odometries:
             readings = ((x, y, z), roll, pitch, dt)
             if isinstance(odometry, FlowOdometry):
                 odometry.update(body.pose(), body.velocity(), *readings)
-            elif odometry is not None:
+            else:
                 left, right = body.wheel_angles()
                 left_turned, right_turned = left - self._angles[i][0], right - self._angles[i][1]
                 self._angles[i] = left, right
@@ -313,13 +299,9 @@ class Odometries:
 
     def set_slip(self, i: int, share: float) -> None:
         """Lengthen the measured distance by a share, until robot `i` begins again."""
-        odometry = self.of[i]
-        assert odometry is not None, "begin comes first"
-        odometry.noise.slip[0] = share
+        self.of[i].noise.slip[0] = share
 
     def read(self, ids: IntArray) -> None:
         """Update the poses of robots `ids`."""
         for i in ids.tolist():
-            odometry = self.of[i]
-            assert odometry is not None, "begin comes first"
-            self.pose[i] = odometry.read().as_array()
+            self.pose[i] = self.of[i].read().as_array()

@@ -36,7 +36,7 @@ def same(one: Observation, two: Observation) -> bool:
 
 
 def positions(many: BatchSimulation) -> bytes:
-    return b"".join(many.qpos(i).tobytes() for i in range(many.count))
+    return b"".join(many.bodies[i].qpos.tobytes() for i in range(many.count))
 
 
 def commands(robot: str, steps: int, count: int, seed: int = 1) -> np.ndarray:
@@ -165,7 +165,7 @@ def test_a_robot_that_diverges_stops_alone(plane: World) -> None:
     for i in range(2):
         many.reset(i, START, seed=i)
     before = many.ranges[0].tobytes()
-    many.qvel(0)[0] = np.nan
+    many.bodies[0].qvel[0] = np.nan
     many.advance(np.arange(2), np.zeros((2, 3)))
     assert "diverged" in many.errors[0]
     assert not many.errors[1]
@@ -178,9 +178,9 @@ def test_a_robot_that_diverges_stops_alone(plane: World) -> None:
 
 def test_another_terrain_for_one_robot(husky: object) -> None:
     courses = [generate("waves", 0.5, np.random.default_rng(s)) for s in range(2)]
-    config = config_of("husky", "gyro", False)
-    many = BatchSimulation(courses[0].world(), config, count=2, period=0.1, height_range=HEIGHT_RANGE)
-    alone = BatchSimulation(courses[1].world(), config, count=1, period=0.1, height_range=HEIGHT_RANGE)
+    config = replace(config_of("husky", "gyro", False), height_range=HEIGHT_RANGE)
+    many = BatchSimulation(courses[0].world(), config, count=2, period=0.1)
+    alone = BatchSimulation(courses[1].world(), config, count=1, period=0.1)
     many.replace_terrain(1, courses[1].world())
     many.reset(0, courses[0].start, seed=0)
     many.reset(1, courses[1].start, seed=1)

@@ -145,13 +145,14 @@ def test_navigation_succeeds_at_the_goal(plane: World) -> None:
 def test_no_goal_is_reached_through_a_wall(robot: str, walled: World, T_world_wall: Pose2) -> None:
     env = RobotEnv("navigation", world=walled, robot=robot)
     task, simulation, rng = env.episodes.task, env.episodes.simulation, np.random.default_rng(0)
+    assert isinstance(task, NavigationTask)
     env.reset(seed=0)
     radius, rows = make_robot(robot).radius, np.zeros(1, np.int64)
     for _ in range(1000):
         y = rng.uniform(-5.0, 5.0)
         here, goal = (T_world_wall.apply((x, y)).tolist() for x in (3.0 - radius, 3.1 + radius))
-        task._goals[0], simulation.T_world_base[0, :2] = goal, here  # type: ignore[attr-defined]
-        task._costs[0] = np.zeros(env.episodes.stage.site.areas.shape)  # type: ignore[attr-defined]
+        task.goals[0], simulation.T_world_base[0, :2] = goal, here
+        task._costs[0] = np.zeros(env.episodes.stage.site.areas.shape)
         task.step(rows)
         assert not task.end(0)
 

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import ROBOTS, make_robot
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.cli.app import PROGRAM
 from lirs_validation.collision.contact_metrics import energy_gain, inside_test, penetrations, stuck_seconds
 from lirs_validation.collision.random_drive import PERIOD, ContactRecorder, Leg, places
@@ -51,7 +52,7 @@ def blocks() -> World:
 
 
 def body_in(world: World, name: str, kind: ContactGeometry = "hfield") -> RobotModel:
-    return RobotModel(world, make_robot(name), PERIOD, contact_geometry=kind)
+    return RobotModel(world, SimulationConfig(robot=make_robot(name), contact_geometry=kind), PERIOD)
 
 
 def left_alone(body: RobotModel, pose: Pose3, seconds: float) -> Leg:
