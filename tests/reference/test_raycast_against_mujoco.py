@@ -76,8 +76,6 @@ def test_robots_and_props_by_mujoco(surface: HeightField) -> None:
     assert ranges[0] == pytest.approx(2.05)
     assert ranges[1:].tolist() == [np.inf, np.inf], "the terrain's group is not seen"
     assert mujoco_hits(model, data, origin, ahead[:1], 2.0)[0][0] == np.inf
-    ball = model.body("ball").id
-    assert mujoco_hits(model, data, origin, ahead[:1], 10.0, exclude_body=ball)[0][0] == np.inf
     assert mujoco_hits(model, data, origin, ahead[:1], 10.0, groups=[2])[0][0] == np.inf
     assert mujoco_hits(model, data, origin, np.empty((0, 3)), 10.0)[0].shape == (0,)
     with pytest.raises(ConfigError, match="0 to 5"):

@@ -242,7 +242,6 @@ def mujoco_hits(
     directions: ArrayLike,
     max_range: float,
     *,
-    exclude_body: int = -1,
     groups: Collection[int] = (0, 1, 2),
 ) -> tuple[FloatArray, Int32Array, FloatArray]:
     """Return ranges (n,), geoms (n,) and normals (n, 3) of hits on MuJoCo's geoms, such as props.
@@ -253,7 +252,6 @@ def mujoco_hits(
         origin: (3,) start of all rays, or (n, 3) of each; world frame, meters.
         directions: (n, 3) unit vectors, world frame.
         max_range: meters; farther hits have range inf, rays without a hit also geom -1.
-        exclude_body: id of one body whose geoms are looked through.
         groups: geom groups (0 to 5) that rays meet.
 
     Raises:
@@ -268,12 +266,10 @@ def mujoco_hits(
     seen = model, data
     if o.ndim == 2:
         for k in range(n):
-            distance[k] = mujoco.mj_ray(
-                *seen, o[k], d[k], mask, True, exclude_body, geoms[k : k + 1], normals[k]
-            )
+            distance[k] = mujoco.mj_ray(*seen, o[k], d[k], mask, True, -1, geoms[k : k + 1], normals[k])
     elif n:
         flat = normals.reshape(-1)
-        mujoco.mj_multiRay(*seen, o, d.ravel(), mask, True, exclude_body, geoms, distance, flat, n, max_range)
+        mujoco.mj_multiRay(*seen, o, d.ravel(), mask, True, -1, geoms, distance, flat, n, max_range)
     ranges = np.where((geoms >= 0) & (distance <= max_range), distance, np.inf)
     return ranges, geoms, normals
 
