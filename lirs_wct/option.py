@@ -15,10 +15,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from lirs_wct.checks import Check, Names
-from lirs_wct.checks import one_of as one_of
-from lirs_wct.checks import positive as positive
-from lirs_wct.checks import within as within
+from lirs_wct.checks import Check, Names, one_of as one_of, positive as positive, within as within
 from lirs_wct.errors import ConfigError, did_you_mean, unknown_name
 
 _KEY = "option"

@@ -279,7 +279,7 @@ class World(ShownAsPicture):
 
 
 def _store_ground(ground: Ground, entry: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-    """Add the content of a ground to the entry and the arrays of a world's files."""
+    """Add the content of a ground to a world's entry and arrays."""
     if ground.walls is not None:
         arrays["walls"] = ground.walls.solid
         entry["walls"] = _grid_entry(ground.walls) | {"height": ground.walls.height}

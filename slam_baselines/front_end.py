@@ -180,7 +180,7 @@ class ScanToMapFrontEnd(FrontEnd[K]):
         prior: PoseEstimate,
         register: Callable[[LeveledScan, PoseEstimate, float], Registered],
     ) -> Match | None:
-        """Set the estimate to the registered pose, or to the prior where no match is believed.
+        """Set the estimate to the registered pose, or without a match to the prior.
 
         Args:
             scan: Leveled scan.
@@ -207,7 +207,7 @@ class ScanToMapFrontEnd(FrontEnd[K]):
         return self.observe_fit(None, 1.0) if match is None else self.observe_fit(match.score, match.known)
 
     def enter(self, keyframe: K, refine: Refine[K]) -> bool:
-        """Add a keyframe; correct path and estimate if the start was refined, and return whether it was."""
+        """Add a keyframe; return whether the start was refined, and path and estimate corrected."""
         self.path.append(keyframe.pose)
         refined = self.refine_start(keyframe, refine)
         if refined:

@@ -157,7 +157,7 @@ class HectorMapper(PlanarMapper):
         return estimate, match
 
     def _calibrate(self, scan: LeveledScan, match: Match | None, before: Pose2) -> bool:
-        """Switch the odometry's calibration on or off; let it learn from a good match, and tell of one."""
+        """Switch the odometry's calibration, let it learn from a good match."""
         c, reckoning, localizability = self.config, self.reckoning, self.front.localizability
         if scan.leveled and self.front.path:
             reckoning.calibrated = localizability.steady or reckoning.learned >= c.learning_steps

@@ -28,8 +28,7 @@ from lirs_validation.driving.choice import MARGIN
 from lirs_validation.driving.driver import Driver, Frame
 from lirs_validation.driving.free_ground import FreeGround
 from lirs_validation.driving.frontier_route import FrontierRoute, GoalRoute
-from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
-from lirs_validation.driving.path_driver import Path as DrivenPath
+from lirs_validation.driving.path_driver import DriverConfig, Path as DrivenPath, PathDriver, driver_config
 from lirs_validation.driving.paths import penalize_behind
 from lirs_validation.driving.waypoint_route import WaypointRoute
 from lirs_validation.experiment.own_code import make_own, own_class, own_source_file

@@ -87,5 +87,5 @@ def coverage_area(driven: Sequence[float], coverage: Sequence[float], budget: fl
 
 
 def distance_share(gained: float, whole: float) -> float:
-    """Return the gained meters of the distance to the goal as a share, 0 to 1."""
+    """Return the gained share, 0 to 1, of the distance to the goal."""
     return float(np.clip(gained / whole, 0.0, 1.0))

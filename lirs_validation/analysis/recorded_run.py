@@ -334,7 +334,7 @@ class LirsWctRun(Dataset):
 
 
 def export_evalio(run: RunFolder, config: RunConfig, out: Path) -> Path:
-    """Write a module with a dataset of a run's bag into a folder `evalio`; return its path.
+    """Write a dataset of a run's bag for evalio; return the path of its module.
 
     The bag holds point clouds, their truth, and inertial readings.
 

@@ -13,8 +13,14 @@ from typing import TYPE_CHECKING
 
 from click.exceptions import Exit
 from rich.console import Console
-from rich.progress import BarColumn, ProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.progress import Progress as ProgressBar
+from rich.progress import (
+    BarColumn,
+    Progress as ProgressBar,
+    ProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from lirs_wct.errors import OutputError
 from lirs_wct.progress import Progress

@@ -147,7 +147,7 @@ class _ServedMapper(MapperUnderTest):
 
 
 def serve_mapper(pipe: Connection) -> None:
-    """Make the mapper of the first message; then return the part of it that each message names."""
+    """Make the mapper of the first message; return the parts that further messages name."""
     mapper: _ServedMapper | None = None
     while True:
         part, *arguments = pipe.recv()

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import numpy as np
 
+from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
 from lirs_validation.experiment.cost import Cost
 from lirs_validation.processes import is_interrupt
 from lirs_wct import (
@@ -38,9 +39,8 @@ from slam_baselines.mapper import (
     requires_odometry,
 )
 
-if TYPE_CHECKING:  # mapping a log does not load the simulator, another interpreter no options
+if TYPE_CHECKING:  # mapping a log does not load the simulator
     from lirs_envs.sensing.sensors import Observation
-    from lirs_validation.config import Attitude, RunConfig
 
 READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
 """Matches messages of NumPy and Numba about a write into a read-only array."""
@@ -283,7 +283,6 @@ def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
     # Who maps a log does not load the simulator.
     from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
     from lirs_envs.robots.robot import make_robot
-    from lirs_validation.config import DRIVERS, driver_parts
 
     if not mapper.reads_clouds:
         return

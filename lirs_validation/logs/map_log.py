@@ -46,7 +46,7 @@ from lirs_wct.files import atomic_folder, atomic_write, check_writable, readable
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.formats.map_server import read_map, write_map
-from lirs_wct.formats.rosbag.topics import ANY
+from lirs_wct.formats.rosbag.topics import ANY, Topics
 from lirs_wct.formats.suffixes import METADATA, is_bag_file
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.option import check_names
@@ -263,7 +263,6 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
         if config.fov is not None:
             raise ConfigError(f"{path}: the messages of a bag say their field of view themselves")
         from lirs_wct.formats.rosbag.reader import read_bag
-        from lirs_wct.formats.rosbag.topics import Topics
 
         others = ", ".join(MAPPERS if clouds else ALL_CLOUD_MAPPERS)
         names = Topics(*topics, clouds, others)

@@ -158,7 +158,7 @@ class Experiment(ABC):
             (folder / self.marker).write_text(self.failure(outcome), encoding="utf-8")
 
     def find_outcome(self, out: Path) -> Outcome | None:
-        """Return the outcome in a folder that is whole and newer than all inputs; None = run it."""
+        """Return the outcome in a whole and current folder; None = run it."""
         folder = out / self.name
         try:
             entry = read_status(folder / self.marker)

@@ -122,7 +122,7 @@ class Sweep:
 
 
 def make_executor(options: EngineOptions) -> Executor:
-    """Make a Ray cluster for an address, processes for jobs or a time limit, else `Serial`."""
+    """Make a Ray cluster, processes for jobs or a time limit, or `Serial`."""
     if options.address is not None:
         return RayCluster(address=options.address, jobs=options.jobs, seconds=options.cell_timeout)
     if options.jobs in (None, 1) and options.cell_timeout is None:

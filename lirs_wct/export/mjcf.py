@@ -74,7 +74,7 @@ def world_spec(
 
 
 def contact_spec(world: World, contact_geometry: ContactGeometry) -> mujoco.MjSpec:
-    """Return only the geoms of a world that are touched; its height field has no heights."""
+    """Return only the geoms that are touched; the height field has no heights."""
     spec = mujoco.MjSpec()
     _add_contact_geoms(spec, world, world.surface, contact_geometry, heights=False)
     return spec

@@ -115,7 +115,7 @@ def _add_settings(root: Element, low: FloatArray, high: FloatArray) -> None:
 
 
 def _add_contact_geoms(assets: Element, body: Element, contact: mujoco.MjSpec) -> None:
-    """Add the geoms of a specification, and the height field or the meshes that they use."""
+    """Add the geoms of a specification, and the assets that they use."""
     group = SEEN_GROUP if contact.hfields else TOUCHED_GROUP
     for hfield in contact.hfields:
         _add(assets, "hfield", name=hfield.name, size=hfield.size)
@@ -147,7 +147,7 @@ def _dress_field(assets: Element, body: Element, world: World, folder: Path) -> 
 
 
 def _add_meshes(assets: Element, body: Element, world: World, folder: Path) -> None:
-    """Write the world's own mesh with its textures and add it as visible geoms without contact."""
+    """Write the world's own textured mesh; add it as visible geoms without contact."""
     for part in world_parts(world, world.file_mesh):
         wear = part.wear.name
         _add_material(assets, wear, _as_png(world, part.wear, folder))

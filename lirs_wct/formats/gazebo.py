@@ -65,7 +65,7 @@ def model_sdf(name: str, mesh: str) -> str:
 
 
 def _static_model(name: str, visual: str, collision: str) -> str:
-    """Return a model of one static link with the elements of its visual and of its collision."""
+    """Return a model of one static link with its visual and collision elements."""
     return f"""<?xml version="1.0"?>
 <sdf version="{VERSION}">
   <model name={quoteattr(name)}>

@@ -95,7 +95,7 @@ def texture_path(name: str, role: str, given: Path | None) -> Path:
 
 
 def keep_textures(name: str, options: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Copy the user's textures into a world's folder; return the options with their paths in it."""
+    """Copy the user's textures into a world's folder; return options with their new paths."""
     kept = options | {"texture": None}
     for role in TEXTURE_OPTIONS:
         given: Path | None = options.get(role)

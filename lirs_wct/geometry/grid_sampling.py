@@ -40,7 +40,7 @@ def fewer_nodes(surface: HeightField, most: int) -> HeightField:
 def sample_surface(
     surface: HeightField, bounds: tuple[float, float, float, float], shape: tuple[int, int]
 ) -> HeightField:
-    """Return a surface within west, south, east, north on nodes of its own, exact at each node."""
+    """Return a surface within bounds on nodes of its own, exact at each node."""
     (west, south, east, north), (rows, cols) = bounds, shape
     x, y = np.linspace(west, east, cols), np.linspace(north, south, rows)
     x, y = np.clip(x, west, east), np.clip(y, south, north)

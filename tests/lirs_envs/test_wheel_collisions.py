@@ -18,6 +18,7 @@ from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.drive import make_controllers
 from lirs_envs.robots.robot import ROBOTS, Twist, make_robot
 from lirs_envs.simulation import ROW
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.tasks.site import make_site
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.geometry.pose import Pose2

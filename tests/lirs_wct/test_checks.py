@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.checks import Checked, check_field, check_seed, limited, of_type, one_of, require_within, within
 from lirs_wct.errors import ConfigError

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.export.mesh_writer import write_parts
 from lirs_wct.export.package import FORMATS, write_package

@@ -3,8 +3,7 @@
 import math
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from slam_baselines.mapping.occupancy_map import GrowingGrid
 from slam_baselines.matching.branch_and_bound import (

@@ -1,8 +1,7 @@
 """What must hold for any field and any ray."""
 
 import numpy as np
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lirs_envs.lidar.ray_casting import RayCaster

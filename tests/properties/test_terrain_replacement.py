@@ -6,8 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, generate
 from lirs_envs.lidar.ray_casting import mujoco_hits

@@ -12,8 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
-from mujoco.batch import SimulationError as BatchError
+from mujoco.batch import Batch, SimulationError as BatchError
 
 from lirs_envs.collisions import KINDS, ContactMonitor, describe_divergence, divergence_reason, is_sound
 from lirs_envs.robot_model import CENTER_SENSOR, CONTACT_SENSOR, SETTLING_TIME, WHEEL_CONTACTS, RobotModel

@@ -151,8 +151,7 @@ def compare(options: CompareOptions) -> None:
     lirs-wct compare out/a out/b
     lirs-wct compare out/:mapper=hector out/:mapper=gmapping --across mapper
     """
-    from lirs_validation.analysis.compare import compare as compared
-    from lirs_validation.analysis.compare import only
+    from lirs_validation.analysis.compare import compare as compared, only
     from lirs_validation.analysis.result_folders import read_results
     from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
     from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
@@ -222,8 +221,10 @@ def export(options: ExportCommand) -> None:
     lirs-wct export husky --to urdf
     """
     from lirs_envs.robots.robot import ROBOTS
+    from lirs_envs.robots.urdf import robot_urdf
 
-    paths = _export_robot(options) if options.source in ROBOTS else _export_run(options)
+    robot = ROBOTS.get(options.source)
+    paths = _export_run(options) if robot is None else [_write_urdf(options, robot_urdf(robot))]
     for path in paths:
         out.print(f"{path}", soft_wrap=True, highlight=False)
 
@@ -239,15 +240,12 @@ def _export_run(options: ExportCommand) -> Sequence[Path]:
         return export_run(read_run(run), folder, options.to, storage=options.storage, slam=slam)
 
 
-def _export_robot(options: ExportCommand) -> Sequence[Path]:
-    from lirs_envs.robots.robot import make_robot
-    from lirs_envs.robots.urdf import robot_urdf
-
+def _write_urdf(options: ExportCommand, text: str) -> Path:
     if options.to != ("urdf",):
         raise ConfigError(f"{options.source}: a robot is exported --to urdf, got {','.join(options.to)}")
     path = (options.output or Path()) / f"{options.source}.urdf"
-    _write(path, robot_urdf(make_robot(options.source)))
-    return [path]
+    _write(path, text)
+    return path
 
 
 def _write(path: Path, text: str) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import common
-from lirs_validation.cli.progress import GATE_FAILED, err, out
+from lirs_validation.cli.progress import GATE_FAILED, err, out, run_with_progress
 from lirs_validation.cli.sources import World, map_logs, sources_argument
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_wct import ConfigError
@@ -97,7 +97,6 @@ def verdict(
 
 def _performer(engine: EngineOptions) -> Perform:
     """Return the function that runs a sweep with the engine, under a bar of progress."""
-    from lirs_validation.cli.progress import run_with_progress
     from lirs_validation.sweep.sweep import make_executor
 
     executor = make_executor(engine)

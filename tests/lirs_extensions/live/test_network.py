@@ -26,8 +26,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run as run_offline
 from lirs_wct import ConfigError
 from tests.kit import SMALL
-from tests.lirs_extensions.live import client_process
-from tests.lirs_extensions.live import fake_network as net
+from tests.lirs_extensions.live import client_process, fake_network as net
 
 ROOT = Path(__file__).resolve().parents[3]
 LIMIT = 60.0

@@ -1,8 +1,7 @@
 """Shrinking on synthetic objectives."""
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lirs_extensions.search.case_search import Case, shrink
 from lirs_extensions.search.falsify.drives import PARAMETERS, SearchLimits

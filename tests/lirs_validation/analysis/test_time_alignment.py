@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lirs_validation.analysis.result_folders import read_run
 from lirs_validation.analysis.score import find_time_offset, interpolate_poses, score

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_validation.logs.map_log import read_reference, truth_in_time
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lirs_validation.metrics.near_obstacles import STEEP, near_obstacle
 from lirs_wct.geometry.heightfield import HeightField

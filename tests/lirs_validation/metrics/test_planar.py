@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
 from lirs_validation.metrics.alignment import motion, move_poses, planar, rigid_alignment, rms, wrap_angles

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lirs_validation.metrics.agreement import as_picture, map_ssim, similarity
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -4,8 +4,7 @@ from dataclasses import replace
 from typing import get_args
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lirs_validation.metrics.verdict import VerdictClass, VerdictFigures, classify
 from lirs_validation.record.run_record import Status

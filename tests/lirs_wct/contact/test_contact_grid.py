@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, steep_nodes
 from lirs_wct.contact.contact_parts import bodies, convex_parts

@@ -7,8 +7,14 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.drive_csv import IMU_HEADER as HEADER
-from lirs_wct.formats.drive_csv import Commands, read_commands, read_imu, write_commands, write_imu
+from lirs_wct.formats.drive_csv import (
+    IMU_HEADER as HEADER,
+    Commands,
+    read_commands,
+    read_imu,
+    write_commands,
+    write_imu,
+)
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 

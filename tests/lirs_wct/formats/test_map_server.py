@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import rasterio
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from PIL import Image
 
 from lirs_wct.errors import SourceError

@@ -6,8 +6,7 @@ import warnings
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.meshes.stl import write_stl

@@ -5,8 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory

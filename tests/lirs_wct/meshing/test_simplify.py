@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.errors import ConfigError

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.solid import base_height, solid_mesh, solid_triangles

@@ -3,8 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
 from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor

@@ -3,8 +3,7 @@
 import math
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.motion.dead_reckoning import MotionConfig, PoseEstimate

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.meshes.mesh_reader import read_upright

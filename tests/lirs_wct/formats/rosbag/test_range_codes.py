@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.formats.rosbag.sensor_messages import BeamGeometry, RangeDecoder

@@ -19,8 +19,7 @@ from lirs_wct.sources.bundled import BundledPicture
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.pictures.picture import read_terrain
 from lirs_wct.sources.source import find_source
-from tests.kit import read_heights as read
-from tests.kit import refused
+from tests.kit import read_heights as read, refused
 
 RAMP = np.arange(12, dtype=np.uint16).reshape(3, 4)
 
