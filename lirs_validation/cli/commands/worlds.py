@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
+import lirs_wct
 from lirs_validation.cli.command import Few, common
 from lirs_validation.cli.progress import err, out, progress_bar
 from lirs_validation.cli.sources import OneSource, map_logs
@@ -13,9 +14,6 @@ from lirs_validation.map_config import LogOptions
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
 from lirs_wct.option import Options, argument, option
 from lirs_wct.sources.options import BuildOptions
-
-if TYPE_CHECKING:
-    from lirs_wct.world import World
 
 MESHES = {"dae", "stl", "obj", "glb", "usd"}
 """Mesh formats of `--to`."""
@@ -62,12 +60,11 @@ def build(options: BuildCommand, world_options: BuildOptions) -> None:
     lirs-wct build examples/data/office.yaml --wall-height 2 --to mjcf -o worlds/
     """
     from lirs_wct.export.package import write_package
-    from lirs_wct.sources.build import build_world
 
     (source,), world_options = map_logs([options.source], world_options, options.output)
     with progress_bar(source, err) as progress:
         progress("build", 0.0)
-        world = build_world(source, world_options)
+        world = lirs_wct.build_world(source, world_options)
         folder = write_package(
             world,
             options.output,
@@ -95,7 +92,6 @@ def info(
     from lirs_validation.cli.commands.info import facts_table, preflight_table, world_facts
     from lirs_wct.drawing.world_view import view_figure
     from lirs_wct.files import atomic_write
-    from lirs_wct.sources.build import build_world
     from lirs_wct.sources.source import is_log
 
     source, robot, output = options.source, options.robot, options.output
@@ -109,7 +105,7 @@ def info(
         return
     make_robot(robot)
     with err.status(f"measuring {source}"):
-        world = build_world(source, build)
+        world = lirs_wct.build_world(source, build)
         facts = world_facts(world, robot)
     out.print(facts_table(world, facts))
     if output is not None:
@@ -135,7 +131,7 @@ def convert(options: ConvertCommand, rotation: RotationOptions) -> None:
     out.print(f"{target}: {len(mesh.faces)} triangles, {closed}", soft_wrap=True, highlight=False)
 
 
-def _say_what_was_built(world: World, folder: Path, to: tuple[str, ...]) -> None:
+def _say_what_was_built(world: lirs_wct.World, folder: Path, to: tuple[str, ...]) -> None:
     width, depth = world.surface.size
     out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
     budget = world.file_options.max_error

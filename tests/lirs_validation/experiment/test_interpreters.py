@@ -159,6 +159,7 @@ def test_the_list_shows_requirements_and_how_to_install(
     assert set(CLOUD_MAPPERS) | set(MAPPERS) <= set(rows)
     assert "MIT" in rows["rko-lio"]
     assert "inertial readings, a start at rest" in rows["rko-lio"]
-    assert "no: pip install . rko-lio into an environment, --mapper-python" in rows["rko-lio"]
+    assert "no: pip install '.[slam]'" in rows["rko-lio"]
+    assert "no: pip install . evalio" in rows["evalio:ct"]
     assert "organized clouds" in rows["evalio:loam"]
     assert "pip install '.[slam]'" in rows["small-gicp"]
