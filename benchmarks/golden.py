@@ -46,6 +46,8 @@ EXCLUDED = (
     *("*wall_seconds", "*compile_seconds", "*cpu_seconds", "*read_seconds", "*map_seconds"),
     *("*peak_memory", "rtf.load_average", "mapper.ms_*", "*date", "*created"),
     *("config.threads", "config.bag", "rtf.mapper_in", "file_sizes*"),  # of 1.0.0
+    *("config.build.pixel_size", "config.build.origin", "config.build.log_mapper"),
+    *("config.particles", "config.reference_topic"),
 )
 """Patterns of JSON keys that change from run to run: wall-clock times, RTF, machine, versions, dates.
 
