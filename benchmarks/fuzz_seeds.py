@@ -110,7 +110,7 @@ KINDS = (
     _run_file(
         "commands",
         "commands.csv",
-        f"validate in/dune.png --size 20 --height 1 --name run --seconds 1 --driver replay:{RUN} -o out",
+        f"validate in/dune.png --size 20 --height 1 --option name=run --seconds 1 --driver replay:{RUN}",
     ),
     _run_file(
         "record", "record.json", f"report {RUN} -o r.html", f"compare {RUN} in/other", f"export {RUN} -o out"
@@ -234,7 +234,7 @@ def _write_clouds(folder: Path) -> None:
 
 def _write_run(folder: Path) -> None:
     """Write two finished runs, and their logs, bags and trajectories."""
-    drive = f"validate {folder}/dune.png --size 20 --height 1 --seconds 2 --name run"
+    drive = f"validate {folder}/dune.png --size 20 --height 1 --seconds 2 --option name=run"
     for name, seed in (("run", 1), ("other", 2)):
         _lirs_wct(f"{drive} --seed {seed} -o {folder}/all{seed}")
         (made,) = (p for p in (folder / f"all{seed}").iterdir() if p.is_dir())

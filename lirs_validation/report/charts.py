@@ -86,7 +86,14 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
 
 
 def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
-    """Return RTF over time as SVG, and the number of omitted panels; None without RTF.
+    """Return RTF over time as SVG, and the number of omitted panels; None without RTF."""
+    drawn = rtf_figure(entries)
+    label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
+    return None if drawn is None else (as_svg(drawn[0], label, "rtf"), drawn[1])
+
+
+def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
+    """Draw RTF over time; return the figure and the number of omitted panels, None without RTF.
 
     A panel for each world, robot and representation; in it the methods, each with mean and a band of one
     standard deviation (see `series_band`).
@@ -119,8 +126,7 @@ def rtf_chart(entries: Sequence[Entry]) -> tuple[str, int] | None:
         fontsize=SMALL,
         labelcolor=INK,
     )
-    label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
-    return as_svg(figure, label, "rtf"), len(panels) - len(shown)
+    return figure, len(panels) - len(shown)
 
 
 def series_band(runs: Sequence[Entry]) -> tuple[FloatArray, FloatArray]:

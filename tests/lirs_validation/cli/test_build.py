@@ -291,7 +291,8 @@ def test_two_sources_of_one_name_do_not_replace_each_other(
 
 @pytest.mark.slow
 def test_info_says_what_the_world_is(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    wct("info", "hill.png", "--size", "30", "--height", "2", "--max-error", "0.1", "-o", "hill-info.png")
+    size = ("--size", "30", "--height", "2", "--option", "max-error=0.1")
+    wct("info", "hill.png", *size, "-o", "hill-info.png")
     told = capsys.readouterr().out
     for word in ("30 x", "0.000 to 2.000 m", "drivable, husky", "watertight", "yes"):
         assert word in told, told
