@@ -1,5 +1,6 @@
 """The notebooks run from top to bottom, show their pictures, and print little."""
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,10 +29,13 @@ def beside_examples(tmp_path: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path: Path, beside_examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_notebook_runs(
+    path: Path, beside_examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("LIRS_QUICK", "1")
-    # Runs of other tests beside it do not count as sharing the processor: their lock lies elsewhere.
-    monkeypatch.setenv("TMPDIR", str(beside_examples.parent))
+    # Other tests load the machine: then no run of the notebook would have an RTF.
+    (tmp_path / "sitecustomize.py").write_text("import os\n\nos.getloadavg = lambda: (0.0, 0.0, 0.0)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     notebook = nbformat.read(path, as_version=4)
     from nbclient import NotebookClient  # here, since its import takes 0.3 s
 
