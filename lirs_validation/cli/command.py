@@ -31,8 +31,10 @@ OLD: Mapping[str, str] = {
     "--denoise-method": "is now --option denoise=median|bilateral",
     "--engine": "is now --jobs N, or --address of a Ray cluster",
     "--factor": "is gone: it is always 3",
+    "--help-all": "is gone here: --help shows all options of this command",
     "--json": "is now -o FILE.json",
     "--log-mapper": "is now lirs-wct map LOG --mapper NAME; the map's YAML is a source",
+    "--mapper": "is gone here: lirs-wct map LOG --mapper NAME maps a log; the map's YAML is a source",
     "--map-height": "is gone: the map's height is that of the robots' lidars, 0.3 m",
     "--markdown": "is now --tables FILE.md",
     "--only-a": "is now A:FIELD=VALUE,... in place of the folder A",
@@ -44,10 +46,13 @@ OLD: Mapping[str, str] = {
     "--reference-topic": "is now --reference BAG:/TOPIC",
     "--search": "is gone: CMA-ES searches (pip install '.[search]')",
     "--seeds": "is now --seed N-M",
+    "--sensors-only": "is gone here: `record` and `export` have it",
+    "--storage": "is gone here: `record` and `export` have it",
+    "--task": "is gone here: policies are searched on navigation",
     "--topic": "is now --trajectory BAG:/TOPIC",
     "--within": "is now --limits FILE.yaml",
 }
-"""Messages about old options."""
+"""Messages about options of version 1.0.0 that a command has no longer."""
 
 
 @dataclass(frozen=True)
@@ -154,20 +159,20 @@ class Command(click.Command):
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
-            raise ConfigError(self._unknown(error.option_name)) from error
+            raise ConfigError(self.unknown(error.option_name)) from error
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the help: common options, or all of them after `--help-all`."""
         formatter.write(help_text(self, ctx, everything=not self.common or "--help-all" in ctx.meta))
 
-    def _unknown(self, flag: str) -> str:
+    def unknown(self, flag: str) -> str:
         """Return the message about a flag that the command does not have."""
         name = flag.removeprefix("--").replace("-", "_")
         if name in self.rare:
             return f"{flag}: is now --option {flag[2:]}={self.rare[name].form}"
         if flag in OLD:
             return f"{flag}: {OLD[flag]}"
-        flags = [option.flag for option in (*self.own.values(), *self.rare.values())]
+        flags = [row.flag for row in (*self.own.values(), *self.rare.values()) if not row.positional]
         return f"{self.name} has no option {flag}{did_you_mean(flag, flags)}"
 
     def arguments(self, option: tuple[str, ...] = (), **given: Any) -> dict[str, Any]:
