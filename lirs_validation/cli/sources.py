@@ -10,7 +10,8 @@ from typing import Annotated, Any
 from lirs_validation.cli.command import Few
 from lirs_validation.cli.progress import err, progress_bar
 from lirs_validation.config import WORLD_FLAGS
-from lirs_wct.option import Options, argument
+from lirs_wct.formats.suffixes import Storage
+from lirs_wct.option import Options, argument, option
 from lirs_wct.sources.options import BuildOptions
 
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
@@ -29,11 +30,6 @@ def complete_source(incomplete: str) -> list[str]:
     return worlds + sorted(folder + separator + name for name in found)
 
 
-def source_argument(**given: Any) -> Any:
-    """Return a field of one source."""
-    return argument(SOURCE_HELP, "SOURCE", complete=complete_source, **given)
-
-
 def sources_argument(**given: Any) -> Any:
     """Return a field of several sources."""
     return argument(SOURCE_HELP, "SOURCES...", complete=complete_source, **given)
@@ -43,7 +39,15 @@ def sources_argument(**given: Any) -> Any:
 class OneSource(Options):
     """Source of a command."""
 
-    source: str = source_argument()
+    source: str = argument(SOURCE_HELP, "SOURCE", complete=complete_source)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagOptions(Options):
+    """ROS 2 bag that a command writes."""
+
+    storage: Storage = option("mcap", "Storage of the bag's messages.")
+    sensors_only: bool = option(False, "No map -> odom and /map, for a SLAM system that publishes these.")
 
 
 def map_logs(

@@ -12,8 +12,8 @@ from typing import Literal
 from click.exceptions import Exit
 
 from lirs_validation.cli.progress import RUN_FAILED, err, out
+from lirs_validation.cli.sources import BagOptions
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.suffixes import Storage
 from lirs_wct.option import Options, argument, option, read_pairs
 
 
@@ -100,16 +100,12 @@ class ScoreOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportCommand(Options):
+class ExportCommand(BagOptions):
     """Run or robot, and formats of `export`."""
 
     source: str = argument("Folder of a run, or the name of a robot.", "RUN|ROBOT")
     to: tuple[str, ...] = option(
         ("bag",), "Formats of a run: bag, csv, npz, carmen, evalio; of a robot: urdf.", metavar="F,F,..."
-    )
-    storage: Storage = option("mcap", "Storage of the bag's messages.")
-    sensors_only: bool = option(
-        False, "A bag without map -> odom and /map, for a SLAM system that publishes these."
     )
     output: Path | None = option(None, "Folder to write to; default: export/ in RUN; of a robot, here.")
 

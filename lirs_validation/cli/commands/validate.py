@@ -11,11 +11,10 @@ from click.exceptions import Exit
 
 from lirs_validation.cli.command import common
 from lirs_validation.cli.progress import GATE_FAILED, manifest_of_command, out, run_sweep
-from lirs_validation.cli.sources import World, map_logs, sources_argument
+from lirs_validation.cli.sources import BagOptions, World, map_logs, sources_argument
 from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, run_name
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError, OutputError, SourceError
-from lirs_wct.formats.suffixes import Storage
 from lirs_wct.option import Options, option
 from lirs_wct.sources.options import BuildOptions
 
@@ -63,14 +62,10 @@ class ValidateOptions(SweepOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions(SweepOptions):
+class RecordOptions(BagOptions, SweepOptions):
     """Sources and bag of `record`."""
 
     output: Path = option(Path("run"), "Folder of the bag; of several runs, for theirs.")
-    storage: Storage = option("mcap", "Storage of the bag's messages.")
-    sensors_only: bool = option(
-        False, "A bag without map -> odom and /map, for a SLAM system that publishes these."
-    )
 
 
 _DRIVE = ("robot", "mapper", "lidar", "seconds", "seed", "output", "driver", "attitude")
