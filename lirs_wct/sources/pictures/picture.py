@@ -261,7 +261,7 @@ def _crop(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | No
     (col, row, width, height), (rows, cols) = crop, pixels.shape[:2]
     if col + width > cols or row + height > rows:
         raise SourceError(
-            f"{path}: image is {cols}x{rows} px, a crop of {width}x{height} at {col},{row} lies not within it"
+            f"{path}: image is {cols}x{rows} px, a crop of {width}x{height} at {col},{row} is not within it"
         )
     return pixels[row : row + height, col : col + width]
 

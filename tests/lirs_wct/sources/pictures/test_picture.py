@@ -177,7 +177,7 @@ def test_a_crop_up_to_the_border_is_legal(tmp_path: Path) -> None:
         assert surface.size == (0.5 * (width - 1), 0.5 * (height - 1))
         np.testing.assert_allclose(surface.z, kept - kept.min(), rtol=1e-6)
     for crop in ((1, 0, 9, 7), (0, 1, 9, 7), (8, 5, 2, 2), (7, 6, 2, 2)):
-        with pytest.raises(SourceError, match=r"is 9x7 px, a crop of \dx\d at \d,\d lies not within it"):
+        with pytest.raises(SourceError, match=r"is 9x7 px, a crop of \dx\d at \d,\d is not within it"):
             read(path, crop=crop)
 
 
