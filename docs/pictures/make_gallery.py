@@ -11,7 +11,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import cv2
-import mujoco
 
 from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_validation import validate
@@ -66,6 +65,8 @@ def draw_robots(path: Path) -> None:
 
 def render(robot: Robot) -> ByteArray:
     """Return the picture of a robot that MuJoCo renders, RGB."""
+    import mujoco  # after lirs_envs, which chooses OpenGL without a screen
+
     spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(5, 5, 1), rgba=(0.75, 0.75, 0.72, 1))
     spec.worldbody.add_light(pos=(-3, -3, 5), dir=(0.5, 0.5, -0.8))
