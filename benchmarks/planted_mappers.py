@@ -13,7 +13,7 @@ from dataclasses import replace
 from lirs_wct import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.hector import HectorConfig, HectorMapper
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.occupancy_map import UpdateConfig
+from slam_baselines.occupancy_map import UpdateConfig
 
 LAG = 0.1
 """Seconds."""

@@ -6,8 +6,8 @@ lirs-wct validate examples/data/office.yaml --mapper hector,examples.your_own_ma
 from __future__ import annotations
 
 from lirs_wct import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
+from slam_baselines.map_builder import KnownPoseMapper
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.map_builder import KnownPoseMapper
 
 
 class DeadReckoning:

@@ -13,17 +13,26 @@ from dataclasses import dataclass, field, replace
 from lirs_wct.checks import require_within
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
-from slam_baselines.front_end import PlanarMapper, Registered, ScanToMapFrontEnd
+from slam_baselines.dead_reckoning import (
+    CalibrationConfig,
+    DeadReckoning,
+    MotionConfig,
+    OdometryStep,
+    PoseEstimate,
+)
+from slam_baselines.front_end import (
+    BootstrapConfig,
+    Keyframe,
+    PlanarMapper,
+    Registered,
+    ScanToMapFrontEnd,
+    register_forwards,
+)
 from slam_baselines.leveling import LeveledScan
+from slam_baselines.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.bootstrap import BootstrapConfig, register_forwards
-from slam_baselines.mapping.keyframe import Keyframe
-from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor
-from slam_baselines.matching.registration import Match, Registration, RegistrationConfig
-from slam_baselines.matching.tracking_monitor import TrackingConfig
-from slam_baselines.motion.calibration import CalibrationConfig
-from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, OdometryStep, PoseEstimate
+from slam_baselines.monitors import LocalizabilityConfig, LocalizabilityMonitor, TrackingConfig
+from slam_baselines.registration import Match, Registration, RegistrationConfig
 
 WARM_UP = {"sparse_distance": 0.1}
 """Configuration with which a short drive reaches every kernel: the scans are sparse."""

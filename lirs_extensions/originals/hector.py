@@ -21,7 +21,7 @@ from lirs_wct.kernels import njit
 from slam_baselines.front_end import PlanarMapper
 from slam_baselines.linalg import solve3
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.ray_tracing import line_cells
+from slam_baselines.occupancy_map import line_cells
 
 ITERATIONS = (6, 4, 4)
 """Gauss-Newton steps on the finest level, and on each coarser one."""

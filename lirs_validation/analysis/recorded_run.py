@@ -44,7 +44,7 @@ from lirs_wct.formats.suffixes import Storage
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
 from lirs_wct.sources.options import BuildOptions
-from slam_baselines.mapping.map_builder import KnownPoseMapper
+from slam_baselines.map_builder import KnownPoseMapper
 
 if TYPE_CHECKING:
     from lirs_wct.formats.rosbag.writer import BagDrive

@@ -16,7 +16,7 @@ from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory
-from slam_baselines.motion.dead_reckoning import spatial_odometry
+from slam_baselines.dead_reckoning import spatial_odometry
 
 T = TypeVar("T")
 

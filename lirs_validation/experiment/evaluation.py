@@ -23,7 +23,7 @@ from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
 from lirs_validation.record.verdict import Verdict, judge
 from lirs_wct import OccupancyGrid, SimulationError, World
-from slam_baselines.mapping.map_builder import KnownPoseMapper
+from slam_baselines.map_builder import KnownPoseMapper
 
 REPLAYED = 10.0
 """Simulated seconds of a drive whose physics is replayed."""

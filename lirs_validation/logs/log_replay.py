@@ -32,6 +32,7 @@ from lirs_wct.formats.drive_csv import read_imu
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.progress import Progress
 from lirs_wct.sources.source import is_bag
+from slam_baselines.map_builder import KnownPoseMapper
 from slam_baselines.mapper import (
     ALL_CLOUD_MAPPERS,
     MAPPERS,
@@ -42,7 +43,6 @@ from slam_baselines.mapper import (
     make_mapper,
     read_parameters,
 )
-from slam_baselines.mapping.map_builder import KnownPoseMapper
 from slam_baselines.warm_up import warm_up
 
 WARM_UP_CONFIG = {"gmapping": {"particles": 4}}

@@ -9,15 +9,13 @@ from pathlib import Path
 from lirs_wct.checks import Checked, limited, require_within
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid, Pose2
+from slam_baselines.dead_reckoning import MotionConfig
+from slam_baselines.front_end import BootstrapConfig, MotionFilterConfig
+from slam_baselines.ground_filter import GroundFilterConfig
 from slam_baselines.leveling import InterpolationConfig
-from slam_baselines.mapping.bootstrap import BootstrapConfig
-from slam_baselines.mapping.ground_filter import GroundFilterConfig
-from slam_baselines.mapping.occupancy_map import UpdateConfig
-from slam_baselines.matching.localizability import LocalizabilityConfig
-from slam_baselines.matching.registration import MatchConfig, RegistrationConfig
-from slam_baselines.matching.tracking_monitor import TrackingConfig
-from slam_baselines.motion.dead_reckoning import MotionConfig
-from slam_baselines.motion.motion_filter import MotionFilterConfig
+from slam_baselines.monitors import LocalizabilityConfig, TrackingConfig
+from slam_baselines.occupancy_map import UpdateConfig
+from slam_baselines.registration import MatchConfig, RegistrationConfig
 
 
 @dataclass(frozen=True, kw_only=True)

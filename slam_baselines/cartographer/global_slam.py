@@ -16,7 +16,7 @@ import numpy as np
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 from lirs_wct.geometry import Pose2
 from slam_baselines.cartographer.config import GlobalConfig, TrimmingConfig
-from slam_baselines.cartographer.local_slam import LocalSlam
+from slam_baselines.cartographer.local_slam import NOWHERE, LocalSlam, Node, compose_estimates
 from slam_baselines.cartographer.loop_closure import (
     CandidateQueue,
     ConstraintBuilder,
@@ -24,7 +24,6 @@ from slam_baselines.cartographer.loop_closure import (
     LoopEvent,
     LoopVerification,
 )
-from slam_baselines.cartographer.node import NOWHERE, Node, compose_estimates
 from slam_baselines.cartographer.pose_graph import (
     ConstraintTable,
     OptimizationProblem,

@@ -19,15 +19,15 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
+from slam_baselines.cartographer.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.cartographer.config import CartographerConfig
+from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate
 from slam_baselines.front_end import PlanarMapper
 from slam_baselines.leveling import LeveledScan, ScanLeveler, voxel_filter
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
-from slam_baselines.matching.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
-from slam_baselines.matching.registration import Match, Prior, Registration, ScanMatcher
-from slam_baselines.matching.tracking_monitor import TrackingMonitor
-from slam_baselines.motion.dead_reckoning import DeadReckoning, PoseEstimate
+from slam_baselines.monitors import TrackingMonitor
+from slam_baselines.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
+from slam_baselines.registration import Match, Prior, Registration, ScanMatcher
 
 DEPTH = 6
 """Number of times that four cells become one in the search."""

@@ -16,12 +16,12 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import Pose2, wrap_angle
+from slam_baselines.cartographer.branch_and_bound import Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig, LoopVerificationConfig
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.leveling import voxel_filter
 from slam_baselines.linalg import invert
-from slam_baselines.matching.branch_and_bound import Exclusion, SearchWindow, branch_and_bound
-from slam_baselines.matching.registration import Match, Prior, ScanMatcher
+from slam_baselines.registration import Match, Prior, ScanMatcher
 
 Candidate = tuple[int, int]
 """Index of a node, index of a submap."""

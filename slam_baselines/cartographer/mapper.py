@@ -15,10 +15,9 @@ from slam_baselines.cartographer.config import (
     SubmapConfig,
 )
 from slam_baselines.cartographer.global_slam import GlobalSlam
-from slam_baselines.cartographer.local_slam import LocalSlam
+from slam_baselines.cartographer.local_slam import LocalSlam, NodeMap
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
 from slam_baselines.cartographer.loop_closure import LoopEvent
-from slam_baselines.cartographer.node import NodeMap
 from slam_baselines.front_end import PlanarMapper
 from slam_baselines.mapper import Mapper, MapperStats
 

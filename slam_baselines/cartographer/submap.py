@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry import Pose2
+from slam_baselines.cartographer.branch_and_bound import BoundGrids
 from slam_baselines.cartographer.config import SubmapConfig
 from slam_baselines.leveling import ScanPoints
-from slam_baselines.mapping.occupancy_map import (
+from slam_baselines.occupancy_map import (
     FREE,
     UNKNOWN,
     UNSEEN,
@@ -29,10 +30,10 @@ from slam_baselines.mapping.occupancy_map import (
     Levels,
     MapPyramid,
     OccupancyMap,
+    RayTracer,
+    Trace,
     bounding_box,
 )
-from slam_baselines.mapping.ray_tracing import RayTracer, Trace
-from slam_baselines.matching.branch_and_bound import BoundGrids
 
 
 class TracedScan(NamedTuple):

@@ -6,14 +6,13 @@ import math
 from dataclasses import dataclass, field
 
 from lirs_wct.checks import limited
+from slam_baselines.dead_reckoning import MotionConfig
+from slam_baselines.front_end import BootstrapConfig
+from slam_baselines.gmapping.increment import GyroBiasConfig
 from slam_baselines.gmapping.proposal import ProposalConfig
+from slam_baselines.ground_filter import GroundFilterConfig
 from slam_baselines.leveling import InterpolationConfig
-from slam_baselines.mapping.bootstrap import BootstrapConfig
-from slam_baselines.mapping.ground_filter import GroundFilterConfig
-from slam_baselines.matching.localizability import LocalizabilityConfig
-from slam_baselines.matching.tracking_monitor import TrackingConfig
-from slam_baselines.motion.dead_reckoning import MotionConfig
-from slam_baselines.motion.gyro_bias import GyroBiasConfig
+from slam_baselines.monitors import LocalizabilityConfig, TrackingConfig
 
 
 @dataclass(frozen=True, kw_only=True)

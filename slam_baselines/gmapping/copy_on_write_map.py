@@ -27,7 +27,7 @@ from slam_baselines.gmapping.patches import (
     space_needed,
 )
 from slam_baselines.leveling import ScanPoints
-from slam_baselines.mapping.occupancy_map import ABOVE, STEP, TOP_STEP, UNKNOWN, UpdateConfig
+from slam_baselines.occupancy_map import ABOVE, STEP, TOP_STEP, UNKNOWN, UpdateConfig
 
 NEW, PASSED, WALL, DONE = 0, 1, 2, 4
 """Marks of a cell: not met yet; met by a beam; a wall not met yet; hit, or a wall with a beam above it.

@@ -17,22 +17,19 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
-from slam_baselines.front_end import FrontEnd, PlanarMapper
+from slam_baselines.dead_reckoning import PoseEstimate
+from slam_baselines.front_end import FrontEnd, Keyframe, PlanarMapper, register_backwards
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
+from slam_baselines.gmapping.increment import GyroBias, GyroBiasConfig, MotionIncrement, remove_bias
 from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagate
 from slam_baselines.gmapping.scan_matching import ScanBeams
+from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits
 from slam_baselines.linalg import in_axes_of
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.bootstrap import register_backwards
-from slam_baselines.mapping.ground_filter import IN_FULL, GroundFilter, Limits
-from slam_baselines.mapping.keyframe import Keyframe
-from slam_baselines.mapping.occupancy_map import NO_WALL
-from slam_baselines.motion.dead_reckoning import PoseEstimate
-from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
-from slam_baselines.motion.increment import MotionIncrement, remove_bias
+from slam_baselines.occupancy_map import NO_WALL
 
 __all__ = ["GmappingConfig", "GmappingMapper"]
 

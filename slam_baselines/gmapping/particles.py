@@ -8,8 +8,8 @@ import numpy as np
 
 from lirs_wct.arrays import FloatArray, Int32Array, IntArray
 from lirs_wct.geometry import Pose2, Trajectory
+from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.gmapping.patches import PatchTables
-from slam_baselines.mapping.keyframe import KeyframeTrajectory
 
 
 class TrajectoryTree:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
 from lirs_wct.kernels import njit
-from slam_baselines.mapping.occupancy_map import UNKNOWN
+from slam_baselines.occupancy_map import UNKNOWN
 
 BITS = 4
 PATCH = 1 << BITS

@@ -14,7 +14,7 @@ from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import ABSENT, BITS, MASK, MEAN_STEPS
 from slam_baselines.linalg import pose_difference, solve3
-from slam_baselines.mapping.occupancy_map import UNKNOWN
+from slam_baselines.occupancy_map import UNKNOWN
 
 SAME_PEAK = 0.05
 """Meters, and radians: peaks closer together are one.

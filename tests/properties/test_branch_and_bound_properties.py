@@ -5,14 +5,14 @@ import math
 import numpy as np
 from hypothesis import given, strategies as st
 
-from slam_baselines.mapping.occupancy_map import GrowingGrid
-from slam_baselines.matching.branch_and_bound import (
+from slam_baselines.cartographer.branch_and_bound import (
     BoundGrids,
     Exclusion,
     SearchWindow,
     angular_step,
     branch_and_bound,
 )
+from slam_baselines.occupancy_map import GrowingGrid
 
 
 def random_grid(rng, share):

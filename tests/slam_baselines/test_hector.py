@@ -17,10 +17,10 @@ from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.hector import HectorConfig, HectorMapper
+from slam_baselines.map_builder import KnownPoseMapper
 from slam_baselines.mapper import make_mapper
-from slam_baselines.mapping.map_builder import KnownPoseMapper
-from slam_baselines.matching.registration import MatchConfig, RegistrationConfig
-from slam_baselines.matching.tracking_monitor import TrackingConfig
+from slam_baselines.monitors import TrackingConfig
+from slam_baselines.registration import MatchConfig, RegistrationConfig
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from lirs_validation.metrics.consistency import contradicted_share, scan_consist
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
+from slam_baselines.map_builder import KnownPoseMapper
 from slam_baselines.mapper import MAPPERS, make_mapper
-from slam_baselines.mapping.map_builder import KnownPoseMapper
 
 HOSTILE = np.array([math.inf, math.nan, 0.0, -1.0, -math.inf, 3e3, 1e6, 3e38, 1e-30], np.float32)
 LIMITS = [(math.inf, 0.0), (math.nan, 0.0), (3e38, math.nan), (0.0, -math.inf), (1e6, -1.0)]

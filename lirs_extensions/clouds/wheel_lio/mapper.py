@@ -19,8 +19,8 @@ from lirs_extensions.clouds.wheel_lio.voxel_map import LineMap, LocalMap, PlaneM
 from lirs_wct.arrays import FloatArray
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, ImuReadings, PointCloud, Pose2, Pose3, Trajectory
+from slam_baselines.dead_reckoning import climb
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
-from slam_baselines.motion.dead_reckoning import climb
 
 GRAVITY = np.array((0.0, 0.0, 9.80665))
 STANDING = 1e-5

@@ -18,11 +18,10 @@ from lirs_extensions.originals.cartographer.local_slam import TrajectoryBuilder
 from lirs_extensions.originals.cartographer.pose_graph import OriginalPoseGraph
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.cartographer.loop_closure import LoopEvent
-from slam_baselines.front_end import PlanarMapper
+from slam_baselines.front_end import KeyframeTrajectory, PlanarMapper
 from slam_baselines.leveling import LeveledScan, ScanLeveler
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.keyframe import KeyframeTrajectory
-from slam_baselines.mapping.occupancy_map import OccupancyMap, bounding_box
+from slam_baselines.occupancy_map import OccupancyMap, bounding_box
 
 __all__ = ["CartographerOriginalConfig", "CartographerOriginalMapper"]
 

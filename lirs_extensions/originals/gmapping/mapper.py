@@ -20,13 +20,11 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from lirs_wct.kernels import njit
-from slam_baselines.front_end import PlanarMapper
+from slam_baselines.front_end import KeyframeTrajectory, PlanarMapper
 from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.linalg import compose_poses
 from slam_baselines.mapper import MapperStats
-from slam_baselines.mapping.keyframe import KeyframeTrajectory
-from slam_baselines.mapping.occupancy_map import GrowingGrid
-from slam_baselines.mapping.ray_tracing import line_cells
+from slam_baselines.occupancy_map import GrowingGrid, line_cells
 
 MILLIMETER, MICROMETER = 3, 6
 """Decimals of a range and of a position in a CARMEN log."""

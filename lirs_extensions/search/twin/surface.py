@@ -16,7 +16,7 @@ from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, Int
 from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2
 from lirs_wct.kernels import njit
 from lirs_wct.sources.laser_map import level_floor, walls_of
-from slam_baselines.mapping.map_builder import KnownPoseMapper
+from slam_baselines.map_builder import KnownPoseMapper
 
 CELL = 0.05
 """Edge of a cell of the map and of the surfaces, meters."""

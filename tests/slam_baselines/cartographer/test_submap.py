@@ -18,7 +18,7 @@ from slam_baselines.cartographer.mapper import CartographerMapper
 from slam_baselines.cartographer.submap import Submap, Submaps
 from slam_baselines.leveling import ScanPoints
 from slam_baselines.mapper import make_mapper
-from slam_baselines.mapping.occupancy_map import bounding_box, union_of
+from slam_baselines.occupancy_map import bounding_box, union_of
 from tests.slam_baselines.large_site import drive_site
 from tests.slam_baselines.synthetic import loop, room_scan
 

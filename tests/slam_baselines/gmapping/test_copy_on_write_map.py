@@ -8,7 +8,7 @@ from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.mapper import GmappingConfig, GmappingMapper
 from slam_baselines.gmapping.patches import ABSENT
 from slam_baselines.leveling import ScanPoints
-from slam_baselines.mapping.occupancy_map import OccupancyMap
+from slam_baselines.occupancy_map import OccupancyMap
 from tests.slam_baselines.large_site import drive_site
 
 NO_FREE = np.zeros((0, 3))

@@ -12,6 +12,9 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan
+from slam_baselines.dead_reckoning import PoseEstimate
+from slam_baselines.front_end import Keyframe
+from slam_baselines.gmapping.increment import GyroBiasConfig, remove_bias
 from slam_baselines.gmapping.mapper import (
     BiasedRegistration,
     GmappingConfig,
@@ -21,13 +24,9 @@ from slam_baselines.gmapping.mapper import (
 )
 from slam_baselines.gmapping.particles import TrajectoryTree
 from slam_baselines.gmapping.proposal import ProposalConfig, Proposer
+from slam_baselines.ground_filter import GroundFilter
 from slam_baselines.leveling import LeveledScan
 from slam_baselines.mapper import Mapper, make_mapper
-from slam_baselines.mapping.ground_filter import GroundFilter
-from slam_baselines.mapping.keyframe import Keyframe
-from slam_baselines.motion.dead_reckoning import PoseEstimate
-from slam_baselines.motion.gyro_bias import GyroBiasConfig
-from slam_baselines.motion.increment import remove_bias
 from tests.slam_baselines.synthetic import ranges_to
 
 WALLS = np.array((

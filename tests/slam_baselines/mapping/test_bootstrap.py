@@ -3,9 +3,8 @@
 import numpy as np
 
 from lirs_wct.geometry.pose import Pose2
+from slam_baselines.front_end import Bootstrap, BootstrapConfig, Keyframe
 from slam_baselines.leveling import LeveledScan
-from slam_baselines.mapping.bootstrap import Bootstrap, BootstrapConfig
-from slam_baselines.mapping.keyframe import Keyframe
 
 NOTHING = np.empty((0, 3))
 SCAN = LeveledScan(np.zeros(3), NOTHING, NOTHING, (0.0, 0.0), 0.0, 0.0)

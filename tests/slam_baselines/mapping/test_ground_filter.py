@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
-from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints
-from slam_baselines.mapping.ground_filter import (
+from slam_baselines.ground_filter import (
     IN_FULL,
     NOT_DRAWN,
     DrawnSlopes,
@@ -24,7 +23,8 @@ from slam_baselines.mapping.ground_filter import (
     neighbors_of,
     raise_min_slopes,
 )
-from slam_baselines.mapping.occupancy_map import SLOPE_STEP, OccupancyMap
+from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints
+from slam_baselines.occupancy_map import SLOPE_STEP, OccupancyMap
 from tests.slam_baselines.synthetic import Drive, wavy
 
 Array = NDArray[np.float64]

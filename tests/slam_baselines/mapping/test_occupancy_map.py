@@ -6,18 +6,18 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
+from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.leveling import ScanPoints
-from slam_baselines.mapping.keyframe import KeyframeTrajectory
-from slam_baselines.mapping.occupancy_map import (
+from slam_baselines.occupancy_map import (
     STEP,
     UNSEEN,
     VALUE,
     GrowingGrid,
     OccupancyMap,
+    RayTracer,
     UpdateConfig,
     bounding_box,
 )
-from slam_baselines.mapping.ray_tracing import RayTracer
 
 Array = NDArray[np.float64]
 NONE = np.zeros((0, 3))

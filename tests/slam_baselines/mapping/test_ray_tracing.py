@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_baselines.leveling import ScanPoints
-from slam_baselines.mapping.occupancy_map import OccupancyMap, bounding_box
-from slam_baselines.mapping.ray_tracing import COLUMN, ONE, RayTracer, Trace
+from slam_baselines.occupancy_map import COLUMN, ONE, OccupancyMap, RayTracer, Trace, bounding_box
 
 RESOLUTION = 0.1
 

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.leveling import ScanLeveler
-from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
+from slam_baselines.map_builder import BuilderConfig, MapBuilder
 from tests.slam_baselines.synthetic import room_scan
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.leveling import ScanLeveler
-from slam_baselines.mapping.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.matching.registration import MatchConfig, Prior, ScanMatcher, linearize
+from slam_baselines.map_builder import BuilderConfig, MapBuilder
+from slam_baselines.registration import MatchConfig, Prior, ScanMatcher, linearize
 from tests.slam_baselines.matching.room import room_map
 from tests.slam_baselines.synthetic import ranges_to, room_scan
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.matching.localizability import LocalizabilityConfig, LocalizabilityMonitor
+from slam_baselines.monitors import LocalizabilityConfig, LocalizabilityMonitor
 
 PERIOD = 0.1
 DEGREE = math.radians(1.0)

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import SUBMAP_REGISTRATION
-from slam_baselines.matching.correlative import SearchConfig, correlative_search
-from slam_baselines.matching.registration import Registration, RegistrationConfig
-from slam_baselines.motion.dead_reckoning import PoseEstimate
+from slam_baselines.dead_reckoning import PoseEstimate
+from slam_baselines.registration import Registration, RegistrationConfig, SearchConfig, correlative_search
 from tests.slam_baselines.matching.room import room_map
 
 TRUE = Pose2(0.5, -0.3, 0.4)

@@ -1,6 +1,6 @@
 """The tracking monitor: "lost" means the same in every mapper."""
 
-from slam_baselines.matching.tracking_monitor import TrackingConfig, TrackingMonitor
+from slam_baselines.monitors import TrackingConfig, TrackingMonitor
 
 CONFIG = TrackingConfig(lost_score=0.3, known_ratio=0.3, lost_after=3)
 

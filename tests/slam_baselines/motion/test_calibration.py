@@ -8,8 +8,13 @@ from hypothesis import example, given, settings, strategies as st
 
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
-from slam_baselines.motion.calibration import Calibration, CalibrationConfig
-from slam_baselines.motion.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate
+from slam_baselines.dead_reckoning import (
+    Calibration,
+    CalibrationConfig,
+    DeadReckoning,
+    MotionConfig,
+    PoseEstimate,
+)
 
 
 @settings(max_examples=25, deadline=None)

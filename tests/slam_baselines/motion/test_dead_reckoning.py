@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings, strategies as st
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.motion.dead_reckoning import MotionConfig, PoseEstimate
+from slam_baselines.dead_reckoning import MotionConfig, PoseEstimate
 
 ANGLE = st.floats(-math.pi, math.pi)
 STEPS = st.lists(

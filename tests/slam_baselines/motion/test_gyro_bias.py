@@ -5,7 +5,7 @@ import math
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from slam_baselines.motion.gyro_bias import GyroBias, GyroBiasConfig
+from slam_baselines.gmapping.increment import GyroBias, GyroBiasConfig
 
 CONFIG = GyroBiasConfig()
 

@@ -7,8 +7,8 @@ import pytest
 
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
-from slam_baselines.motion.dead_reckoning import MotionConfig
-from slam_baselines.motion.increment import GYRO, MotionIncrement, remove_bias
+from slam_baselines.dead_reckoning import MotionConfig
+from slam_baselines.gmapping.increment import GYRO, MotionIncrement, remove_bias
 
 BIAS = math.radians(0.03)
 

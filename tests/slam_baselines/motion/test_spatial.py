@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.geometry import Imu, Pose2
-from slam_baselines.motion.dead_reckoning import climb, spatial_odometry
+from slam_baselines.dead_reckoning import climb, spatial_odometry
 
 
 def test_a_circle_on_an_incline_returns_to_its_height() -> None:

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2
+from slam_baselines.front_end import MotionFilter, MotionFilterConfig
+from slam_baselines.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.leveling import (
     InterpolationConfig,
     LeveledScan,
@@ -15,9 +17,7 @@ from slam_baselines.leveling import (
     ScanPoints,
     interpolate_hits,
 )
-from slam_baselines.mapping.ground_filter import GroundFilter, GroundFilterConfig
-from slam_baselines.mapping.occupancy_map import NO_WALL, MapPyramid, OccupancyMap, UpdateConfig, bounding_box
-from slam_baselines.motion.motion_filter import MotionFilter, MotionFilterConfig
+from slam_baselines.occupancy_map import NO_WALL, MapPyramid, OccupancyMap, UpdateConfig, bounding_box
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,7 @@ from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Pose2
 from lirs_wct.kernels import njit
 from slam_baselines.leveling import LeveledScan, ScanPoints
-from slam_baselines.mapping.occupancy_map import SLOPE_STEP, GrowingGrid, OccupancyMap, bounding_box
+from slam_baselines.occupancy_map import SLOPE_STEP, GrowingGrid, OccupancyMap, bounding_box
 
 BLOCK_BITS = 3
 """A block is 8 x 8 cells of the upper bound."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.kernels import njit
-from slam_baselines.mapping.occupancy_map import FULL, GrowingGrid
+from slam_baselines.occupancy_map import FULL, GrowingGrid
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,0 @@
-"""Occupancy maps: growing grids, ray update, ground filter."""

@@ -1,1 +1,0 @@
-"""Scan-to-map matching: Gauss-Newton, correlative search, branch and bound."""

@@ -1,1 +1,0 @@
-"""Motion of the base between scans: dead reckoning, calibration, motion filter."""
