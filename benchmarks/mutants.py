@@ -44,9 +44,8 @@ READERS = (
     *(f"lirs_wct/formats/carmen/{name}.py" for name in CARMEN),
     *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "tum", "drive_csv", "world_json")),
     "lirs_wct/formats/meshes/mesh_reader.py",
-    *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "pictures/picture", "window")),
-    *(f"lirs_wct/geometry/{name}.py" for name in ("walls", "rectangles")),
-    "lirs_wct/meshing/wall_solid.py",
+    *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "picture", "frame")),
+    *(f"lirs_wct/{name}.py" for name in ("geometry/walls", "meshing/solid")),
 )
 GROUPS = {
     "metrics": (63, ("lirs_validation/metrics/*.py",)),

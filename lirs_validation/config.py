@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.suffixes import STORAGES, Storage
 from lirs_wct.option import (

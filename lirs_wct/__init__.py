@@ -45,7 +45,7 @@ _HOMES = {
     "MapperError": "errors",
     "OccupancyGrid": "geometry.grid",
     "OutputError": "errors",
-    "PointCloud": "geometry.cloud",
+    "PointCloud": "geometry.scan",
     "Pose2": "geometry.pose",
     "Pose3": "geometry.pose",
     "SimulationError": "errors",

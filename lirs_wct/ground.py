@@ -13,8 +13,7 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.simplify import simplified_solid
-from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.wall_solid import wall_mesh
+from lirs_wct.meshing.solid import solid_mesh, wall_mesh
 
 
 class Ground(ABC):

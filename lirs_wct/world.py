@@ -29,8 +29,15 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.navigation.spawn_poses import FOOTPRINTS, mapped_area, spawn_poses
-from lirs_wct.navigation.traversability import cause_of_refusal, nearest_place, overlaid, traversable_by
+from lirs_wct.navigation import (
+    FOOTPRINTS,
+    cause_of_refusal,
+    mapped_area,
+    nearest_place,
+    overlaid,
+    spawn_poses,
+    traversable_by,
+)
 
 CELLS = (1e-5, 1e6)
 """Smallest and largest distance of two nodes of a stored surface, meters."""

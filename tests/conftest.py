@@ -15,8 +15,8 @@ import pytest
 from hypothesis import settings
 
 import lirs_envs  # noqa: F401  before mujoco, so that it renders without a screen
+from lirs_wct.sources import picture
 from lirs_wct.sources.bundled import BundledPicture
-from lirs_wct.sources.pictures import picture
 
 pytest_plugins = ["tests.cpu_time"]
 

@@ -18,7 +18,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions, SourceKind
-from lirs_wct.sources.pictures.picture import read_terrain
+from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.source import Source
 from lirs_wct.world import World
 

@@ -17,7 +17,7 @@ from lirs_validation import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.arrays import ByteArray
 from lirs_wct.drawing.canvas import new_figure, title
-from lirs_wct.drawing.world_view import block_picture
+from lirs_wct.drawing.pictures import block_picture
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
 DUNES = BuildOptions(size=30, height=2.5)

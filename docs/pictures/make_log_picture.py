@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from lirs_validation import resolve_source, validate
 from lirs_wct import BuildOptions
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, new_figure, title
-from lirs_wct.drawing.world_view import block_picture
+from lirs_wct.drawing.pictures import block_picture
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
 

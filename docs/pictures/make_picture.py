@@ -11,7 +11,7 @@ from pathlib import Path
 
 from lirs_validation import validate
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, new_figure, title
-from lirs_wct.drawing.world_view import block_picture
+from lirs_wct.drawing.pictures import block_picture
 from lirs_wct.sources.bundled import bundled_picture
 
 WORLD = "advanced"

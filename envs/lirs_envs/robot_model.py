@@ -17,7 +17,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import Walkers, add_walkers
 from lirs_wct import ConfigError, HeightField, Pose3, World
 from lirs_wct.arrays import FloatArray
-from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, surface_itself
+from lirs_wct.contact.grid import ContactGrid, contact_grid, surface_itself
 from lirs_wct.export.mjcf import world_spec, write_heights
 
 FULL_STATE = mujoco.mjtState.mjSTATE_INTEGRATION

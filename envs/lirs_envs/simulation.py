@@ -25,7 +25,7 @@ from lirs_envs.walkers import Walkers
 from lirs_wct import ConfigError, HeightField, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.checks import check_seed
-from lirs_wct.contact.contact_grid import ContactGrid
+from lirs_wct.contact.grid import ContactGrid
 from lirs_wct.ground import Terrain
 
 ROW = np.zeros(1, np.int64)

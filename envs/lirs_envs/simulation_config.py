@@ -15,7 +15,7 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.walkers import TOUCHABLE
 from lirs_wct import ConfigError, Pose2
 from lirs_wct.checks import Checked, check_field, is_finite, limited, of_type, one_of
-from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
+from lirs_wct.contact import CONTACT_GEOMETRIES, ContactGeometry
 
 
 @dataclass(frozen=True, kw_only=True)

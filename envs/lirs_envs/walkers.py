@@ -16,7 +16,7 @@ import numpy as np
 from lirs_wct import OccupancyGrid, Pose2, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from lirs_wct.kernels import njit
-from lirs_wct.navigation.spawn_poses import largest_area
+from lirs_wct.navigation import largest_area
 
 CLEARANCE = 0.45
 """Distance of a walker's center from walls, steep ground and the border, meters."""

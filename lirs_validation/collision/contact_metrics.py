@@ -17,8 +17,8 @@ from lirs_validation.collision.random_drive import DEEP, DeepContact, Leg
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct import TriangleMesh, WallGrid, World
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.contact.contact_geometry import ContactGeometry
-from lirs_wct.contact.contact_parts import PRISM_ERROR, touching_volume
+from lirs_wct.contact import ContactGeometry
+from lirs_wct.contact.parts import PRISM_ERROR, touching_volume
 
 InsideTest = Callable[[FloatArray], BoolArray]
 """Function of points (n, 3) that returns (n,) whether each is inside ground or wall."""

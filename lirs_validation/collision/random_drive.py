@@ -24,7 +24,7 @@ from lirs_envs.simulation import ROW
 from lirs_validation.driving.choice import no_room
 from lirs_wct import Pose2, SimulationError, World
 from lirs_wct.arrays import FloatArray
-from lirs_wct.navigation.spawn_poses import largest_area
+from lirs_wct.navigation import largest_area
 
 DEEP = 0.010
 """Penetration that a contact may have whatever happens, meters."""

@@ -37,7 +37,7 @@ from lirs_validation.collision import contact_metrics
 from lirs_validation.collision.random_drive import DEEP, MARGIN, PERIOD, drive_at_random
 from lirs_wct import Pose2, SimulationError, World
 from lirs_wct.checks import check_seed, positive
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact import ContactGeometry
 from lirs_wct.files import write_csv, write_json
 
 STREAM = 21

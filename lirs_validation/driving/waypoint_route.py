@@ -16,7 +16,7 @@ from lirs_wct import HeightField, OccupancyGrid, Pose2, SourceError
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.formats.waypoints import RoutePoint
 from lirs_wct.geometry.grid_search import search
-from lirs_wct.navigation.traversability import nearest_place
+from lirs_wct.navigation import nearest_place
 
 
 class WaypointRoute:

@@ -105,7 +105,7 @@ class Run:
 
     def overview(self) -> Drawing:
         """Draw the run on one page."""
-        from lirs_validation.drawing.run_overview import overview_figure
+        from lirs_validation.drawing import overview_figure
 
         truth, estimate, _ = self.log.trajectories()
         maps = self.maps

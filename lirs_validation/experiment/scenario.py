@@ -15,7 +15,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import SourceFile, source_files
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import LogSourceError
-from lirs_wct.sources.window import Window, driven_window
+from lirs_wct.sources.frame import Window, driven_window
 
 KEPT = 2
 """Worlds that a cache holds at a time; memory stays flat over a long sweep."""

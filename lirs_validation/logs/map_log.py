@@ -88,7 +88,7 @@ class MappedLog:
     def overview(self) -> Drawing:
         """Draw the mapped log on one page."""
         # Loaded here: the first scan of a log does not wait for matplotlib.
-        from lirs_validation.drawing.map_overview import map_overview
+        from lirs_validation.drawing import map_overview
 
         return map_overview(self.record, self.grid, self.trajectory, self.reference, self.accuracy)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lirs_wct import TriangleMesh, World
-from lirs_wct.sources.rasterize import rasterize_heights
+from lirs_wct.geometry.mesh import rasterize_heights
 
 STRIP = 512
 """Rows of nodes that are compared together: less memory than the whole."""

@@ -32,7 +32,7 @@ from lirs_validation.record.provenance import (
     world_files,
 )
 from lirs_validation.record.run_record import RECORD, SUCCEEDED, RunRecord, Status, plain, schema_error
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
 from lirs_wct.files import atomic_folder, write_json
 from lirs_wct.progress import Progress

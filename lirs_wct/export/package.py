@@ -12,9 +12,8 @@ from PIL import Image
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
 from lirs_wct.export.appearance import ground_wear, pad_to_square, world_extent, world_parts
 from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT, ground_truth_map
-from lirs_wct.export.mesh_writer import write_parts
-from lirs_wct.export.mjcf_file import write_hfield, write_mjcf
-from lirs_wct.export.usd_file import require_usd, write_usd
+from lirs_wct.export.mesh_writer import require_usd, write_parts, write_usd
+from lirs_wct.export.mjcf import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.gazebo import (
     Layer,

@@ -17,8 +17,7 @@ from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.images.picture import write_image
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.grid_sampling import resample
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.heightfield import HeightField, resample
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import Viewpoint
 

@@ -3,10 +3,9 @@
 The values that a mapper takes and returns are imported from here.
 """
 
-from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory, wrap_angle
-from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
+from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan, PointCloud
 
 __all__ = [
     "Imu",

@@ -14,10 +14,9 @@ from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap
-from lirs_wct.sources.local_origin import local_origin, warn_of_origin
+from lirs_wct.sources.frame import cut_map, local_origin, warn_of_origin
 from lirs_wct.sources.options import UNKNOWN, BuildOptions, SourceKind, Unknown
 from lirs_wct.sources.source import Source
-from lirs_wct.sources.window import cut_map
 
 
 def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str, Place | None]:

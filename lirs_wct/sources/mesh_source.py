@@ -14,12 +14,10 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.mesh import Grid, TriangleMesh, layers, rasterize_heights
 from lirs_wct.ground import MeshGround, Terrain
-from lirs_wct.sources.local_origin import local_origin, warn_of_origin
+from lirs_wct.sources.frame import Window, leveled, local_origin, warn_of_origin
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.rasterize import Grid, layers, rasterize_heights
-from lirs_wct.sources.window import Window, leveled
 
 NODES = 1025
 """Default number of nodes along the longer side."""

@@ -10,11 +10,11 @@ import pytest
 
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.contact.contact_grid import contact_grid
+from lirs_wct.contact.grid import contact_grid
 from lirs_wct.export.mjcf import world_spec
 from lirs_wct.export.package import write_package
 from lirs_wct.formats.meshes.mesh_reader import read_upright
-from lirs_wct.sources.rasterize import rasterize_heights
+from lirs_wct.geometry.mesh import rasterize_heights
 
 POINTS = 1000
 BUDGET = 0.02

@@ -15,7 +15,7 @@ import trimesh
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.export.package import write_package
-from lirs_wct.navigation.spawn_poses import spawn_poses
+from lirs_wct.navigation import spawn_poses
 
 pytestmark = pytest.mark.slow
 

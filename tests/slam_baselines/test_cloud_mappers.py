@@ -12,8 +12,8 @@ import pytest
 from lirs_validation.metrics.trajectory import spatial_errors
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.scan import PointCloud
 from slam_baselines import mapper as mappers
 from slam_baselines.kiss_icp import CloudOdometry, pose_at_start
 from slam_baselines.mapper import (

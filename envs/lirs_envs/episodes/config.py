@@ -16,7 +16,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.tasks.task import Rewards
 from lirs_wct import ConfigError, Pose2, World, unknown_name
 from lirs_wct.checks import Checked, is_finite, limited, of_type
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact import ContactGeometry
 
 RANDOMIZED: dict[str, tuple[float, float] | None] = {
     "friction": (0.7, 1.3),

@@ -23,8 +23,8 @@ from lirs_envs.walkers import add_walkers
 from lirs_wct import Pose2, Pose3, TriangleMesh, World
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.export.appearance import world_parts
+from lirs_wct.geometry.mesh import MUJOCO_FACES, split_tiles
 from lirs_wct.meshing.simplify import simplified_solid
-from lirs_wct.meshing.tiles import MUJOCO_FACES, split_tiles
 
 
 @dataclass(frozen=True, kw_only=True)

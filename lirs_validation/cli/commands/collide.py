@@ -13,7 +13,7 @@ from click.exceptions import Exit
 from lirs_validation.cli.progress import RUN_FAILED, err, out, progress_bar
 from lirs_validation.cli.sources import World, map_logs, sources_argument
 from lirs_validation.config import DRIVABLE, RunConfig
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import WctError
 from lirs_wct.option import Options, option
 from lirs_wct.sources.options import BuildOptions

@@ -90,7 +90,7 @@ def info(
     """
     from lirs_envs.robots.robot import make_robot
     from lirs_validation.cli.commands.info import facts_table, preflight_table, world_facts
-    from lirs_wct.drawing.world_view import view_figure
+    from lirs_wct.drawing.pictures import view_figure
     from lirs_wct.files import atomic_write
     from lirs_wct.sources.source import is_log
 

@@ -12,17 +12,16 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.map_log import resolve_source
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
-from lirs_wct.geometry.grid_sampling import fewer_nodes
+from lirs_wct.geometry.heightfield import fewer_nodes
 from lirs_wct.ground import Ground, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.progress import Progress, no_progress
-from lirs_wct.sources.build import build_world
-from lirs_wct.sources.clouds.source import read_point_cloud
+from lirs_wct.sources.build import build_world, warn_of_result
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.options import BuildOptions, SourceKind
-from lirs_wct.sources.pictures.picture import read_terrain
-from lirs_wct.sources.result_check import warn_of_result
+from lirs_wct.sources.picture import read_terrain
+from lirs_wct.sources.point_cloud import read_point_cloud
 from lirs_wct.sources.source import Source, find_source
 from lirs_wct.world import World
 

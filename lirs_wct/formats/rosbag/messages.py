@@ -14,10 +14,9 @@ from functools import cache
 
 import numpy as np
 
-from lirs_wct.geometry.cloud import POINT, PointCloud
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
+from lirs_wct.geometry.scan import POINT, Imu, ImuReadings, LaserScan, PointCloud
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """First bytes of a message: CDR, little-endian. Alignment counts from the byte after them."""

@@ -15,9 +15,8 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry.scan import LaserScan, PointCloud
 from lirs_wct.world import World
 from tests.kit import started
 from tests.lirs_envs.lidar.room import rings, room

@@ -12,7 +12,7 @@ import trimesh
 from lirs_validation.cli.commands.info import STRIP, _slopes
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.contact.contact_parts import prisms
+from lirs_wct.contact.parts import prisms
 from lirs_wct.files import MANIFEST
 from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES

@@ -19,7 +19,7 @@ from lirs_validation.collision.contact_metrics import energy_gain, inside_test, 
 from lirs_validation.collision.random_drive import PERIOD, ContactRecorder, Leg, places
 from lirs_validation.collision.validation import CollisionVerdict, check_collisions, climb, write_verdicts
 from lirs_validation.report.collision_tables import verdicts_table
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3

@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from lirs_validation.config import RunConfig
-from lirs_validation.drawing.run_overview import overview_figure, shown_bounds
+from lirs_validation.drawing import overview_figure, shown_bounds
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.drawing.canvas import Canvas, Drawing, bounds_of, shaded_heights, shading
-from lirs_wct.drawing.world_view import block_picture, mesh_view, view_figure
+from lirs_wct.drawing.pictures import block_picture, mesh_view, view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh

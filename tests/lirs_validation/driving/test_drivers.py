@@ -13,7 +13,7 @@ from lirs_validation.driving.paths import room_at
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.navigation.spawn_poses import spawn_poses
+from lirs_wct.navigation import spawn_poses
 from lirs_wct.sources.build import build_world
 from tests.lirs_validation.driving.ride import DT, MARGIN, ROBOT, corridor, field, ride
 

@@ -22,7 +22,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
-from lirs_wct.navigation.spawn_poses import FOOTPRINTS
+from lirs_wct.navigation import FOOTPRINTS
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.world import World

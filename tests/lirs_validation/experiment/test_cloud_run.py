@@ -12,7 +12,7 @@ import pytest
 from lirs_validation import Run, validate
 from lirs_validation.analysis.result_folders import read_results
 from lirs_validation.config import RunConfig
-from lirs_validation.drawing.run_overview import FULL, error_picture
+from lirs_validation.drawing import FULL, error_picture
 from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings, check_sensors
 from lirs_validation.gui.session.finished_run import read_playback
@@ -24,9 +24,8 @@ from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.formats.tum import read_tum
-from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
-from lirs_wct.geometry.scan import Imu
+from lirs_wct.geometry.scan import Imu, PointCloud
 from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats, make_mapper
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks.log_quality import thinned
-from lirs_validation import map_log
-from lirs_validation.drawing.map_overview import map_overview
+from lirs_validation import drawing, map_log
 from lirs_validation.logs.map_log import run_mapping
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import rms
@@ -181,7 +180,7 @@ def test_quality_without_truth_is_recorded_and_stated(room: Path, tmp_path: Path
     assert stored["quality"] == mapped.record.quality
     assert f"differs from cartographer's by {difference:.2f} m" in mapped.record.verdict.sentence
     assert "wall thickness" in dict(map_lines(mapped.record))
-    overview = map_overview(mapped.record, mapped.grid, mapped.trajectory, None, mapped.accuracy)
+    overview = drawing.map_overview(mapped.record, mapped.grid, mapped.trajectory, None, mapped.accuracy)
     assert mapped.record.verdict.sentence in overview.get_suptitle().replace("\n", " ")
     assert "on room.clf" in mapped.record.verdict.sentence
     assert with_truth.record.quality["second"] is other.record.quality["second"] is None

@@ -7,8 +7,8 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, steep_nodes
-from lirs_wct.contact.contact_parts import bodies, convex_parts
+from lirs_wct.contact.grid import ContactGrid, contact_grid, steep_nodes
+from lirs_wct.contact.parts import bodies, convex_parts
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.build import build_world
@@ -58,7 +58,7 @@ def test_smooth_ground_becomes_coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     vertical, horizontal = deviations(surface, grid)
     assert vertical == pytest.approx(grid.vertical, abs=1e-5)
     assert horizontal == 0.0
-    monkeypatch.setattr("lirs_wct.contact.contact_grid.VERTICAL", 0.05)
+    monkeypatch.setattr("lirs_wct.contact.grid.VERTICAL", 0.05)
     assert contact_grid(surface).stride > grid.stride
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_wct.contact.contact_parts import FEW_FACES, _thickness, convex_parts, shell_parts, touching_volume
+from lirs_wct.contact.parts import FEW_FACES, _thickness, convex_parts, shell_parts, touching_volume
 from lirs_wct.geometry.mesh import TriangleMesh
 
 

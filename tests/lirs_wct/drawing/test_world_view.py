@@ -9,7 +9,7 @@ import trimesh
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from lirs_wct.drawing.canvas import Drawing
-from lirs_wct.drawing.world_view import view_figure
+from lirs_wct.drawing.pictures import view_figure
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh

@@ -15,9 +15,9 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation import validate
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.contact.contact_geometry import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.contact.contact_grid import ContactGrid, contact_grid, steep_nodes
-from lirs_wct.contact.contact_parts import contact_parts, prisms
+from lirs_wct.contact import CONTACT_GEOMETRIES, ContactGeometry
+from lirs_wct.contact.grid import ContactGrid, contact_grid, steep_nodes
+from lirs_wct.contact.parts import contact_parts, prisms
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP, world_spec
 from lirs_wct.geometry.heightfield import HeightField

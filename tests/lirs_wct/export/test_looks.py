@@ -11,7 +11,7 @@ import yaml
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.mjcf_file import NEAR
+from lirs_wct.export.mjcf import NEAR
 from lirs_wct.export.package import write_package
 
 RED, GREEN, BLUE, YELLOW = (220, 40, 30), (40, 190, 60), (40, 90, 220), (230, 200, 30)

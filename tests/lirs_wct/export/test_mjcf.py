@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from lirs_wct import BuildOptions, build_world
-from lirs_wct.contact.contact_grid import contact_grid
-from lirs_wct.export.mjcf import world_spec
-from lirs_wct.export.mjcf_file import OLDEST_MUJOCO, spread, write_mjcf
+from lirs_wct.contact.grid import contact_grid
+from lirs_wct.export.mjcf import OLDEST_MUJOCO, spread, world_spec, write_mjcf
 from lirs_wct.export.package import write_package
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
@@ -164,7 +163,7 @@ def test_no_attribute_of_a_later_version_is_written(source: str, tmp_path: Path)
 def test_a_mesh_in_several_tiles_has_their_shells_as_inertia(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lirs_wct.export.mjcf_file.MUJOCO_FACES", 60)
+    monkeypatch.setattr("lirs_wct.export.mjcf.MUJOCO_FACES", 60)
     path = write_mjcf(build_world(ROOT / "examples/data/office.yaml"), tmp_path)
     meshes = list(ElementTree.parse(path).getroot().iter("mesh"))
     assert len(meshes) > 3

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.pose import Pose3
+from lirs_wct.geometry.scan import PointCloud
 
 
 def cloud(n: int = 3) -> PointCloud:

@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.grid_sampling import resample
+from lirs_wct.geometry.heightfield import resample
 from lirs_wct.geometry.pose import Pose2
 
 poses = st.builds(Pose2, st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3))

@@ -13,12 +13,11 @@ from hypothesis import given, strategies as st
 from lirs_validation.metrics.mesh import mesh_error
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.simplify import simplified_solid, triangulate
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.sources.rasterize import rasterize_heights
 from lirs_wct.world import World
 from tests.kit import read_heights
 

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from lirs_wct.meshing.tiles import split_tiles
+from lirs_wct.geometry.mesh import split_tiles
 from lirs_wct.meshing.uv import cube_uv
 from tests.kit import hills
 

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from lirs_wct.formats.meshes.stl import write_stl
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.meshing.wall_solid import SLAB, wall_mesh
+from lirs_wct.meshing.solid import SLAB, wall_mesh
 
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9))
 

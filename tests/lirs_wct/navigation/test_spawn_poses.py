@@ -9,7 +9,7 @@ import pytest
 
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.navigation.spawn_poses import mapped_area, spawn_poses
+from lirs_wct.navigation import mapped_area, spawn_poses
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.options import BuildOptions
 

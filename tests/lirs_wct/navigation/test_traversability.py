@@ -11,7 +11,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
-from lirs_wct.navigation.spawn_poses import spawn_poses
+from lirs_wct.navigation import spawn_poses
 from lirs_wct.world import World
 
 SLOPE = math.radians(20)
@@ -94,7 +94,7 @@ def test_slopes_strip_by_strip_are_those_of_the_whole(monkeypatch: pytest.Monkey
     surface = HeightField.centered(cv2.GaussianBlur(z, (0, 0), 6) * 3, (0.04, 0.05))
     whole = traversable(surface, clearance=0.1, max_slope=0.3)
     assert 0.05 < whole.free.mean() < 0.95
-    monkeypatch.setattr("lirs_wct.navigation.traversability._STRIP", 7)
+    monkeypatch.setattr("lirs_wct.navigation._STRIP", 7)
     strips = traversable(surface, clearance=0.1, max_slope=0.3)
     np.testing.assert_array_equal(whole.log_odds, strips.log_odds)
 

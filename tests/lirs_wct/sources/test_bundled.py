@@ -12,7 +12,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import PIXELS, RECIPES, SIZE, BundledPicture, bundled_picture
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import read_terrain
+from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.source import find_source
 
 CELL = SIZE / (PIXELS - 1)

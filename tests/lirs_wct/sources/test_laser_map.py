@@ -13,9 +13,8 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.rectangles import merged_rectangles
-from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.meshing.wall_solid import SLAB, wall_mesh
+from lirs_wct.geometry.walls import WallGrid, merged_rectangles
+from lirs_wct.meshing.solid import SLAB, wall_mesh
 from lirs_wct.sources.laser_map import level_floor, read_laser_map, walls_of, without_small_walls
 from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.source import find_source

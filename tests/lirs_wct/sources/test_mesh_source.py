@@ -18,9 +18,8 @@ from lirs_wct.export.package import write_package
 from lirs_wct.formats.meshes.mesh_reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.geometry.mesh import TriangleMesh, layers, rasterize_heights
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.sources.rasterize import layers, rasterize_heights
 from tests.kit import built
 
 

@@ -13,9 +13,9 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Ground, LaserMap, Terrain
 from lirs_wct.option import declared
+from lirs_wct.sources.build import unusual_figures
 from lirs_wct.sources.laser_map import level_floor, walls_of
 from lirs_wct.sources.options import SourceKind
-from lirs_wct.sources.result_check import unusual_figures
 
 WAVES = np.add.outer(np.sin(np.arange(40) / 5), np.cos(np.arange(60) / 7)).astype(np.float32)
 

@@ -10,7 +10,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.window import cut_map, cut_nodes, cut_surface, leveled
+from lirs_wct.sources.frame import cut_map, cut_nodes, cut_surface, leveled
 
 # 61 nodes from x = 10 to 40, 41 nodes from y = -8 to 2.
 Z = np.random.default_rng(3).uniform(5, 9, (41, 61)).astype(np.float32)

@@ -12,10 +12,9 @@ from rosbags.interfaces import Connection
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
 from lirs_wct.formats.rosbag.writer import BagDrive
-from lirs_wct.geometry.cloud import PointCloud
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan
+from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan, PointCloud
 
 ERRORS = SensorErrors(
     scale=0.02, scale_length=5.0, rate=0.1, rate_bias=0.2, update=0.01, attitude=0.3, acceleration=0.4

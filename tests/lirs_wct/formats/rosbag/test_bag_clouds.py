@@ -13,7 +13,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import write_bag
-from lirs_wct.geometry.cloud import PointCloud
+from lirs_wct.geometry.scan import PointCloud
 from tests.lirs_wct.formats.rosbag import drives
 
 CODES = {"u1": 2, "u2": 4, "u4": 6, "f4": 7, "f8": 8}

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid_sampling import resample
+from lirs_wct.geometry.heightfield import resample
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import denoise, sharpen, smooth
+from lirs_wct.sources.picture import denoise, sharpen, smooth
 from tests.kit import read_heights as read
 
 RAMP = np.tile(np.arange(40, dtype=np.float32), (30, 1))

@@ -17,7 +17,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import BundledPicture
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.pictures.picture import read_terrain
+from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.source import find_source
 from tests.kit import read_heights as read, refused
 
@@ -309,7 +309,7 @@ def test_a_bundled_world_has_meters_of_its_own(
 ) -> None:
     pixels = np.arange(15, dtype=np.uint16).reshape(3, 5)
     small = BundledPicture(pixels=pixels, height=1.25, hills=np.zeros((3, 5)))
-    monkeypatch.setattr("lirs_wct.sources.pictures.picture.bundled_picture", lambda _: small)
+    monkeypatch.setattr("lirs_wct.sources.picture.bundled_picture", lambda _: small)
     given = BuildOptions(**options)
     ground, scale, _ = read_terrain(find_source("simple", given), given)
     assert ground.surface.size == pytest.approx(size)

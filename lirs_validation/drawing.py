@@ -1,10 +1,11 @@
-"""Overview picture of a run: true ground, elevation, paths, errors and the maps."""
+"""Overview pictures of a run and of a mapped log, one page each."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from matplotlib.patches import Patch
 from lirs_validation.config import TOUR, driver_parts
 from lirs_validation.metrics.agreement import contradicted
 from lirs_validation.metrics.elevation import ElevationMap
+from lirs_validation.metrics.log_accuracy import Accuracy
+from lirs_validation.record.map_record import MapRecord, map_lines
 from lirs_validation.record.metric_catalog import WORSE, picture_lines, worse_than_odometry
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_wct import OccupancyGrid, Trajectory, World
@@ -46,11 +49,11 @@ from lirs_wct.drawing.canvas import (
     value_list,
 )
 
-FULL = 0.20
+FULL_COLOR_ERROR = 0.20
 """Height error at full color, meters."""
 PANEL = 4.4
 """Width of a panel, inches."""
-LINE = 150
+HEADLINE_LETTERS = 150
 """Characters of a line of the headline."""
 
 
@@ -60,7 +63,10 @@ def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, buil
     title(axes[0], "Elevation by the mapper's poses")
     map_axes(axes[1], canvas, error_picture(canvas, world, built))
     title(axes[1], "Less the surface")
-    handles = [Patch(color=BLUE, label=f"{FULL:.1f} m too low"), Patch(color=VERMILLION, label="too high")]
+    handles = [
+        Patch(color=BLUE, label=f"{FULL_COLOR_ERROR:.1f} m too low"),
+        Patch(color=VERMILLION, label="too high"),
+    ]
     legend(axes[1], handles)
 
 
@@ -78,7 +84,7 @@ def error_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArr
     White = exact, blue = too low, vermillion = too high, gray = not seen.
     """
     error = _sample(canvas, built, built.error(world.surface, world.walls))
-    share = np.clip(np.nan_to_num(error) / FULL, -1, 1)[..., None]
+    share = np.clip(np.nan_to_num(error) / FULL_COLOR_ERROR, -1, 1)[..., None]
     color = np.where(share > 0, rgb(VERMILLION), rgb(BLUE))
     return _with_unknown(1 - np.abs(share) * (1 - color), error, canvas, world)
 
@@ -125,7 +131,7 @@ def overview_figure(
     tall = PANEL * min(max(rows / cols, 0.35), 1.5)
     heights, widths = (max(tall, 4.2), tall), (PANEL,) * 3
     figure, grid = page_of_panels(
-        f"{_headline(record)}\n{textwrap.fill(str(record.verdict), LINE)}", heights, widths
+        f"{_headline(record)}\n{textwrap.fill(str(record.verdict), HEADLINE_LETTERS)}", heights, widths
     )
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
@@ -222,3 +228,95 @@ def _rtf(axes: Axes, rtf: Mapping[str, Any]) -> None:
     axes.grid(axis="y", color=GRAY, alpha=0.2, linewidth=0.6)
     title(axes, "Real-time factor")
     legend(axes, [Line2D([], [], color=GREEN, linewidth=1.2, label=f"mean {mean:.1f}, std {std:.1f}")])
+
+
+MAP_WIDTH, SIDE_WIDTH = 6.4, 4.0
+"""Widths of the map, and of metrics and plots beside it, inches."""
+VERDICT_LETTERS = 110
+"""Characters in a line of the verdict."""
+EMPTY_SLOTS = 2
+"""Plot slots under the metrics of a log without errors to plot."""
+ROW_HEIGHT, MIN_PLOT, PLOT_GAP = 0.21, 1.2, 0.8
+"""Heights of a row of the metrics, of the smallest plot, and above a plot, inches."""
+
+
+def map_overview(
+    record: MapRecord,
+    grid: OccupancyGrid,
+    estimate: Trajectory,
+    reference: Trajectory | None,
+    accuracy: Accuracy,
+) -> Drawing:
+    """Draw a mapped log on one page.
+
+    The estimate has the pose of every scan in the map, the reference is in its own frame; missing errors are
+    not drawn.
+    """
+    canvas = Canvas.over(bounds_shown(estimate, grid), round(MAP_WIDTH * PAGE_DPI))
+    rows, cols = canvas.shape
+    plots, lines = _plots(record, accuracy), map_lines(record)
+    listed = ROW_HEIGHT * len(lines)
+    tall = max(MAP_WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6, listed + len(plots) * (MIN_PLOT + PLOT_GAP))
+    c = record.config
+    verdict = textwrap.fill(str(record.verdict), VERDICT_LETTERS)
+    text = f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}\n{verdict}"
+    figure, halves = page_of_panels(text, (tall,), (MAP_WIDTH, SIDE_WIDTH))
+    _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _reference_in_map(reference, accuracy))
+    slots = len(plots) or EMPTY_SLOTS
+    heights = (listed, *[(tall - listed) / slots - PLOT_GAP] * slots)
+    cells = halves[1].subgridspec(
+        len(heights), 1, height_ratios=heights, hspace=PLOT_GAP * len(heights) / sum(heights)
+    )
+    value_list(figure.add_subplot(cells[0]), lines)
+    for k, (name, unit, stamps, errors) in enumerate(plots, start=1):
+        _errors(figure.add_subplot(cells[k]), name, unit, stamps - estimate.stamps[0], errors)
+    return figure
+
+
+def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatArray, FloatArray]]:
+    """Return name, unit, stamps and errors of each plot with data."""
+    plots = []
+    constraints, reference = accuracy.constraints, accuracy.reference
+    if reference is not None and len(reference.stamps):
+        name = f"Against the reference (RMSE {record.accuracy['reference']['ate_rmse']:.3f} m)"
+        plots.append((name, "m", reference.stamps, reference.position))
+    if constraints is not None and len(constraints.stamps):
+        errors, stamps = record.accuracy["relations"], constraints.stamps
+        name = f"Relative-pose constraints (mean {errors['translation_mean']:.3f} m)"
+        plots.append((name, "m", stamps, constraints.translation))
+        name = f"... their rotation (mean {errors['rotation_mean_deg']:.2f} deg)"
+        plots.append((name, "deg", stamps, np.degrees(constraints.rotation)))
+    return plots
+
+
+def _reference_in_map(reference: Trajectory | None, accuracy: Accuracy) -> Trajectory | None:
+    """Return the reference in the map frame; None if it was not compared."""
+    if reference is None or accuracy.reference is None or not len(accuracy.reference.stamps):
+        return None
+    return reference.moved(accuracy.reference.T_map_reference)
+
+
+def _map(
+    axes: Axes, canvas: Canvas, grid: OccupancyGrid, estimate: Trajectory, reference: Trajectory | None
+) -> None:
+    map_axes(axes, canvas, canvas.grid_picture(grid))
+    axes.set_anchor("N")
+    handles = []
+    if reference is not None:
+        axes.plot(*reference.xy.T, color=BLUE, linewidth=2.0, alpha=0.6, zorder=3)
+        handles.append(Line2D([], [], color=BLUE, linewidth=2.0, alpha=0.6, label="reference"))
+    axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=0.8, zorder=4)
+    handles.append(Line2D([], [], color=VERMILLION, linewidth=0.8, label="path"))
+    handles += path_ends(axes, estimate)
+    title(axes, "Map and path")
+    legend(axes, handles)
+
+
+def _errors(axes: Axes, name: str, unit: str, seconds: FloatArray, errors: FloatArray) -> None:
+    """Draw errors over time, each a dot, with their mean."""
+    axes.plot(seconds, errors, ".", color=BLACK, markersize=1.6, rasterized=True)
+    axes.axhline(float(errors.mean()), color=GREEN, linewidth=1.2)
+    plain_axes(axes, "time [s]", f"error [{unit}]")
+    axes.set_ylim(0.0, max(1e-6, 1.05 * float(np.percentile(errors, 99.5))))
+    axes.grid(axis="y", color=GRAY, alpha=0.2, linewidth=0.6)
+    title(axes, name)

@@ -16,7 +16,7 @@ import numpy as np
 import scipy  # its modules load on first use
 
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.kernels import njit

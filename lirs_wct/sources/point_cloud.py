@@ -15,11 +15,9 @@ from lirs_wct.formats.point_clouds import PointFile, read_points
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
-from lirs_wct.sources.clouds.grid import NodeGrid, fill_gaps, gap_distance
-from lirs_wct.sources.clouds.smrf import Smrf, ground_points
-from lirs_wct.sources.local_origin import local_origin, warn_of_origin
+from lirs_wct.sources.frame import leveled, local_origin, warn_of_origin
 from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.window import leveled
+from lirs_wct.sources.smrf import NodeGrid, Smrf, fill_gaps, gap_distance, ground_points
 
 NODES = 1025
 """Limit of nodes along the longer side for the default resolution."""

@@ -1,17 +1,46 @@
-"""Window: a square cut out of a surface or a map, in the world's frame."""
+"""The frame of a world: local origin of a far source, and window cut out of a surface or map."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid, Pose2
-from lirs_wct.geometry.grid_sampling import sample_surface
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.heightfield import HeightField, sample_surface
+
+FAR = 10_000.0
+"""Distance from the origin, meters, beyond which the center of a source becomes the world's origin."""
+
+
+def local_origin(low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
+    """Return the coordinates of the world's origin: 0, 0 of a source near there.
+
+    Args:
+        low: smallest x and y of the source.
+        high: largest x and y.
+        unit: meters per unit of the coordinates.
+    """
+    if np.abs((low, high)).max() * unit <= FAR:
+        return 0.0, 0.0
+    x, y = ((low + high) / 2).round().tolist()
+    return x, y
+
+
+def warn_of_origin(path: Path, origin: tuple[float, float]) -> None:
+    """Say which coordinates of a far source are the world's origin."""
+    if origin != (0.0, 0.0):
+        x, y = origin
+        warnings.warn(
+            f"{path}: lies far from its origin: its point {x:.0f}, {y:.0f} becomes 0, 0 of the world",
+            stacklevel=4,
+        )
+
 
 Window = tuple[float, float, float]
 """Center x, y and side, meters."""

@@ -1,1 +1,0 @@
-"""Pictures of worlds, runs and maps."""

@@ -1,1 +1,0 @@
-"""Traversability and spawn poses of robots."""

@@ -1,1 +1,0 @@
-"""Point clouds as sources: ground extraction and surface."""

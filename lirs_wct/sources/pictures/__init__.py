@@ -1,1 +1,0 @@
-"""Pictures as sources: gray levels or meters as heights of a terrain."""
