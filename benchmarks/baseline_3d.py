@@ -27,7 +27,7 @@ from benchmarks.natural_terrain import write_terrain
 from lirs_validation import validate
 from lirs_wct.errors import WctError
 from lirs_wct.option import read_numbers
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "height"
 GENERATED = {"plain": "smooth", "rough hills": "terrain", "dunes": "terrain", "hills with rocks": "terrain"}

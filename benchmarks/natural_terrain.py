@@ -26,7 +26,7 @@ from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS
 from lirs_validation import validate
 from lirs_wct.errors import WctError
 from lirs_wct.option import read_numbers
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "height"
 MAPPERS = ("hector", "gmapping", "cartographer")

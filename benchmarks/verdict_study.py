@@ -46,7 +46,7 @@ from lirs_wct.files import write_json
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.option import read_names
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import World
 
 HERE = Path(__file__).parent

@@ -29,7 +29,7 @@ from rich.table import Table
 from benchmarks.world_jobs import BUNDLED, JOBS, Figures, picture, warm
 from lirs_wct.errors import WctError
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 """Where real inputs may lie beside a checkout."""

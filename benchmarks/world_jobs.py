@@ -20,9 +20,8 @@ from lirs_wct.geometry.mesh import rasterize_heights
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, find_source
 from lirs_wct.world import World
 
 BUNDLED = ("simple", "medium", "advanced")

@@ -16,8 +16,7 @@ from lirs_envs.robots.robot import make_robot
 from lirs_envs.tasks.navigation import draw_goal
 from lirs_envs.tasks.site import make_site
 from lirs_wct import World
-from lirs_wct.arrays import FloatArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import FloatArray, njit
 
 BEAMS = 121
 """Beams of a scan, at most."""

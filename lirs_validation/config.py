@@ -27,7 +27,7 @@ from lirs_wct.option import (
     positive,
     within,
 )
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from slam_baselines.mapper import MAPPERS, file_name, read_parameters
 
 Attitude = Literal["imu", "none"]

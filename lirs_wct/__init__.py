@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from lirs_wct.geometry.mesh import TriangleMesh
     from lirs_wct.geometry.walls import WallGrid
     from lirs_wct.sources.build import build_world
-    from lirs_wct.sources.options import BuildOptions
+    from lirs_wct.sources.source import BuildOptions
     from lirs_wct.world import World
 
 _HOMES = {
-    "BuildOptions": "sources.options",
+    "BuildOptions": "sources.source",
     "ConfigError": "errors",
     "HeightField": "geometry.heightfield",
     "Imu": "geometry.scan",

@@ -1,6 +1,11 @@
-"""Array types by element type; docstrings state shapes, units and frames."""
+"""Array types by element type, and the decorator of the kernels on them.
+
+Docstrings state shapes, units and frames.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,3 +21,11 @@ RecordArray = NDArray[np.void]
 
 Vector3 = tuple[float, float, float]
 """x, y, z as Python numbers; in a hot loop a small array costs more than the arithmetic."""
+
+
+def njit(*function: Any, **options: Any) -> Any:
+    """Compile a kernel by numba.njit with common options; with others, it would compile some twice."""
+    import numba  # slow import, needed by kernels only
+
+    common = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy"}
+    return numba.njit(*function, **common | options)

@@ -13,13 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.heightfield import HeightField, sample_surface
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import Ground
-from lirs_wct.kernels import njit
 
 BASELINE = 0.3
 """Baseline of a slope, meters: about a wheel. Shorter steps are roughness, not slope."""

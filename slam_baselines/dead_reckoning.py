@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, Pose2, Pose3, wrap_angle
-from lirs_wct.kernels import njit
 from slam_baselines.linalg import moved_covariance
 
 Slope = tuple[float, float]

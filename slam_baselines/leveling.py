@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct.arrays import ByteArray, FloatArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3
-from lirs_wct.kernels import njit
 
 
 class ScanPoints(NamedTuple):

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, njit
 from lirs_wct.geometry import Pose2
-from lirs_wct.kernels import njit
 
 
 @njit

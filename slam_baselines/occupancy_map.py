@@ -14,10 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray
+from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import OccupancyGrid, Pose2
-from lirs_wct.kernels import njit
 from slam_baselines.leveling import ScanPoints
 
 BITS = 32

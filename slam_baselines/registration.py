@@ -17,10 +17,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, IntArray
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray, njit
 from lirs_wct.checks import Checked, limited, within
 from lirs_wct.geometry import Pose2, wrap_angle
-from lirs_wct.kernels import njit
 from slam_baselines.dead_reckoning import PoseEstimate
 from slam_baselines.linalg import invert3, solve3
 from slam_baselines.occupancy_map import FULL, UNSEEN, GrowingGrid, Levels, MapPyramid

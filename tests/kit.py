@@ -17,9 +17,8 @@ from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.source import Source
+from lirs_wct.sources.source import BuildOptions, Source, SourceKind
 from lirs_wct.world import World
 
 SMALL = BuildOptions(size=(20.0, 20.0), height=2.0, resize=(129, 129))

@@ -11,9 +11,8 @@ from threading import Lock
 import mujoco
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, Int32Array, IntArray
+from lirs_wct.arrays import FloatArray, Int32Array, IntArray, njit
 from lirs_wct.errors import SimulationError
-from lirs_wct.kernels import njit
 
 DIVERGENCE_WARNINGS = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "a position is not finite or too large",

@@ -19,9 +19,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from lirs_envs.policies import HORIZON, GoToGoal, PolicyContext
-from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct.arrays import Float32Array, FloatArray, njit
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.kernels import njit
 
 HEADINGS = 36
 """Headings to choose from, the first opposite to the goal, counter-clockwise."""

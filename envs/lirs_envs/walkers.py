@@ -14,8 +14,7 @@ import mujoco
 import numpy as np
 
 from lirs_wct import OccupancyGrid, Pose2, SimulationError, World
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
 from lirs_wct.navigation import largest_area
 
 CLEARANCE = 0.45

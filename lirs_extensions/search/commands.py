@@ -119,8 +119,7 @@ def _tune_target(
     """
     from lirs_validation.sweep.experiment import SlamExperiment
     from lirs_validation.sweep.suites import cross
-    from lirs_wct.sources.options import SourceKind
-    from lirs_wct.sources.source import find_source
+    from lirs_wct.sources.source import SourceKind, find_source
 
     configs = cross(source, build=build, **run)
     if len(configs) != 1:

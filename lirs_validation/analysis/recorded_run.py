@@ -43,7 +43,7 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.suffixes import Storage
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from slam_baselines.map_builder import KnownPoseMapper
 
 if TYPE_CHECKING:

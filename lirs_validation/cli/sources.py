@@ -12,7 +12,7 @@ from lirs_validation.cli.progress import err, progress_bar
 from lirs_validation.config import WORLD_FLAGS
 from lirs_wct.formats.suffixes import Storage
 from lirs_wct.option import Options, argument, option
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
 World = Annotated[BuildOptions, Few(WORLD_FLAGS)]

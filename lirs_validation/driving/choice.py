@@ -25,7 +25,7 @@ from lirs_validation.driving.replay import COMMANDS, read_replay, replay
 from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
 from lirs_wct import ConfigError, OccupancyGrid, Pose2, World
 from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
-from lirs_wct.sources.options import read_point
+from lirs_wct.sources.source import read_point
 
 MARGIN = 0.15
 """Meters that a plan keeps beyond the robot's radius."""

@@ -28,11 +28,10 @@ from lirs_validation.driving.paths import (
     room_in,
     smooth_path,
 )
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from lirs_wct.geometry.grid import OCCUPIED
 from lirs_wct.geometry.grid_search import Reach, search
-from lirs_wct.kernels import njit
 
 RESOLUTION = 0.1
 """Meters a cell, at least: finer maps are thinned out."""

@@ -7,10 +7,9 @@ import math
 import cv2
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid, Pose2
-from lirs_wct.kernels import njit
 
 COMFORTABLE = 0.6
 """Preferred distance of a path to blocked cells, meters."""

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, find_source
 from lirs_wct.world import World
 
 if TYPE_CHECKING:

@@ -52,8 +52,7 @@ from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.options import SourceKind
-from lirs_wct.sources.source import find_source, is_bag
+from lirs_wct.sources.source import SourceKind, find_source, is_bag
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name
 
 if TYPE_CHECKING:

@@ -28,9 +28,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from lirs_validation.metrics.alignment import associated, planar
-from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.arrays import FloatArray, IntArray, njit
 from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory, wrap_angle
-from lirs_wct.kernels import njit
 
 MARGIN = 0.3
 """Distance by which a hit must lie in free space, meters: more than noise and small errors of a map."""

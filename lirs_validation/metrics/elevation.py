@@ -18,9 +18,8 @@ from lirs_validation.metrics.alignment import associated, rms
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_validation.metrics.trajectory import spatial_alignment
 from lirs_wct import HeightField, PointCloud, Pose3, Trajectory, WallGrid, World
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.kernels import njit
 
 CELL = 0.10
 """Edge of a cell, meters."""

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from lirs_wct import HeightField, WallGrid
-from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, FloatArray, njit
 
 STEEP = math.radians(45)
 """Faces steeper than this are obstacles, radians."""

@@ -18,8 +18,7 @@ from lirs_validation.config import RunConfig
 from lirs_wct.errors import SourceError
 from lirs_wct.files import MANIFEST, digest, read_manifest
 from lirs_wct.formats.map_server import read_metadata
-from lirs_wct.sources.options import SourceKind
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import SourceKind, find_source
 
 PACKAGES = ("lirs-wct", "mujoco", "gymnasium", "numpy", "scipy", "numba")
 OWN = ("lirs_wct", "lirs_envs", "slam_baselines", "lirs_validation", "lirs_extensions")

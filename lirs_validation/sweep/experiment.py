@@ -36,8 +36,7 @@ from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
 from lirs_wct.files import atomic_folder, write_json
 from lirs_wct.progress import Progress
-from lirs_wct.sources.options import SourceKind
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import SourceKind, find_source
 
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict

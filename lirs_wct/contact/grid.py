@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, Float32Array
+from lirs_wct.arrays import BoolArray, Float32Array, njit
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.kernels import njit
 
 VERTICAL = 0.01
 """Largest vertical deviation at nodes that touch no steep triangle, meters."""

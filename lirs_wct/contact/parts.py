@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import scipy  # its modules load on first use
 
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, njit
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.kernels import njit
 from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.world import World
 

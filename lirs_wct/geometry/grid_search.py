@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import FloatArray, Int32Array
+from lirs_wct.arrays import FloatArray, Int32Array, njit
 from lirs_wct.errors import ConfigError
-from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True, slots=True)

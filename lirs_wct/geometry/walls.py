@@ -6,11 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.checks import require_within
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.walls import WallGrid, merged_rectangles
-from lirs_wct.kernels import njit
 
 MIN_THICKNESS = 0.1
 """Smallest thickness below the lowest point, meters: a wheel must not pass through it in one step."""

@@ -21,8 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, Float32Array, Int32Array, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, Float32Array, Int32Array, IntArray, njit
 
 STRIDE, TWIN, WORST = 8, 3, 6
 """Numbers per triangle, and offsets of its twins and of its worst pixel."""

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.kernels import njit
 
 EAST, WEST, NORTH, SOUTH, UP, DOWN = range(6)
 FLAT = 6

@@ -19,10 +19,16 @@ from lirs_wct.navigation import FOOTPRINTS
 from lirs_wct.sources.frame import Window, cut_nodes, cut_surface, leveled, sample_spacing
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
-from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.point_cloud import read_point_cloud
-from lirs_wct.sources.source import Source, find_source, warn_of_shape, warn_of_useless
+from lirs_wct.sources.source import (
+    BuildOptions,
+    Source,
+    SourceKind,
+    find_source,
+    warn_of_shape,
+    warn_of_useless,
+)
 from lirs_wct.world import World
 
 SPAWN_AREA = 200.0

@@ -15,8 +15,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap
 from lirs_wct.sources.frame import cut_map, local_origin, warn_of_origin
-from lirs_wct.sources.options import UNKNOWN, BuildOptions, SourceKind, Unknown
-from lirs_wct.sources.source import Source
+from lirs_wct.sources.source import UNKNOWN, BuildOptions, Source, SourceKind, Unknown
 
 
 def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str, Place | None]:

@@ -17,7 +17,7 @@ from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import Grid, TriangleMesh, layers, rasterize_heights
 from lirs_wct.ground import MeshGround, Terrain
 from lirs_wct.sources.frame import Window, leveled, local_origin, warn_of_origin
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 NODES = 1025
 """Default number of nodes along the longer side."""

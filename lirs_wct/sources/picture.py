@@ -23,8 +23,7 @@ from lirs_wct.geometry.heightfield import HeightField, resample
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.frame import Window, cut_surface, leveled, sample_spacing
-from lirs_wct.sources.options import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, SourceKind
-from lirs_wct.sources.source import Source
+from lirs_wct.sources.source import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, Source, SourceKind
 
 MEDIAN_WINDOW = 5
 """Side of the median filter, pixels."""

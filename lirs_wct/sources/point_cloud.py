@@ -16,8 +16,8 @@ from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.frame import leveled, local_origin, warn_of_origin
-from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.smrf import NodeGrid, Smrf, fill_gaps, gap_distance, ground_points
+from lirs_wct.sources.source import BuildOptions
 
 NODES = 1025
 """Limit of nodes along the longer side for the default resolution."""

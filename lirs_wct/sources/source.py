@@ -1,20 +1,312 @@
-"""Identification of sources: kind, path, world name, and warnings on options without effect."""
+"""Sources of worlds: kinds, options, and identification by name, path and content.
+
+Each option declares its help, command-line spelling and legal values (see `option`).
+"""
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 import warnings
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
+from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError, SourceError, did_you_mean
 from lirs_wct.files import read_manifest
+from lirs_wct.formats.images.picture import MAX_PIXELS
 from lirs_wct.formats.map_server import read_metadata
 from lirs_wct.formats.point_clouds import is_cloud_ply
-from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, is_bag_file, way_to_read
+from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, Encoding, is_bag_file, way_to_read
+from lirs_wct.geometry.pose import Pose2
+from lirs_wct.meshing.export_options import ExportOptions
+from lirs_wct.option import Options, Slider, changed, declared, documented, option, positive, within
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.options import BuildOptions, SourceKind, without_effect
+
+
+class SourceKind(Enum):
+    """Kind of a source; it selects the reader."""
+
+    BUNDLED = "bundled world"
+    FOLDER = "built folder"
+    PICTURE = "picture of a terrain"
+    MAP = "laser map"
+    MAP_PICTURE = "picture of a laser map"
+    MESH = "mesh"
+    CLOUD = "point cloud"
+    LOG = "log of a laser"
+
+
+DEFAULT_SIZE = 50.0
+"""Longer side of a picture without a scale, meters."""
+DEFAULT_HEIGHT = 6.0
+"""Relief of a picture without a scale, meters."""
+
+Unknown = Literal["floor", "wall", "hole"]
+UNKNOWN: tuple[Unknown, ...] = ("floor", "wall", "hole")
+CloudSurface = Literal["ground", "top"]
+MAX_SIDE = 32_000
+"""Pixels along a side to which a picture may be resized."""
+
+TERRAIN_PANEL, FILTER_PANEL = "Terrain pictures", "Picture filters"
+MAP_PANEL = "Laser maps"
+_PICTURES = {SourceKind.BUNDLED, SourceKind.PICTURE}
+_MESHES = {*_PICTURES, SourceKind.MESH}
+_MAPS = {SourceKind.MAP, SourceKind.MAP_PICTURE}
+_SCALE: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _MESHES}
+_GRAY: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _PICTURES}
+_FILTER: dict[str, Any] = {"panel": FILTER_PANEL, "kinds": _PICTURES}
+_RARE_FILTER: dict[str, Any] = {**_FILTER, "rare": True}
+_CLOUD: dict[str, Any] = {"panel": "Point clouds", "kinds": {SourceKind.CLOUD}, "rare": True}
+_MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
+
+
+def read_factors(text: str, label: str) -> tuple[float, float, float]:
+    """Read one factor for all axes, or one for each."""
+    factors = _numbers(text, label, "S or SX,SY,SZ", 1, 3)
+    return factors[0], factors[len(factors) // 2], factors[-1]
+
+
+def read_pose(text: str, label: str) -> Pose2:
+    """Read x, y and an optional yaw."""
+    return Pose2(*_numbers(text, label, "X,Y or X,Y,YAW in meters and radians", 2, 3))
+
+
+def read_point(text: str, label: str) -> tuple[float, float]:
+    """Read x and y."""
+    x, y = _numbers(text, label, "X,Y in meters", 2)
+    return x, y
+
+
+def _numbers(text: str, label: str, form: str, *counts: int) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) not in counts:
+        raise ConfigError(f"{label} must be {form}, got {text!r}")
+    return values
+
+
+def _finite(value: float, label: str) -> None:
+    if not math.isfinite(value):
+        raise ConfigError(f"{label} must be finite, got {value}")
+
+
+def _window(value: tuple[float, float, float], _: str) -> None:
+    positive(value[2], "window side")
+
+
+def _start(value: Pose2, _: str) -> None:
+    if not all(math.isfinite(number) for number in (value.x, value.y, value.yaw)):
+        raise ConfigError(f"a start must be finite, got {value.x},{value.y},{value.yaw}")
+
+
+def _crop(value: tuple[int, int, int, int], _: str) -> None:
+    if min(value[:2]) < 0 or min(value[2:]) < 2:
+        raise ConfigError(f"crop needs a corner at 0,0 or beyond and at least 2x2 px, got {value}")
+
+
+def _resize(value: tuple[int, int], _: str) -> None:
+    if not all(2 <= n <= MAX_SIDE for n in value):
+        raise ConfigError(f"resize needs 2 to {MAX_SIDE} px a side, got {value}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommonOptions(Options):
+    """Options of any source."""
+
+    name: str | None = option(None, "Name of the world; default: the file's.")
+    kind: Literal["picture", "map"] | None = option(None, "Read a picture as terrain or as laser map.")
+    window: tuple[float, float, float] | None = option(
+        None,
+        "Keep only this square of the world, meters.",
+        metavar="X,Y,SIDE",
+        check=_window,
+        kinds={*_MESHES, *_MAPS, SourceKind.CLOUD, SourceKind.FOLDER},
+    )
+    start: Pose2 | None = option(
+        None,
+        "Where the robot starts, meters and radians; default: where the largest robot that fits can drive.",
+        metavar="X,Y[,YAW]",
+        reader=read_pose,
+        check=_start,
+    )
+    max_pixels: int = option(
+        MAX_PIXELS, "Refuse larger pictures before decoding them.", check=positive, rare=True
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureOptions(Options):
+    """Options of a terrain's picture: scale, gray levels and filters."""
+
+    size: float | tuple[float, float] | None = option(
+        None,
+        "Extent in meters: longer side, or width and height. Default 50, or the file's own.",
+        title="size [m]",
+        metavar="W[,H]",
+        check=positive,
+        **_SCALE,
+    )
+    height: float | None = option(
+        None,
+        "Meters from the darkest to the brightest pixel. Default 6, or the file's own.",
+        title="height [m]",
+        check=positive,
+        **_SCALE,
+    )
+    z_scale: float | None = option(
+        None,
+        "Multiply the resulting heights.",
+        title="z axis scale",
+        slider=Slider(low=0.1, high=10.0, step=0.1, neutral=1.0),
+        check=positive,
+        **_SCALE | {"kinds": {*_MESHES, SourceKind.CLOUD}},
+    )
+    scale: tuple[float, float, float] | None = option(
+        None,
+        "Multiply the resulting width, depth and height.",
+        metavar="S or SX,SY,SZ",
+        reader=read_factors,
+        check=positive,
+        **_SCALE,
+    )
+    zero: float | None = option(
+        None,
+        "Height of the file's own that becomes z = 0, so that neighboring tiles fit; default: the lowest.",
+        metavar="HEIGHT",
+        check=_finite,
+        rare=True,
+        **_SCALE | {"kinds": {SourceKind.PICTURE, SourceKind.CLOUD}},
+    )
+    nodata: float | None = option(
+        None,
+        "Value of pixels without a height, where the file does not say it.",
+        metavar="VALUE",
+        rare=True,
+        **_SCALE | {"kinds": {SourceKind.PICTURE}},
+    )
+    encoding: Encoding = option(
+        "gray",
+        "How the pixels are heights: by their gray, or by their color as tiles of Mapbox or Terrarium.",
+        rare=True,
+        **_SCALE | {"kinds": {SourceKind.PICTURE}},
+    )
+    grayscale: bool = option(False, "Turn a color picture into gray.", **_GRAY)
+    invert: bool = option(False, "Black is high, white is low.", title="color inverse", **_GRAY)
+    crop: tuple[int, int, int, int] | None = option(
+        None,
+        "Keep only this rectangle of the picture, pixels.",
+        metavar="X,Y,W,H",
+        check=_crop,
+        **_RARE_FILTER,
+    )
+    resize: tuple[int, int] | None = option(
+        None, "Resample to so many pixels; the meters stay.", metavar="W,H", check=_resize, **_RARE_FILTER
+    )
+    deterrace: bool = option(
+        False,
+        "Remove the stairs of 8 bits: the smoothest surface within half a gray level of every pixel.",
+        **_RARE_FILTER,
+    )
+    denoise: Literal["median", "bilateral"] | None = option(
+        None, "Filter noise out of the picture: single wrong pixels, or noise beside edges.", **_RARE_FILTER
+    )
+    smoothing: float | None = option(
+        None,
+        "Gaussian blur of this standard deviation.",
+        slider=Slider(low=0.0, high=20.0, step=0.1, neutral=0.0),
+        metavar="SIGMA_PX",
+        check=positive,
+        **_FILTER,
+    )
+    sharpness: float | None = option(
+        None,
+        "Unsharp mask of this amount, after smoothing.",
+        slider=Slider(low=0.0, high=5.0, step=0.1, neutral=0.0),
+        metavar="AMOUNT",
+        check=positive,
+        **_FILTER,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapOptions(Options):
+    """Options of a laser map; `resolution` also applies to pictures, meshes and clouds."""
+
+    resolution: float | None = option(
+        None,
+        "Meters a pixel of a picture, a cell of a map picture without YAML or of a log's map, or a cell of "
+        "the heights of a mesh or cloud.",
+        check=positive,
+        **_MAP | {"kinds": {*_MESHES, SourceKind.MAP_PICTURE, SourceKind.CLOUD}},
+    )
+    wall_height: float = option(
+        2.5, "Height of walls, meters.", title="wall height [m]", check=positive, **_MAP
+    )
+    unknown: Unknown = option(
+        "floor", "Kind of unknown cells; a hole goes through the floor.", rare=True, **_MAP
+    )
+    speckle: int = option(
+        0, "Drop walls of fewer connected cells.", check=within("[0, inf)", "cells"), rare=True, **_MAP
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class CloudOptions(Options):
+    """Options of a point cloud."""
+
+    cloud_surface: CloudSurface = option(
+        "ground",
+        "Which surface of a point cloud is the terrain: the bare ground, or the top of all that is on it.",
+        **_CLOUD,
+    )
+    ground_slope: float | None = option(
+        None,
+        "Steepest ground of a point cloud, rise over run; steeper points are objects on it. "
+        "Default: 0.15, and in mountains their own slope.",
+        metavar="RISE/RUN",
+        check=positive,
+        **_CLOUD,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshOptions(Options):
+    """Options of a mesh."""
+
+    up: Literal["y", "z"] | None = option(
+        None,
+        "Axis of a mesh file that points up; default: the file's, else z.",
+        panel="Meshes",
+        kinds={SourceKind.MESH},
+    )
+
+
+@documented
+@dataclass(frozen=True, kw_only=True)
+class BuildOptions(ExportOptions, MeshOptions, CloudOptions, MapOptions, PictureOptions, CommonOptions):
+    """Options of building a world; None means the source's own value, else the default.
+
+    Lengths are meters in the world's frame, angles of poses radians, a crop is column, row, width and height.
+
+    Raises:
+        ConfigError: a value is not legal, or two options contradict.
+    """
+
+
+def without_effect(options: BuildOptions, kind: SourceKind) -> list[str]:
+    """Return the names of given options that have no effect on a kind of source."""
+    given = changed(options)
+    return [
+        name
+        for name, found in declared(type(options)).items()
+        if name in given and found.kinds is not None and kind not in found.kinds
+    ]
+
 
 LONGEST_NAME = 200
 """Limit of a name, characters: file systems allow 255, and a world's files have endings of up to 40."""

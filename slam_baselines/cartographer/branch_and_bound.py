@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import ByteArray, FloatArray, njit
 from slam_baselines.occupancy_map import FULL, GrowingGrid
 
 

@@ -26,8 +26,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from slam_baselines.cartographer.config import OptimizationConfig
 from slam_baselines.linalg import invert3, relative_poses, wrap
 

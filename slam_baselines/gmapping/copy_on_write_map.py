@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray
+from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.geometry import OccupancyGrid, Pose2
-from lirs_wct.kernels import njit
 from slam_baselines.gmapping.patches import (
     ABSENT,
     BITS,

@@ -17,10 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, njit
 from lirs_wct.checks import Checked, limited, require_within
 from lirs_wct.geometry import Pose2
-from lirs_wct.kernels import njit
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps, PatchMapView
 from slam_baselines.gmapping.scan_matching import (
     ALWAYS,

@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from slam_baselines.gmapping.patches import ABSENT, BITS, MASK, MEAN_STEPS
 from slam_baselines.linalg import pose_difference, solve3
 from slam_baselines.occupancy_map import UNKNOWN

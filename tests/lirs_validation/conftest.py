@@ -13,7 +13,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment import run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.geometry import Pose2
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,8 +14,7 @@ from hypothesis import given, strategies as st
 from lirs_wct import files
 from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.files import MANIFEST, atomic_folder, atomic_write, check_writable, remove_orphans, staged_files
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, find_source
 
 
 def listing(folder: Path) -> list[str]:

@@ -19,8 +19,7 @@ from lirs_envs.robot_model import CENTER_SENSOR, CONTACT_SENSOR, SETTLING_TIME, 
 from lirs_envs.robots.body_state import BodyState
 from lirs_envs.robots.robot import Robot
 from lirs_wct import Pose3
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit
 
 
 class Bodies:

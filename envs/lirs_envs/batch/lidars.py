@@ -16,9 +16,8 @@ from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
 from lirs_envs.lidar.terrain_rays import TerrainMipmap
 from lirs_envs.robots.body_state import BodyState
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
 from lirs_wct.geometry import LaserScan, Pose3
-from lirs_wct.kernels import njit
 
 
 class Lidars:

@@ -25,9 +25,8 @@ from lirs_envs.tasks.site import make_site
 from lirs_envs.tasks.task import DRAWS, Stage, Task
 from lirs_envs.tasks.traverse import MIXED, CourseScale, TraverseTask, course_scale
 from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.checks import within
-from lirs_wct.kernels import njit
 
 TASKS: dict[str, type[Task]] = {
     "mapping": MappingTask,

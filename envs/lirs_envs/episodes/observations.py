@@ -13,9 +13,8 @@ from gymnasium import spaces
 
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.tasks.task import Stage, Task
-from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, njit
 from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.kernels import njit
 
 MAP_CELLS = 64
 """Cells along a side of the seen map, of 0.25 m each."""

@@ -15,8 +15,7 @@ import numpy as np
 import lirs_wct
 from lirs_wct import SourceError, World, build_world
 from lirs_wct.formats.map_server import read_metadata
-from lirs_wct.sources.options import BuildOptions, SourceKind
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, SourceKind, find_source
 
 FOLDER_VARIABLE = "LIRS_WCT_CACHE"
 """Environment variable with the folder of built worlds; empty = none is kept on disk."""

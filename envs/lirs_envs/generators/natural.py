@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping
 import cv2
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import FloatArray, njit
 
 NODES = 257
 """Nodes along each side of a generated terrain."""

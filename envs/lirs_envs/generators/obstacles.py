@@ -16,8 +16,7 @@ import numpy as np
 
 from lirs_envs.generators.natural import NODES, with_rocks
 from lirs_envs.generators.route import ENDS, HALF
-from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import FloatArray, IntArray, njit
 
 GENTLE = math.tan(math.radians(12))
 """Steepest slope of gentle ground, as a tangent."""

@@ -12,8 +12,7 @@ from lirs_envs.lidar.presets import LidarNoise, LidarPreset, draw_noise, lidar_n
 from lirs_envs.lidar.ray_casting import Caster
 from lirs_envs.lidar.reflection import intensities
 from lirs_wct import ConfigError, LaserScan, PointCloud, Pose3, SimulationError
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, njit
 
 
 @dataclass(frozen=True, slots=True)

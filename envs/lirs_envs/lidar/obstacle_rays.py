@@ -13,9 +13,8 @@ import numpy as np
 
 from lirs_envs.lidar.terrain_rays import FAR, clip, inverse
 from lirs_envs.walkers import HALF_LENGTH, RADIUS
-from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
+from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, njit
 from lirs_wct.geometry.walls import WallGrid
-from lirs_wct.kernels import njit
 
 BLOCK = 16
 """Number of neighboring rays tested together: they mostly miss a walker together."""

@@ -42,9 +42,8 @@ from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, te
 from lirs_envs.props import PROP_GROUP
 from lirs_envs.walkers import WALKER_GROUP, Walkers
 from lirs_wct import ConfigError, HeightField, TriangleMesh, WallGrid, World, unknown_name
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, njit
 from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP
-from lirs_wct.kernels import njit
 
 SLACK = 1e-4
 """Meters added to Embree's largest range: single precision at a kilometer."""

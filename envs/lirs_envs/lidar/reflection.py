@@ -8,8 +8,7 @@ import numpy as np
 
 from lirs_envs.lidar.obstacle_rays import WallCells
 from lirs_envs.lidar.terrain_rays import EDGE, LEAF, ROW, TerrainMipmap
-from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import Float32Array, FloatArray, njit
 
 GROUND, WALL, PROP, WALKER = 0.25, 0.4, 0.5, 0.6
 """Assumed diffuse reflectivities near 905 nm: dry soil, concrete, painted boxes, clothes."""

@@ -29,8 +29,7 @@ from lirs_envs.lidar.presets import (
 )
 from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, side_ranges, terrain_ranges
 from lirs_wct import ConfigError, HeightField, SimulationError, unknown_name
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit
 
 
 class FieldGeom(NamedTuple):

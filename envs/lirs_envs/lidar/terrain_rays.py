@@ -21,9 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.kernels import njit
 
 LEAF = 3
 """Level of the blocks, which hold 2^LEAF x 2^LEAF cells."""

@@ -11,10 +11,9 @@ import numpy as np
 from lirs_envs.robots.body_state import BodyState
 from lirs_envs.robots.flight import QuadrotorController
 from lirs_envs.robots.robot import Robot, Twist, Waypoint
-from lirs_wct.arrays import FloatArray, IntArray, RecordArray
+from lirs_wct.arrays import FloatArray, IntArray, RecordArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.kernels import njit
 
 
 @dataclass(frozen=True, kw_only=True)

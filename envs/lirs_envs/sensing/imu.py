@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.arrays import FloatArray, IntArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu
-from lirs_wct.kernels import njit
 
 RATE_BLOCK = 256
 """Readings of the gyro whose noise is drawn at once."""

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import ImuReadings
-from lirs_wct.kernels import njit
 
 RATE = 200.0
 """Aimed number of readings a second; one covers a whole number of physics steps."""

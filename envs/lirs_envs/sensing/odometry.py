@@ -9,9 +9,8 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from lirs_wct import Pose2, Pose3
-from lirs_wct.arrays import FloatArray, IntArray, Vector3
+from lirs_wct.arrays import FloatArray, IntArray, Vector3, njit
 from lirs_wct.checks import Checked, check_field, limited, one_of
-from lirs_wct.kernels import njit
 
 Method = Literal["gyro", "ekf"]
 METHODS: tuple[Method, ...] = get_args(Method)

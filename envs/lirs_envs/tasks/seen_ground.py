@@ -9,8 +9,7 @@ import numpy as np
 from lirs_envs.lidar.lidar import transform_rays
 from lirs_envs.lidar.terrain_rays import FAR, FUSED, inverse
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame
-from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, njit
 
 DONE = np.float32(-np.inf)
 """Ceiling of a cell that no beam passes below: it has no ground or was already seen."""

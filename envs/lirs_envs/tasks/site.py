@@ -11,8 +11,7 @@ import numpy as np
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct import HeightField, OccupancyGrid, Pose2, SimulationError, World
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray, njit
 
 SEEN_CELL = 0.25
 """Edge of a cell of the ground that is to be seen, meters."""

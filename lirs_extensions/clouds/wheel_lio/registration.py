@@ -24,8 +24,7 @@ from lirs_extensions.clouds.wheel_lio.voxel_map import (
     is_behind,
     voxel_key,
 )
-from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import BoolArray, FloatArray, njit
 
 STEPS = 15
 """Largest number of Gauss-Newton steps."""

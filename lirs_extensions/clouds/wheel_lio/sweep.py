@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_extensions.clouds.wheel_lio.voxel_map import EMPTY, find_slot, voxel_key
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import FloatArray, njit
 from lirs_wct.geometry import PointCloud
-from lirs_wct.kernels import njit
 
 INSIDE = 3
 """Points of a surface beside its end."""

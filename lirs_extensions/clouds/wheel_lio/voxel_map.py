@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import FloatArray, IntArray, njit
 
 LEVELS = 3
 """Sizes of voxels; the edge of each is twice that of the one before."""

@@ -14,9 +14,8 @@ import numpy as np
 from lirs_extensions.originals.cartographer.config import ConstraintBuilderConfig
 from lirs_extensions.originals.cartographer.probability_grid import COST, MAX_COST, MIN_COST, ProbabilityGrid
 from lirs_extensions.originals.cartographer.scan_matching import match_scan, rotated_cells, shifted_pose
-from lirs_wct.arrays import ByteArray, Float32Array
+from lirs_wct.arrays import ByteArray, Float32Array, njit
 from lirs_wct.geometry import Pose2
-from lirs_wct.kernels import njit
 
 MAX_BOUND = 255
 """Bound that stands for the largest probability of a cell; 0 is the smallest, as of unknown cells."""

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_extensions.originals.cartographer.range_data import RangeData, round_half_away
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
 
 CellArray = NDArray[np.uint16]
 

@@ -15,9 +15,8 @@ from lirs_extensions.originals.cartographer.config import (
     AdaptiveVoxelFilterConfig,
     CartographerOriginalConfig,
 )
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
 from lirs_wct.geometry import LaserScan, Pose2
-from lirs_wct.kernels import njit
 
 UNSPLIT = 16
 """Elements that the sort of the C++ library does not split."""

@@ -11,9 +11,8 @@ import numpy as np
 from lirs_extensions.originals.cartographer.config import CeresMatcherConfig, OnlineSearchConfig
 from lirs_extensions.originals.cartographer.probability_grid import COST, ProbabilityGrid
 from lirs_extensions.originals.cartographer.trust_region import NormalEquations, minimize
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
 from lirs_wct.geometry import Pose2, wrap_angle
-from lirs_wct.kernels import njit
 
 
 def match_scan(

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, Int32Array, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import FloatArray, Int32Array, IntArray, njit
 from slam_baselines.gmapping.patches import ABSENT, BITS, CELLS, MASK, HitPatches, PatchTables
 
 

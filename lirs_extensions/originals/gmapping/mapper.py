@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_extensions.originals.gmapping.hit_maps import HitMaps, MatchingParameters, match_scan
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
-from lirs_wct.kernels import njit
 from slam_baselines.front_end import KeyframeTrajectory, PlanarMapper
 from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.linalg import compose_poses

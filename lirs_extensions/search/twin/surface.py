@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2
-from lirs_wct.kernels import njit
 from lirs_wct.sources.laser_map import level_floor, walls_of
 from slam_baselines.map_builder import KnownPoseMapper
 

@@ -16,7 +16,7 @@ from lirs_validation.config import DRIVABLE, RunConfig
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import WctError
 from lirs_wct.option import Options, option
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict

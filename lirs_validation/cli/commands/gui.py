@@ -35,8 +35,7 @@ def gui(options: GuiOptions) -> None:
     if find_spec("viser") is None:
         raise ConfigError("the live page needs viser: pip install '.[gui]'")
     from lirs_validation.gui.server import Server
-    from lirs_wct.sources.options import BuildOptions
-    from lirs_wct.sources.source import find_source
+    from lirs_wct.sources.source import BuildOptions, find_source
 
     if options.source is not None:
         find_source(options.source, BuildOptions())

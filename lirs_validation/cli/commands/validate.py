@@ -16,7 +16,7 @@ from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, ru
 from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError, OutputError, SourceError
 from lirs_wct.option import Options, option
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_validation.record.verdict import Verdict

@@ -13,7 +13,7 @@ from lirs_validation.cli.sources import OneSource, map_logs
 from lirs_validation.map_config import LogOptions
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
 from lirs_wct.option import Options, argument, option
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 MESHES = {"dae", "stl", "obj", "glb", "usd"}
 """Mesh formats of `--to`."""

@@ -19,10 +19,9 @@ from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.build import build_world, warn_of_result
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
-from lirs_wct.sources.options import BuildOptions, SourceKind
 from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.point_cloud import read_point_cloud
-from lirs_wct.sources.source import Source, find_source
+from lirs_wct.sources.source import BuildOptions, Source, SourceKind, find_source
 from lirs_wct.world import World
 
 Facts = tuple[tuple[str, str], ...]

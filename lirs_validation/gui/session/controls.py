@@ -13,7 +13,7 @@ from lirs_validation.config import PRETRAINED, RunConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.option import Option, Options, declared
-from lirs_wct.sources.options import BuildOptions, SourceKind
+from lirs_wct.sources.source import BuildOptions, SourceKind
 
 DEFAULT = "not given"
 """Stands for "not given" among choices."""

@@ -17,7 +17,7 @@ from lirs_validation.gui.view.page_context import Guard
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options
 from lirs_wct.progress import Progress
-from lirs_wct.sources.options import SourceKind
+from lirs_wct.sources.source import SourceKind
 
 PATIENCE = 0.4
 """Seconds before a bar appears; shorter work shows none."""

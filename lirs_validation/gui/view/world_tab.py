@@ -15,8 +15,7 @@ from lirs_validation.gui.view.widgets import OptionControls, ProgressLine, add_d
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.package import DEFAULT_FORMATS, FORMATS, GazeboTerrain
 from lirs_wct.sources.bundled import RECIPES
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, find_source
 
 FIRST = (
     *("size", "height", "invert", "smoothing", "z_scale", "wall_height", "unknown", "speckle"),

@@ -10,11 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct.arrays import Float32Array, FloatArray, njit
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.document import Document, numbers
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.kernels import njit
 from lirs_wct.progress import Progress, no_progress, track
 
 _CHUNK = 1 << 14

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_wct.arrays import ByteArray, FloatArray, IntArray
-from lirs_wct.kernels import njit
+from lirs_wct.arrays import ByteArray, FloatArray, IntArray, njit
 
 _LONGEST = 22
 """Characters of a sign, 19 digits, a point and a separator."""

@@ -18,7 +18,7 @@ from lirs_validation.report.run_tables import results_table
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from tests.command_line import run_command
 from tests.lirs_validation.records import WITH_RESULTS, record, saved, saved_whole
 

@@ -19,7 +19,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry.pose import Pose2, Trajectory
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from tests.command_line import run_command
 from tests.kit import refused
 

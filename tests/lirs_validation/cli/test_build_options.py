@@ -15,7 +15,7 @@ from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.option import option, positive
-from lirs_wct.sources.options import BuildOptions, SourceKind, without_effect
+from lirs_wct.sources.source import BuildOptions, SourceKind, without_effect
 
 
 @dataclass(frozen=True, kw_only=True)

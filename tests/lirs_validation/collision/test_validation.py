@@ -26,7 +26,7 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import World
 
 Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -24,7 +24,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
 from lirs_wct.navigation import FOOTPRINTS
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import World
 
 

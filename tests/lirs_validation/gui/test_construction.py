@@ -17,7 +17,7 @@ from lirs_validation.gui.session.glb import world_glb
 from lirs_validation.gui.session.uploads import Uploads
 from lirs_wct import build_world, write_package
 from lirs_wct.errors import ConfigError, WctError
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 NODES = 65
 

@@ -8,7 +8,7 @@ import pytest
 from lirs_validation.gui.session.controls import controls, read_controls
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.options import BuildOptions, SourceKind
+from lirs_wct.sources.source import BuildOptions, SourceKind
 
 
 def test_every_option_has_one_control() -> None:

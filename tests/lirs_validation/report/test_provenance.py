@@ -13,7 +13,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.report.provenance import command_of
 from lirs_validation.sweep.suites import cross
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation import mapped_area, spawn_poses
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 
 
 def ring(origin: Pose2, inner: float = 8.0, outer: float = 10.0) -> OccupancyGrid:

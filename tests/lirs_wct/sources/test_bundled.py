@@ -11,9 +11,8 @@ from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import PIXELS, RECIPES, SIZE, BundledPicture, bundled_picture
-from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, find_source
 
 CELL = SIZE / (PIXELS - 1)
 CLAIMS = {"simple": (4.0, 0.5, 1), "medium": (10.0, 2.0, 2), "advanced": (18.0, 5.0, 4)}

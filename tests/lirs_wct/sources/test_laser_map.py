@@ -16,8 +16,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid, merged_rectangles
 from lirs_wct.meshing.solid import SLAB, wall_mesh
 from lirs_wct.sources.laser_map import level_floor, read_laser_map, walls_of, without_small_walls
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, find_source
 
 
 def test_unknown_cells_are_floor_wall_or_hole() -> None:

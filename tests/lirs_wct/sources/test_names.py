@@ -13,8 +13,7 @@ from lirs_wct.errors import SourceError
 from lirs_wct.export.package import write_package
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, find_source
 
 
 @pytest.mark.parametrize(

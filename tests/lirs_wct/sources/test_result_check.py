@@ -15,7 +15,7 @@ from lirs_wct.ground import Ground, LaserMap, Terrain
 from lirs_wct.option import declared
 from lirs_wct.sources.build import unusual_figures
 from lirs_wct.sources.laser_map import level_floor, walls_of
-from lirs_wct.sources.options import SourceKind
+from lirs_wct.sources.source import SourceKind
 
 WAVES = np.add.outer(np.sin(np.arange(40) / 5), np.cos(np.arange(60) / 7)).astype(np.float32)
 

@@ -13,7 +13,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.images.elevation import decode, read_raster
 from lirs_wct.geometry.geodesy import Georeference
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from tests.kit import read_heights, refused
 
 HEADER = "ncols 4\nNROWS 3\nxllcorner 500000\nyllcorner 4000000\ncellsize 10\nNODATA_value -1\n"

@@ -8,8 +8,8 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import resample
-from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import denoise, sharpen, smooth
+from lirs_wct.sources.source import BuildOptions
 from tests.kit import read_heights as read
 
 RAMP = np.tile(np.arange(40, dtype=np.float32), (30, 1))

@@ -11,8 +11,8 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import dequantize, looks_like_map, warn_nodata_border
+from lirs_wct.sources.source import BuildOptions
 from tests.kit import read_heights
 
 HEADER = "ncols 3\nnrows 2\nxllcorner 0\nyllcorner 0\ncellsize 1\n"

@@ -16,9 +16,8 @@ from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import BundledPicture
-from lirs_wct.sources.options import BuildOptions
 from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.source import find_source
+from lirs_wct.sources.source import BuildOptions, find_source
 from tests.kit import read_heights as read, refused
 
 RAMP = np.arange(12, dtype=np.uint16).reshape(3, 4)

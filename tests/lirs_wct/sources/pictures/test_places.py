@@ -16,7 +16,7 @@ from lirs_validation.gui.session.construction import built_facts
 from lirs_wct import World, write_package
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.options import BuildOptions
+from lirs_wct.sources.source import BuildOptions
 from tests.lirs_wct.formats.elevation.gdal_rasters import write_raster
 
 CELL, WEST, NORTH = 10.0, -8_238_310.0, 4_970_072.0
