@@ -1,8 +1,5 @@
 """Accidents are never cheaper than collisions, contact has a limit, and weights are options."""
 
-import re
-from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -168,10 +165,3 @@ def test_weights_are_plain_options(plane: World) -> None:
 def test_bad_weights_get_one_line(weights: Any, message: str) -> None:
     with refused(words=message, kind=ConfigError):
         RobotEnv("traverse", rewards=weights)
-
-
-def test_the_reference_has_the_defaults() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "reference" / "environments.md").read_text()
-    table = page.partition("## Rewards")[2].partition("\n## ")[0]
-    rows = re.findall(r"^\| `(\w+)` \| (-?[\d.]+) \|", table, re.MULTILINE)
-    assert {name: float(value) for name, value in rows} == asdict(Rewards())
