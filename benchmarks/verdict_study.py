@@ -34,10 +34,10 @@ from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.generators.terrain import generate
 from lirs_envs.robots.robot import make_robot
+from lirs_extensions.decide import forecast
+from lirs_extensions.decide.decide import P0, P1, SequentialTest
+from lirs_extensions.decide.forecast import FEATURES, LogisticModel, SiteFeatures, site_features
 from lirs_validation.config import RunConfig
-from lirs_validation.decision import forecast
-from lirs_validation.decision.forecast import FEATURES, LogisticModel, SiteFeatures, site_features
-from lirs_validation.decision.trials import P0, P1, SequentialTest
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_wct import MapperError, WctError

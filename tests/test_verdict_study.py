@@ -14,7 +14,7 @@ study = load_benchmark("verdict_study")
 
 
 def test_the_stored_models_are_fitted_to_the_stored_drives() -> None:
-    stored = json.loads(files("lirs_validation.decision").joinpath("forecast.json").read_text())
+    stored = json.loads(files("lirs_extensions.decide").joinpath("forecast.json").read_text())
     fitted = study.fit_models(study.Tables())
     assert fitted["features"] == stored["features"]
     assert set(fitted["methods"]) == set(stored["methods"]) == set(study.METHODS)

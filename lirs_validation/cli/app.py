@@ -27,7 +27,7 @@ DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 LONGEST = 900
 """Characters of an error message, at most; of longer ones the middle is omitted."""
 COMMANDS: Mapping[str, str] = {
-    "verdict": "lirs_validation.cli.commands.verdict:verdict",
+    "verdict": "lirs_extensions.decide.command:verdict",
     "validate": "lirs_validation.cli.commands.validate:validate",
     "map": "lirs_validation.cli.commands.map:map_log",
     "falsify": "lirs_extensions.search.commands:falsify",

@@ -6,7 +6,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from threading import Timer
 from typing import TYPE_CHECKING
@@ -158,7 +158,7 @@ def progress_bar(work: str, console: Console) -> Iterator[Progress]:
         yield progress
 
 
-def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Iterator[Outcome]:
+def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Generator[Outcome]:
     """Run a sweep's experiments under a bar with the time left for all of them.
 
     Raises:

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.metrics.near_obstacles import near_obstacle
 from lirs_wct import LaserScan, Pose2, Pose3, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray
 
 POSES = 300
 """Places at which a scan is cast."""
@@ -79,11 +79,8 @@ def scan_support(world: World, robot: Robot, *, seed: int = 0) -> ScanSupport:
     hits: list[FloatArray] = []
     for pose in poses:
         laser = standing_on(world, robot, pose) @ robot.T_base_laser
-        directions = np.ascontiguousarray(preset.directions @ laser.rotation.T)
-        ranges = caster.ranges(laser.position, directions, preset.range_max)
-        hit = (ranges >= preset.range_min) & (ranges < preset.range_max)
-        points = laser.position + ranges[hit, None] * directions[hit]
-        hits.append(points[:, :2])
+        points, hit = cast_beams(caster, preset, laser, preset.directions)
+        hits.append(laser.position[:2] + points[hit, :2])
     if not hits:
         return ScanSupport(robot=robot.name, beams=preset.beams, poses=0)
     wall, ground = count_hits(world, hits)
@@ -97,6 +94,19 @@ def scan_support(world: World, robot: Robot, *, seed: int = 0) -> ScanSupport:
         ground_p10=float(np.percentile(ground, 10)),
         wall_share=float(wall.sum() / max(1.0, wall.sum() + ground.sum())),
     )
+
+
+def cast_beams(
+    caster: Caster, preset: LidarPreset, laser: Pose3, directions: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return end points (n, 3) of beams relative to the sensor, and which hit.
+
+    Axes are those of the world; the points of the others are NaN.
+    """
+    turned = np.ascontiguousarray(directions @ laser.rotation.T)
+    ranges = caster.ranges(laser.position, turned, preset.range_max)
+    hit = (ranges >= preset.range_min) & (ranges < preset.range_max)
+    return np.where(hit, ranges, np.nan)[:, None] * turned, hit
 
 
 def count_hits(world: World, hits: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.stats import binomtest
 
-from lirs_validation.decision.trials import P0, P1, SequentialTest
+from lirs_extensions.decide.decide import P0, P1, SequentialTest
 
 
 def outcome_of_stream(share: float, rng: np.random.Generator) -> tuple[str, int]:

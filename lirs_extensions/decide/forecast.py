@@ -16,27 +16,27 @@ from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import plan_tour
-from lirs_validation.metrics.scan_support import count_hits, standing_on
-from lirs_wct import Pose2, Pose3, World
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_validation.metrics.scan_support import cast_beams, count_hits, standing_on
+from lirs_wct import Pose2, World
+from lirs_wct.arrays import FloatArray
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS
 
 TOURS = 3
 """Tours along which scans are cast, each from another start."""
 SPACING = 0.5
 """Meters between scans of a tour."""
-MOST_SCANS = 120
+MAX_SCANS = 120
 """Largest number of scans of a tour."""
-NEIGHBORS = 0.5
+NEIGHBOR_GAP = 0.5
 """Largest gap between neighboring hits of one surface, meters."""
-EVERY_COLUMN, WIDE = 10, 1.0
+COLUMN_STEP, COLUMN_GAP = 10, 1.0
 """Columns of a ring lidar of which one is cast, and the largest gap between its neighboring hits, meters."""
-LEAST_SHARE = 0.01
+MIN_SHARE = 0.01
 """Share of a scan's beams on walls below which it is taken for this."""
-LEAST_INFORMATION = 1e-4
+MIN_INFORMATION = 1e-4
 """Information per beam below which a scan tells nothing."""
-REVISIT, AFTER = 1.0, 10.0
-"""A tour revisits a place if it comes within REVISIT meters of it after AFTER meters of driving."""
+REVISIT_RADIUS, REVISIT_PATH = 1.0, 10.0
+"""A tour revisits a place if it comes within this radius of it after this path, meters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,13 +44,13 @@ class SiteFeatures:
     """Features of a site: shares of a scan's beams, and quantiles over the scans.
 
     Attributes:
-        walls: median share of hits on walls.
-        walls_low: 10th percentile of that share.
-        ground: median share of hits on ground, which looks like walls to a planar mapper.
+        walls: Median share of hits on walls.
+        walls_low: 10th percentile of the share of hits on walls.
+        ground: Median share of hits on ground, which looks like walls to a planar mapper.
         position_information: 10th percentile of the logarithm (base 10) of the least information in x and y
             (see `scan_information`).
-        yaw_information: the same of the information in yaw.
-        loops: share of the path that revisits places.
+        yaw_information: 10th percentile of the logarithm of the information in yaw.
+        loops: Share of the path that revisits places.
     """
 
     walls: float
@@ -63,7 +63,7 @@ class SiteFeatures:
     @property
     def vector(self) -> FloatArray:
         """(6,) features in the order of FEATURES; the first two as logarithms, since few walls are enough."""
-        shares = np.maximum((self.walls, self.walls_low), LEAST_SHARE)
+        shares = np.maximum((self.walls, self.walls_low), MIN_SHARE)
         return np.array((*np.log10(shares), *astuple(self)[2:]))
 
 
@@ -99,7 +99,7 @@ def _poses(path: FloatArray) -> list[Pose2]:
     """Return poses along a path, SPACING meters apart, facing ahead."""
     steps = np.hypot(*np.diff(path, axis=0).T)
     along = np.concatenate(([0.0], np.cumsum(steps)))
-    at = np.linspace(0.0, along[-1], min(MOST_SCANS, 2 + int(along[-1] / SPACING)))
+    at = np.linspace(0.0, along[-1], min(MAX_SCANS, 2 + int(along[-1] / SPACING)))
     x, y = np.interp(at, along, path[:, 0]), np.interp(at, along, path[:, 1])
     yaw = np.arctan2(np.gradient(y), np.gradient(x))
     return [Pose2(*values) for values in np.column_stack((x, y, yaw)).tolist()]
@@ -110,26 +110,13 @@ def _look_around(
 ) -> tuple[FloatArray, tuple[float, float]]:
     """Return a scan's hits (n, 2) in the world frame, and its information in position and yaw."""
     laser = standing_on(world, robot, pose) @ robot.T_base_laser
-    points, hit = _cast(caster, preset, laser, preset.directions)
+    points, hit = cast_beams(caster, preset, laser, preset.directions)
     met = points[hit][:, :2]
     if preset.rings == 1:
         return met + laser.position[:2], scan_information(met, preset.beams)
-    columns = preset.all_directions.reshape(preset.rings, preset.beams, 3)[:, ::EVERY_COLUMN]
-    cloud, _ = _cast(caster, preset, laser, columns.reshape(-1, 3))
+    columns = preset.all_directions.reshape(preset.rings, preset.beams, 3)[:, ::COLUMN_STEP]
+    cloud, _ = cast_beams(caster, preset, laser, columns.reshape(-1, 3))
     return met + laser.position[:2], cloud_information(cloud.reshape(columns.shape))
-
-
-def _cast(
-    caster: Caster, preset: LidarPreset, laser: Pose3, directions: FloatArray
-) -> tuple[FloatArray, BoolArray]:
-    """Return end points (n, 3) of beams relative to the sensor, and which hit.
-
-    Axes are those of the world; the points of the others are NaN.
-    """
-    turned = np.ascontiguousarray(directions @ laser.rotation.T)
-    ranges = caster.ranges(laser.position, turned, preset.range_max)
-    hit = (ranges >= preset.range_min) & (ranges < preset.range_max)
-    return np.where(hit, ranges, np.nan)[:, None] * turned, hit
 
 
 def scan_information(points: FloatArray, beams: int) -> tuple[float, float]:
@@ -141,11 +128,11 @@ def scan_information(points: FloatArray, beams: int) -> tuple[float, float]:
 
     Args:
         points: (n, 2) hits in the order of the beams, relative to the sensor, meters.
-        beams: in a scan.
+        beams: Beams in a scan.
     """
     along = np.diff(points, axis=0)
     length = np.hypot(*along.T)
-    joined = (length > 0) & (length < NEIGHBORS)
+    joined = (length > 0) & (length < NEIGHBOR_GAP)
     normals = np.column_stack((-along[joined, 1], along[joined, 0])) / length[joined, None]
     middle = (points[:-1][joined] + points[1:][joined]) / 2
     J = np.column_stack((normals, middle[:, 0] * normals[:, 1] - middle[:, 1] * normals[:, 0]))
@@ -164,7 +151,11 @@ def cloud_information(cloud: FloatArray) -> tuple[float, float]:
     normals = np.cross(aside, above)
     area = np.linalg.norm(normals, axis=2)
     with np.errstate(invalid="ignore"):
-        joined = (area > 0) & (np.linalg.norm(aside, axis=2) < WIDE) & (np.linalg.norm(above, axis=2) < WIDE)
+        joined = (
+            (area > 0)
+            & (np.linalg.norm(aside, axis=2) < COLUMN_GAP)
+            & (np.linalg.norm(above, axis=2) < COLUMN_GAP)
+        )
     n, p = normals[joined] / area[joined, None], (corner + (aside + above) / 2)[joined]
     turn = np.cross(p, n)
     kept, eliminated = np.column_stack((n[:, :2], turn[:, 2])), np.column_stack((n[:, 2], turn[:, :2]))
@@ -177,7 +168,7 @@ def _logarithms(A: Any) -> tuple[float, float]:
     """Return logarithms of the smallest information (3, 3) in x and y, and of that in yaw given these."""
     smallest = float(np.linalg.eigvalsh(A[:2, :2])[0])
     schur = float(A[2, 2] - A[2, :2] @ np.linalg.pinv(A[:2, :2]) @ A[:2, 2])
-    return math.log10(max(smallest, LEAST_INFORMATION)), math.log10(max(schur, LEAST_INFORMATION))
+    return math.log10(max(smallest, MIN_INFORMATION)), math.log10(max(schur, MIN_INFORMATION))
 
 
 def _loop_share(path: FloatArray) -> float:
@@ -188,8 +179,8 @@ def _loop_share(path: FloatArray) -> float:
     if not len(every):
         return 0.0
     points, at = path[every], along[every]
-    near = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) < REVISIT
-    earlier = at[None] < at[:, None] - AFTER
+    near = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) < REVISIT_RADIUS
+    earlier = at[None] < at[:, None] - REVISIT_PATH
     return float((near & earlier).any(axis=1).mean())
 
 
@@ -197,7 +188,7 @@ MODELS = "forecast.json"
 """File of the models in this package; `python benchmarks/verdict_study.py fit` writes it."""
 STUDIED = ("attitude", "driver", "odometry_noise", "actors", "scan_time")
 """Options that must have their defaults for a forecast."""
-LARGEST = 3.0
+MAX_FEATURE = 3.0
 """Largest standardized feature, either side: beyond the studied worlds, a forecast gets no bolder."""
 
 
@@ -206,9 +197,9 @@ class LogisticModel:
     """Logistic regression of the share of drives that work on standardized features.
 
     Attributes:
-        mean: (k,) of the features.
+        mean: (k,) means of the features.
         scale: (k,) standard deviations; 1 where a feature is constant.
-        weights: (k + 1,) of the standardized features, the last of the constant.
+        weights: (k + 1,) weights of the standardized features, the last one of the constant.
     """
 
     mean: FloatArray
@@ -216,8 +207,8 @@ class LogisticModel:
     weights: FloatArray
 
     def standardize(self, features: FloatArray) -> FloatArray:
-        """Return features (n, k) in standard deviations from the mean, at most LARGEST."""
-        return np.clip((features - self.mean) / self.scale, -LARGEST, LARGEST)
+        """Return features (n, k) in standard deviations from the mean, at most MAX_FEATURE."""
+        return np.clip((features - self.mean) / self.scale, -MAX_FEATURE, MAX_FEATURE)
 
     def probability(self, features: FloatArray) -> FloatArray:
         """Return (n,) probabilities of success of features (n, k)."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lirs_validation.cli.commands.verdict import read_duration
+from lirs_extensions.decide.command import read_duration
 from lirs_wct.errors import ConfigError
 
 EXAMPLES = Path(__file__).parents[3] / "examples"

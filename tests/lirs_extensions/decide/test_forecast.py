@@ -8,22 +8,22 @@ import pytest
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
-from lirs_validation.config import RunConfig
-from lirs_validation.decision.forecast import (
-    LEAST_INFORMATION,
+from lirs_extensions.decide.forecast import (
+    MIN_INFORMATION,
     LogisticModel,
     cloud_information,
     forecast,
     scan_information,
     site_features,
 )
+from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct import World
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 
-NOTHING = math.log10(LEAST_INFORMATION)
+NOTHING = math.log10(MIN_INFORMATION)
 CONFIG = RunConfig(source="simple", mapper="hector", seconds=30)
 ANGLES = np.radians(np.arange(-180.0, 180.0, 0.5))
 

@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from lirs_validation.decision.decide import Answer, method_name
-from lirs_validation.decision.trials import Trial
+from lirs_extensions.decide.decide import Answer, Trial
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.alignment import associated
 from lirs_validation.metrics.verdict import VerdictClass
@@ -56,9 +55,7 @@ COLUMNS = 3
 
 def methods_table(answers: Sequence[Answer]) -> ReportTable:
     """Return the decision on each method."""
-    rows = tuple(
-        (a.world, method_name(a.trial.config), _percent(a.trial.forecast), *_cells(a.trial)) for a in answers
-    )
+    rows = tuple((a.world, a.trial.name, _percent(a.trial.forecast), *_cells(a.trial)) for a in answers)
     headings = ("world", "method", "forecast", *HEADINGS)
     return ReportTable("methods", "Decision", CAPTION, headings, rows, 4, remarks=True)
 
@@ -66,7 +63,7 @@ def methods_table(answers: Sequence[Answer]) -> ReportTable:
 def changes_table(answers: Sequence[Answer]) -> ReportTable:
     """Return the decision on each changed run."""
     rows = tuple(
-        (answer.world, method_name(answer.trial.config), label, *_cells(trial))
+        (answer.world, answer.trial.name, label, *_cells(trial))
         for answer in answers
         for label, trial in answer.changed
     )
@@ -83,14 +80,13 @@ def drives_table(answers: Sequence[Answer]) -> ReportTable:
 
 def _cells(trial: Trial) -> tuple[str, ...]:
     test = trial.test
-    total = test.successes + test.failures
     low, high = test.interval
     kinds = Counter(drive.kind for drive in trial.drives)
     return (
         trial.decision,
-        f"{test.successes} of {total}",
+        f"{test.successes} of {test.total}",
         _percent(test.share),
-        f"{100 * low:.0f} to {100 * high:.0f} %" if total else NOTHING,
+        f"{100 * low:.0f} to {100 * high:.0f} %" if test.total else NOTHING,
         str(trial.unevaluated),
         ", ".join(f"{kind} {count}" for kind, count in kinds.most_common()),
     )
@@ -112,6 +108,7 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:
         path.write_bytes(picture)
     html = render(
         "decision.html.j2",
+        package=__package__,
         title="Verdict: " + ", ".join(dict.fromkeys(answer.world for answer in answers)),
         sentences=[answer.sentence for answer in answers],
         methods=methods_table(answers),
@@ -138,8 +135,7 @@ def decision_figure(answers: Sequence[Answer], out: Path) -> Drawing:
         canvas = Canvas.over(world.surface.bounds)
         map_axes(axes, canvas, shaded_heights(world, canvas))
         _draw_drives(axes, answer, out)
-        name = method_name(answer.trial.config)
-        title(axes, f"{name}: {answer.trial.decision}", above_legend=True)
+        title(axes, f"{answer.trial.name}: {answer.trial.decision}", above_legend=True)
     return figure
 
 

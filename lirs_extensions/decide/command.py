@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,16 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import common
-from lirs_validation.cli.progress import GATE_FAILED, err, out, run_with_progress
+from lirs_validation.cli.progress import GATE_FAILED, err, out
 from lirs_validation.cli.sources import World, map_logs, sources_argument
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_wct import ConfigError
 from lirs_wct.option import Options, option
 
 if TYPE_CHECKING:
-    from lirs_validation.decision.trials import Perform, Trial
-    from lirs_validation.sweep.experiment import Outcome
-    from lirs_validation.sweep.sweep import Sweep
+    from lirs_extensions.decide.decide import Trial
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -68,22 +65,15 @@ def verdict(
     Examples:
     lirs-wct verdict medium --robot jackal --mapper hector,gmapping --budget 10min -o verdict/
     """
-    from lirs_validation.decision.decide import decide
-    from lirs_validation.decision.page import changes_table, methods_table, write_decision
+    from lirs_extensions.decide.decide import decide
+    from lirs_extensions.decide.page import changes_table, methods_table, write_decision
     from lirs_validation.sweep.suites import cross
 
     if len(run.get("seed", ())) > 1:
         raise ConfigError(f"--seed is the first seed of the drives: one number, got {len(run['seed'])}")
     sources, build = map_logs(options.sources, build, options.output)
     configs = cross(sources, build=build, **run)
-    answers = decide(
-        configs,
-        options.output,
-        _performer(engine),
-        budget=options.budget,
-        report=_print_state,
-        retry_failed=engine.retry_failed,
-    )
+    answers = decide(configs, options.output, engine, budget=options.budget, report=_print_state)
     page = write_decision(options.output, answers, shlex.join(["lirs-wct", *sys.argv[1:]]))
     out.print(methods_table(answers))
     if any(answer.changed for answer in answers):
@@ -95,26 +85,14 @@ def verdict(
         raise Exit(GATE_FAILED)
 
 
-def _performer(engine: EngineOptions) -> Perform:
-    """Return the function that runs a sweep with the engine, under a bar of progress."""
-    from lirs_validation.sweep.sweep import make_executor
-
-    executor = make_executor(engine)
-
-    def perform(sweep: Sweep) -> Generator[Outcome]:
-        yield from run_with_progress(sweep, executor, err)
-
-    return perform
-
-
 def _print_state(trial: Trial) -> None:
-    """Print the forecast of a trial, or the verdict of its last drive and what it means for the decision."""
-    from lirs_validation.decision.decide import forecast_text
-
-    if not trial.drives:
-        err.print(forecast_text(trial), soft_wrap=True, highlight=False, markup=False)
-        return
-    drive, test = trial.drives[-1], trial.test
-    decided = "" if trial.decision == "undecided" else f": {trial.decision}"
-    counts = f"{test.successes} of {test.successes + test.failures} worked{decided}"
-    err.print(f"{drive.folder}: {drive.kind}; {counts}", soft_wrap=True, highlight=False, markup=False)
+    """Print the forecast of a trial, or the verdict of its last drive and its effect on the decision."""
+    if trial.drives:
+        drive, test = trial.drives[-1], trial.test
+        decided = "" if trial.decision == "undecided" else f": {trial.decision}"
+        text = f"{drive.folder}: {drive.kind}; {test.successes} of {test.total} worked{decided}"
+    elif trial.forecast is None:
+        text = f"forecast: none for {trial.name} (only for methods and sensors of the study)"
+    else:
+        text = f"forecast: {trial.name} works in {100 * trial.forecast:.0f} % of the drives"
+    err.print(text, soft_wrap=True, highlight=False, markup=False)

@@ -1,7 +1,6 @@
 """Decision: drives until decided, which count, what is tried then, and the files of the result."""
 
 import json
-from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,20 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_validation.config import RunConfig
-from lirs_validation.decision.decide import Answer, changes, decide
-from lirs_validation.decision.page import failure_place, write_decision
-from lirs_validation.decision.trials import Trial, TrialDrive
+from lirs_extensions.decide.decide import Answer, Trial, TrialDrive, changes, decide
+from lirs_extensions.decide.page import failure_place, write_decision
+from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
-from lirs_validation.sweep.engines import Serial
 from lirs_validation.sweep.experiment import Outcome, SlamExperiment
-from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry import Pose2, Trajectory
 from tests.lirs_validation.records import record, saved_whole
 
 CONFIG = RunConfig(source="simple", mapper="hector", seconds=20)
+ENGINE = EngineOptions()
 
 
 def path(drift: float) -> Trajectory:
@@ -31,10 +28,6 @@ def path(drift: float) -> Trajectory:
 
 
 PATH = path(0.0)
-
-
-def perform(sweep: Sweep) -> Generator[Outcome]:
-    yield from sweep.run(Serial())
 
 
 @pytest.fixture
@@ -58,7 +51,7 @@ def driven(room: str, monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
     scenario = build_scenario(RunConfig(source=room))
     scenario = replace(scenario, world=replace(scenario.world, name="simple"))
     monkeypatch.setattr(ScenarioCache, "scenario", lambda _, config: replace(scenario, config=config))
-    monkeypatch.setattr("lirs_validation.decision.decide.forecast", lambda *_: 0.7)
+    monkeypatch.setattr("lirs_extensions.decide.decide.forecast", lambda *_: 0.7)
     monkeypatch.setattr(SlamExperiment, "perform", perform)
     monkeypatch.setattr("lirs_validation.sweep.experiment.damaged_files", lambda *_: [])
     return configs
@@ -68,7 +61,7 @@ def test_drives_end_with_the_decision_and_then_changes_are_tried(
     driven: list[RunConfig], tmp_path: Path
 ) -> None:
     configs = [CONFIG, replace(CONFIG, mapper="hector_original")]
-    works, fails = decide(configs, tmp_path, perform, budget=60)
+    works, fails = decide(configs, tmp_path, ENGINE, budget=60)
     assert (works.trial.decision, len(works.trial.drives)) == ("works", 10)
     assert (fails.trial.decision, len(fails.trial.drives)) == ("does not work", 3)
     assert [drive.seed for drive in works.trial.drives] == list(range(1, 11))
@@ -86,22 +79,22 @@ def test_drives_end_with_the_decision_and_then_changes_are_tried(
 
 
 def test_finished_drives_are_kept(driven: list[RunConfig], tmp_path: Path) -> None:
-    first = decide([CONFIG], tmp_path, perform, budget=60)
+    first = decide([CONFIG], tmp_path, ENGINE, budget=60)
     count = len(driven)
-    assert decide([CONFIG], tmp_path, perform, budget=60) == first
+    assert decide([CONFIG], tmp_path, ENGINE, budget=60) == first
     assert len(driven) == count
 
 
 def test_failed_drives_are_repeated_on_request(
     driven: list[RunConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lirs_validation.decision.decide.changes", lambda *_, **__: ())
-    decide([CONFIG], tmp_path, perform, budget=60)
+    monkeypatch.setattr("lirs_extensions.decide.decide.changes", lambda *_, **__: {})
+    decide([CONFIG], tmp_path, ENGINE, budget=60)
     saved_whole(tmp_path, replace(record("simple", status="error"), config=replace(CONFIG, seed=2)))
     driven.clear()
-    (kept,) = decide([CONFIG], tmp_path, perform, budget=60)
+    (kept,) = decide([CONFIG], tmp_path, ENGINE, budget=60)
     assert [drive.kind for drive in kept.trial.drives].count("failed") == 1
-    (again,) = decide([CONFIG], tmp_path, perform, budget=60, retry_failed=True)
+    (again,) = decide([CONFIG], tmp_path, EngineOptions(retry_failed=True), budget=60)
     assert [drive.kind for drive in again.trial.drives] == 10 * ["works"]
     assert [config.seed for config in driven].count(2) == 1
 
@@ -110,13 +103,13 @@ def test_waypoints_are_checked_before_any_drive(driven: list[RunConfig], tmp_pat
     waypoints = tmp_path / "way.csv"
     waypoints.write_text("x,y\n0,0\n1000,0\n")
     with pytest.raises(WctError, match=r"way\.csv"):
-        decide([replace(CONFIG, driver=f"waypoints:{waypoints}")], tmp_path / "out", perform, budget=60)
+        decide([replace(CONFIG, driver=f"waypoints:{waypoints}")], tmp_path / "out", ENGINE, budget=60)
     assert not driven
     assert not (tmp_path / "out").exists()
 
 
 def test_without_time_nothing_is_decided(driven: list[RunConfig], tmp_path: Path) -> None:
-    (answer,) = decide([CONFIG], tmp_path, perform, budget=0)
+    (answer,) = decide([CONFIG], tmp_path, ENGINE, budget=0)
     assert not driven
     assert answer.trial.decision == "undecided"
     assert answer.sentence.startswith("hector on husky is undecided on simple: no drive was evaluated.")
@@ -126,7 +119,7 @@ def test_without_time_nothing_is_decided(driven: list[RunConfig], tmp_path: Path
 def test_a_terrain_that_the_robot_cannot_drive_ends_the_drives(
     driven: list[RunConfig], tmp_path: Path
 ) -> None:
-    (answer,) = decide([replace(CONFIG, seed=101)], tmp_path, perform, budget=60)
+    (answer,) = decide([replace(CONFIG, seed=101)], tmp_path, ENGINE, budget=60)
     assert (answer.trial.decision, len(answer.trial.drives), answer.changed) == ("cannot be driven", 10, ())
     assert answer.sentence == (
         "husky cannot drive simple: 10 of 10 drives were not evaluated; most often (10): it ended: tipped."
@@ -136,7 +129,7 @@ def test_a_terrain_that_the_robot_cannot_drive_ends_the_drives(
 def test_a_robot_without_room_is_refused_before_any_drive(hills: dict[str, Any], tmp_path: Path) -> None:
     tiny = replace(CONFIG, source=hills["source"], build=replace(CONFIG.build, size=1.0))
     with pytest.raises(ConfigError, match="husky"):
-        decide([tiny], tmp_path, perform, budget=60)
+        decide([tiny], tmp_path, ENGINE, budget=60)
     assert not list(tmp_path.iterdir())
 
 
@@ -195,10 +188,13 @@ def test_a_promise_needs_the_whole_interval() -> None:
 
 def test_changes_of_clouds_and_of_foreign_mappers() -> None:
     cloud = replace(CONFIG, mapper="genz-icp", lidar="vlp16")
-    assert [change.label for change in changes(cloud, works=False)] == ["half the odometry noise"]
+    assert list(changes(cloud, works=False)) == ["half the odometry noise"]
     blind = replace(CONFIG, attitude="none")
-    labels = [change.label for change in changes(blind, works=False)]
-    assert labels == ["with IMU attitude", "lidar lms1xx (30 m)", "half the odometry noise"]
+    assert list(changes(blind, works=False)) == [
+        "with IMU attitude",
+        "lidar lms1xx (30 m)",
+        "half the odometry noise",
+    ]
 
 
 def test_a_failure_is_where_the_drive_ended_or_the_error_exceeded_the_limit() -> None:
@@ -212,7 +208,7 @@ def test_a_failure_is_where_the_drive_ended_or_the_error_exceeded_the_limit() ->
 
 
 def test_page_picture_and_json_are_written(driven: list[RunConfig], tmp_path: Path) -> None:
-    answers = decide([CONFIG], tmp_path, perform, budget=60)
+    answers = decide([CONFIG], tmp_path, ENGINE, budget=60)
     page = write_decision(tmp_path, answers, "lirs-wct verdict simple <x>")
     html = page.read_text(encoding="utf-8")
     assert answers[0].sentence in html
