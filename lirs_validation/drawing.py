@@ -135,7 +135,7 @@ def overview_figure(
     )
     _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
     _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
-    value_list(figure.add_subplot(grid[0, 2]), picture_lines(record))
+    value_list(figure.add_subplot(grid[0, 2]), picture_lines(record.to_dict()))
     axes = figure.add_subplot(grid[1, 0])
     map_axes(axes, canvas, canvas.grid_picture(true_pose))
     title(axes, "Map at the true poses")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lirs_extensions.bench.experiment import PolicyResult, share_of_bound
 from lirs_extensions.bench.scores import PolicyScore, score_of
-from lirs_validation.record.formatting import NOTHING
+from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.table import ReportTable
 from lirs_wct.files import write_json
 

@@ -22,9 +22,8 @@ from lirs_validation.cli.progress import err, run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.metrics.verdict import VerdictClass
 from lirs_validation.record.run_record import read_record
-from lirs_validation.record.verdict import cause_of, extent_sentences
+from lirs_validation.record.verdict import VerdictClass, cause_of, extent_sentences
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_validation.sweep.sweep import Sweep, make_executor
 from lirs_wct import OccupancyGrid, OutputError

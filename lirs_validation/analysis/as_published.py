@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from lirs_validation.analysis.groups import RunGroup, by_group
-from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import Entry
 
 SUFFIX = "_original"
 """Ends the name of a method as published: `hector_original` beside `hector`."""

@@ -15,8 +15,7 @@ import numpy as np
 
 from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group
 from lirs_validation.analysis.statistics import Test, holm, paired_test
-from lirs_validation.record.formatting import Entry
-from lirs_validation.record.metric_catalog import Metric
+from lirs_validation.record.metric_catalog import Entry, Metric
 from lirs_validation.record.run_record import succeeded
 from lirs_wct.errors import ConfigError, unknown_name
 

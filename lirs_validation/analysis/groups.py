@@ -9,7 +9,7 @@ from typing import Any
 
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RUN_AXES, RunConfig
-from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import Entry
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import declared, defaults
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_validation.collision.validation import CollisionVerdict
-from lirs_validation.record.formatting import Entry
 from lirs_validation.record.map_record import is_mapped_log
+from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.record.run_record import read_whole_record
 from lirs_validation.sweep.experiment import MANIFEST, STATUS, read_verdict
 from lirs_wct.errors import SourceError, reason_of

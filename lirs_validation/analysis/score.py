@@ -29,8 +29,7 @@ from lirs_validation.metrics.alignment import (
 )
 from lirs_validation.metrics.map import map_scores
 from lirs_validation.metrics.trajectory import trajectory_errors
-from lirs_validation.metrics.verdict import incompleteness
-from lirs_validation.record.verdict import Verdict, judge
+from lirs_validation.record.verdict import Verdict, incompleteness, judge
 from lirs_wct import ConfigError, Pose2, SourceError, Trajectory, wrap_angle
 from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.map_server import read_map

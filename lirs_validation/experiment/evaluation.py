@@ -18,10 +18,9 @@ from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
 from lirs_validation.metrics.map import MapScores, map_scores
 from lirs_validation.metrics.scan_support import observed_support
 from lirs_validation.metrics.trajectory import spatial_errors, trajectory_errors
-from lirs_validation.metrics.verdict import incompleteness
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
-from lirs_validation.record.verdict import Verdict, judge
+from lirs_validation.record.verdict import Verdict, incompleteness, judge
 from lirs_wct import OccupancyGrid, SimulationError, World
 from slam_baselines.map_builder import KnownPoseMapper
 

@@ -11,8 +11,8 @@ from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.drive_log import DriveLog
 from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
-from lirs_validation.metrics.verdict import LostRule
 from lirs_validation.record.run_record import Status
+from lirs_validation.record.verdict import LostRule
 from lirs_wct import Pose2, Pose3, SimulationError
 from lirs_wct.progress import Progress, no_progress
 

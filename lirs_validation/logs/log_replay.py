@@ -15,7 +15,7 @@ from lirs_validation.experiment.mapper_process import MapperProcess, needs_proce
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import MAX_GAP, associated
-from lirs_validation.metrics.verdict import LostRule
+from lirs_validation.record.verdict import LostRule
 from lirs_wct import (
     ConfigError,
     Imu,

@@ -37,9 +37,9 @@ from lirs_validation.metrics.alignment import rms, scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
 from lirs_validation.metrics.log_accuracy import Accuracy, reference_errors, trajectory_accuracy
 from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint, read_constraints
-from lirs_validation.metrics.verdict import LostRule, incompleteness, inconsistency
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.provenance import is_stale
+from lirs_validation.record.verdict import LostRule, incompleteness, inconsistency
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
 from lirs_wct.arrays import FloatArray
 from lirs_wct.files import atomic_folder, atomic_write, check_writable, readable_lines

@@ -6,16 +6,16 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 from lirs_validation.map_config import MapConfig
-from lirs_validation.metrics.verdict import is_worse
-from lirs_validation.record.metric_catalog import WORSE
+from lirs_validation.record.metric_catalog import WORSE, is_worse
 from lirs_validation.record.provenance import machine, versions
-from lirs_validation.record.run_record import plain
+from lirs_validation.record.run_record import RECORD, plain
 from lirs_validation.record.verdict import Verdict, judge_log
-from lirs_wct.files import atomic_write
+from lirs_wct.files import write_json
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry import OccupancyGrid
 
@@ -62,16 +62,10 @@ class MapRecord:
     versions: dict[str, str] = field(default_factory=versions)
     machine: dict[str, Any] = field(default_factory=machine)
 
-    @property
+    @cached_property
     def verdict(self) -> Verdict:
         """Class, sentence and reasons of the result."""
         return judge_log(asdict(self))
-
-    def to_json(self) -> str:
-        """Return the record as JSON; values that do not exist are null."""
-        entry = {"schema": SCHEMA, "kind": KIND, "seed": self.config.seed} | asdict(self)
-        entry["verdict"] = self.verdict.to_dict()
-        return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:
         """Write `record.json`.
@@ -79,14 +73,14 @@ class MapRecord:
         Raises:
             OutputError: the folder cannot be written.
         """
-        with atomic_write(folder / "record.json") as path:
-            path.write_text(self.to_json(), encoding="utf-8")
+        entry = {"schema": SCHEMA, "kind": KIND, "seed": self.config.seed} | asdict(self)
+        write_json(folder / RECORD, entry | {"verdict": self.verdict.to_dict()}, plain)
 
 
 def is_mapped_log(folder: Path) -> bool:
     """Return whether a folder holds the record of a mapped log."""
     try:
-        entry = json.loads((folder / "record.json").read_text(encoding="utf-8"))
+        entry = json.loads((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
     return isinstance(entry, dict) and entry.get("kind") == KIND

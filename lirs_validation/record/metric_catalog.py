@@ -7,16 +7,16 @@ in the JSON schema of records.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-from lirs_validation.metrics.verdict import is_worse
-from lirs_validation.record.formatting import NOTHING, Entry, as_entry, significant, text_at, value_at
-from lirs_validation.record.run_record import RunRecord
-from lirs_validation.record.verdict import judge
 from lirs_wct.errors import unknown_name
 
+NOTHING = "-"
+"""Text of a value that does not exist."""
+Entry = Mapping[str, Any]
+"""A record as nested dicts."""
 Better = Literal["more", "less"] | None
 Section = Literal["rtf", "trajectory", "map", "contacts", "cost"]
 Selection = Literal["picture", "runs", "summary", "compared", "distribution", "headline"]
@@ -26,6 +26,8 @@ on top."""
 ATE, ODOMETRY_ATE = "trajectory.ate_rmse", "trajectory.odometry_ate_rmse"
 ODOMETRY_ATE_3D = "trajectory.odometry_ate_rmse_3d"
 """Places of the mapper's and of the odometry's error in a record."""
+VISIBLE_ERROR = 0.0005
+"""Meters by which an ATE must exceed the odometry's to be visibly worse."""
 WORSE = "worse than its odometry"
 WORSE_MARK = "‡"
 """Marks an ATE that is worse than the odometry's, in tables that have no room for the words."""
@@ -198,6 +200,37 @@ METRICS: tuple[Metric, ...] = (
 """Every metric of a run, in the order of its tables."""
 
 
+def value_at(entry: Entry, key: str) -> Any:
+    """Return the value at a dotted key; None where it does not exist."""
+    found: Any = entry
+    for part in key.split("."):
+        found = found.get(part) if isinstance(found, Mapping) else None
+    return found
+
+
+def text_at(entry: Entry, key: str) -> str:
+    """Return the text at a dotted key."""
+    value = value_at(entry, key)
+    return NOTHING if value is None else str(value)
+
+
+def significant(value: float) -> str:
+    """Return a number with three significant digits, and no exponent.
+
+    >>> significant(0.01094), significant(41.27), significant(1234.5)
+    ('0.0109', '41.3', '1234')
+    """
+    if value == 0 or not math.isfinite(value):
+        return f"{value:g}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def span(values: Sequence[float]) -> str:
+    """Return the smallest and the largest of numbers, or the one number."""
+    low, high = significant(min(values)), significant(max(values))
+    return low if low == high else f"{low} to {high}"
+
+
 def metrics_in(*sections: Section) -> tuple[Metric, ...]:
     """Return the metrics of sections of the report, details left out."""
     return tuple(metric for metric in METRICS if metric.section in sections and not metric.detail)
@@ -229,13 +262,12 @@ def rtf_counts(entry: Entry) -> bool:
     return value_at(entry, "rtf.mean") is not None and not value_at(entry, "rtf.concurrent")
 
 
-def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
-    """Return names and values for a run's picture, the status first.
+def picture_lines(entry: Entry) -> list[tuple[str, str]]:
+    """Return names and values for a run's picture, verdict and status first.
 
     Values that do not exist are left out.
     """
-    entry = as_entry(record)
-    lines = [("verdict", judge(entry).kind), ("status", str(entry["status"]))]
+    lines = [("verdict", entry["verdict"]["class"]), ("status", str(entry["status"]))]
     headed = False
     for metric in metrics_selected("picture"):
         value, continues = metric.of(entry), metric.title.startswith("...")
@@ -247,6 +279,11 @@ def picture_lines(record: RunRecord | Entry) -> list[tuple[str, str]]:
             if metric.key == ODOMETRY_ATE and worse_than_odometry(entry):
                 lines.append(("", WORSE))
     return lines
+
+
+def is_worse(ate: float | None, odometry: float | None) -> bool:
+    """Return whether an ATE is visibly larger than the odometry's; False if one is None."""
+    return ate is not None and odometry is not None and ate > odometry + VISIBLE_ERROR
 
 
 def worse_than_odometry(entry: Entry) -> bool:

@@ -8,21 +8,25 @@ from dataclasses import asdict, dataclass, field
 from functools import cache, cached_property
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from lirs_validation.config import RunConfig, run_name
+from lirs_validation.record.metric_catalog import picture_lines
 from lirs_validation.record.provenance import machine, versions
 from lirs_validation.record.verdict import Verdict, judge
-from lirs_wct.display import ShownAsTable
+from lirs_wct.display import html_table
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.files import atomic_write
+from lirs_wct.files import write_json
 
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
 
 SCHEMA = 3
+RECORD = "record.json"
+BAG = "bag"
+"""Stem of the file of a run's bag, whose folder is the run's."""
 
 Status = Literal[
     "ok", "wall limit", "tipped", "stuck", "off world", "diverged", "lost", "incomplete", "error", "timeout"
@@ -37,7 +41,7 @@ def succeeded(entry: Mapping[str, Any]) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunRecord(ShownAsTable):
+class RunRecord:
     """Result of a run.
 
     The design's definitions apply to its metrics.
@@ -56,8 +60,6 @@ class RunRecord(ShownAsTable):
         mapper: scans received, used, skipped, milliseconds a scan.
         cost: cpu_seconds of the drive, peak_memory of the process (bytes), compile_seconds, scans_dropped.
     """
-
-    _rows: ClassVar = "lirs_validation.record.metric_catalog:picture_lines"
 
     config: RunConfig
     world: dict[str, Any]
@@ -86,11 +88,14 @@ class RunRecord(ShownAsTable):
         """Class, sentence and reasons of the result."""
         return judge(asdict(self))
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the record as nested dicts, as its file holds them."""
+        entry = {"schema": SCHEMA, "seed": self.config.seed, "name": self.name} | asdict(self)
+        return entry | {"verdict": self.verdict.to_dict()}
+
     def to_json(self) -> str:
         """Return the record as JSON; values that do not exist are null."""
-        entry = {"schema": SCHEMA, "seed": self.config.seed, "name": self.name} | asdict(self)
-        entry["verdict"] = self.verdict.to_dict()
-        return json.dumps(entry, indent=1, default=plain, allow_nan=False) + "\n"
+        return json.dumps(self.to_dict(), indent=1, default=plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:
         """Write `record.json`.
@@ -98,8 +103,10 @@ class RunRecord(ShownAsTable):
         Raises:
             OutputError: the folder cannot be written.
         """
-        with atomic_write(folder / "record.json") as path:
-            path.write_text(self.to_json(), encoding="utf-8")
+        write_json(folder / RECORD, self.to_dict(), plain)
+
+    def _repr_html_(self) -> str:
+        return html_table(picture_lines(self.to_dict()))
 
 
 def read_record(folder: Path) -> dict[str, Any]:
@@ -168,11 +175,6 @@ def plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"a record holds numbers, text and lists, got {type(value).__name__}")
-
-
-RECORD = "record.json"
-BAG = "bag"
-"""Stem of the file of a run's bag, whose folder is the run's."""
 
 
 def maps_clouds(entry: Mapping[str, Any]) -> bool:

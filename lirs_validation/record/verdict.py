@@ -1,31 +1,46 @@
-"""Verdict on a record: class, one sentence for the user, and the figures that decided."""
+"""Verdict on a result: limits, the class of every run, one sentence for the user, and why.
+
+The same rules hold for runs, mapped logs and scores; only mapped logs are tested for scans that contradict
+each other (`lirs_validation.metrics.consistency`): a run knows the truth, and its hillsides contradict.
+`judge` returns the verdict on a run, once; its record holds it. Every limit is a constant or a field of
+`VerdictLimits` in this file.
+"""
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import yaml
 
 from lirs_validation.config import CLIENT, FRONTIER
-from lirs_validation.metrics.verdict import (
-    LIMITS,
-    Reason,
-    VerdictClass,
-    VerdictFigures,
-    VerdictLimits,
-    classify,
-    is_worse,
-    revisit_agreement,
-)
-from lirs_validation.record.formatting import Entry, text_at, value_at
+from lirs_validation.record.metric_catalog import Entry, is_worse, text_at, value_at
+from lirs_wct.checks import within
 from lirs_wct.errors import ConfigError, reason_of
 from slam_baselines.mapper import short_name
 
+MIN_COVERAGE = 0.95
+"""Share of the scans that need a pose: a few poses alone can be aligned with any truth."""
+LOST_SECONDS = 5.0
+LOST_SCANS = 10
+"""A mapper that does not know its place for so long, and during so many scans in a row, has lost it ..."""
+LOST_SHARE = 0.05
+"""... and so has one that does not know it for more than this share of the scans, or whose trajectory puts
+more than this share of them where they contradict other passes."""
+AGREEING, DISAGREEING = 0.25, 0.4
+"""Revisit residuals of a mapped log up to which passes agree, and above which they disagree, meters
+(docs/measured.md)."""
+DRIVE_ENDED = ("tipped", "stuck", "off world")
+"""Statuses of a drive that could not go on; the driver's source of poses decides whose fault that is."""
+ACCEPTABLE = ("no reference", "path only")
+"""Classes that a limits file may accept in addition to `works`."""
+
+VerdictClass = Literal[
+    "failed", "no reference", "not evaluated", "loses its way", "adds nothing", "path only", "works"
+]
 LEADS: dict[VerdictClass, str] = {
     "failed": "{who} gives no result on {world}",
     "no reference": "{who} cannot be judged on {world}: no true trajectory or relations are given",
@@ -36,8 +51,222 @@ LEADS: dict[VerdictClass, str] = {
     "works": "{who} works on {world}",
 }
 """Beginning of the sentence by class."""
-ACCEPTABLE = ("no reference", "path only")
-"""Classes that a limits file may accept in addition to `works`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictLimits:
+    """Limits between the classes of a verdict.
+
+    Attributes:
+        robot_lengths: shortest evaluated drive of a simulated run, robot lengths.
+        times_odometry: factor of the odometry's error above which a method loses its way.
+        over_odometry: meters added to that limit.
+        drift: share of the distance above which a method without odometry loses its way.
+        gain: factor of the odometry's error above which a method adds nothing.
+        small_error: meters below which an error needs no gain over the odometry.
+        f1_aligned: smallest F1 of a map after alignment.
+        false_occupied: largest excess of false occupied cells over the true-pose map, share.
+        elevation_rmse: largest excess of a cloud map's elevation error over the true poses' map, meters.
+        elevation_seen: smallest share of the visible elevation in a cloud map.
+    """
+
+    robot_lengths: float = 10.0
+    times_odometry: float = 1.1
+    over_odometry: float = 0.05
+    drift: float = 0.02
+    gain: float = 0.9
+    small_error: float = 0.05
+    f1_aligned: float = 0.8
+    false_occupied: float = 0.1
+    elevation_rmse: float = 0.1
+    elevation_seen: float = 0.8
+
+
+LIMITS = VerdictLimits()
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictFigures:
+    """Figures of a result that decide its verdict; None = the result lacks the figure.
+
+    Attributes:
+        status: Status of the result.
+        has_reference: whether the truth is known, as in every simulated run, even if nothing can be compared.
+        uses_estimate: whether the driver follows the mapper's pose.
+        robot_lengths: driven distance in robot lengths; None of a log.
+        error: Error of the mapper's path, meters: ATE, or the mean translational error of relations.
+        odometry_error: Error of the odometry's path, meters.
+        distance: Driven distance, meters.
+        occupied: Number of occupied cells of the map.
+        f1_aligned: F1 of the map after alignment.
+        false_occupied: Share of false occupied cells of the aligned map.
+        reference_false_occupied: Share of false occupied cells of the true-pose map.
+        elevation_rmse: Elevation error of a cloud map after alignment, meters.
+        reference_elevation_rmse: Elevation error of the true poses' map, meters.
+        elevation_seen: share of the visible elevation in the cloud map.
+    """
+
+    status: str
+    has_reference: bool = False
+    uses_estimate: bool = False
+    robot_lengths: float | None = None
+    error: float | None = None
+    odometry_error: float | None = None
+    distance: float | None = None
+    occupied: int | None = None
+    f1_aligned: float | None = None
+    false_occupied: float | None = None
+    reference_false_occupied: float | None = None
+    elevation_rmse: float | None = None
+    reference_elevation_rmse: float | None = None
+    elevation_seen: float | None = None
+
+
+@dataclass(frozen=True)
+class Reason:
+    """A figure that decided a verdict.
+
+    Attributes:
+        figure: Name of the figure.
+        value: Value of the figure.
+        limit: Limit that the value exceeded or fell short of; a text for a status.
+    """
+
+    figure: str
+    value: float | str | None
+    limit: float | str
+
+
+def classify(
+    figures: VerdictFigures, limits: VerdictLimits = LIMITS
+) -> tuple[VerdictClass, tuple[Reason, ...]]:
+    """Return the class of a result and its reasons: the first rule that applies decides.
+
+    A condition whose figure is None does not apply.
+    """
+    status = Reason("status", figures.status, "ok")
+    ended = figures.status in DRIVE_ENDED
+    if figures.status in ("error", "timeout", "incomplete"):
+        return "failed", (status,)
+    if figures.error is None and not figures.has_reference:
+        return "no reference", (Reason("trajectory error", None, "a reference"),)
+    if figures.status == "diverged" or (ended and not figures.uses_estimate):
+        return "not evaluated", (status,)
+    if figures.robot_lengths is not None and figures.robot_lengths < limits.robot_lengths:
+        return "not evaluated", (Reason("robot lengths driven", figures.robot_lengths, limits.robot_lengths),)
+    if figures.status == "lost" or ended:
+        return "loses its way", (status,)
+    most = _largest_error(figures, limits)
+    if figures.error is not None and most is not None and figures.error > most:
+        return "loses its way", (Reason("trajectory error", figures.error, most),)
+    if reasons := _no_gain(figures, limits):
+        return "adds nothing", tuple(reasons)
+    if reasons := _poor_map(figures, limits):
+        return "path only", tuple(reasons)
+    return "works", ()
+
+
+def _largest_error(figures: VerdictFigures, limits: VerdictLimits) -> float | None:
+    """Return the error above which a method loses its way, meters."""
+    if figures.odometry_error is not None:
+        return limits.times_odometry * figures.odometry_error + limits.over_odometry
+    return None if figures.distance is None else limits.drift * figures.distance
+
+
+def _no_gain(figures: VerdictFigures, limits: VerdictLimits) -> list[Reason]:
+    reasons = []
+    if figures.occupied == 0:
+        reasons.append(Reason("occupied cells", 0, 1))
+    if figures.error is not None and figures.odometry_error is not None:
+        most = max(limits.gain * figures.odometry_error, limits.small_error)
+        if figures.error > most:
+            reasons.append(Reason("trajectory error", figures.error, most))
+    return reasons
+
+
+def _poor_map(figures: VerdictFigures, limits: VerdictLimits) -> list[Reason]:
+    reference, elevation = figures.reference_false_occupied, figures.reference_elevation_rmse
+    most_false = None if reference is None else reference + limits.false_occupied
+    most_rmse = None if elevation is None else elevation + limits.elevation_rmse
+    checks = (
+        ("F1 aligned", figures.f1_aligned, limits.f1_aligned, False),
+        ("false occupied, aligned", figures.false_occupied, most_false, True),
+        ("elevation RMSE, aligned", figures.elevation_rmse, most_rmse, True),
+        ("elevation seen", figures.elevation_seen, limits.elevation_seen, False),
+    )
+    return [
+        Reason(name, value, limit)
+        for name, value, limit, most in checks
+        if value is not None and limit is not None and (value > limit if most else value < limit)
+    ]
+
+
+class LostRule:
+    """Rule that decides scan by scan whether a mapper is lost."""
+
+    def __init__(self) -> None:
+        self._scans = self._lost = self._in_a_row = 0
+        self._begun = self._longest = self._longest_begun = 0.0
+
+    def observe(self, stamp: float, lost: bool) -> None:
+        """Take in whether the mapper knew its place after the scan of a stamp, seconds."""
+        self._scans += 1
+        if not lost:
+            self._in_a_row = 0
+            return
+        self._lost += 1
+        self._begun = self._begun if self._in_a_row else stamp
+        self._in_a_row += 1
+        seconds = stamp - self._begun
+        if self._in_a_row >= LOST_SCANS and seconds >= max(LOST_SECONDS, self._longest):
+            self._longest, self._longest_begun = seconds, self._begun
+
+    @property
+    def too_long(self) -> str | None:
+        """Message about the longest loss; None below 5 s or 10 scans."""
+        if self._longest == 0.0:
+            return None
+        return f"the mapper lost its place at {self._longest_begun:.1f} s for {self._longest:.1f} s"
+
+    def reason(self) -> str | None:
+        """Return why the mapper is lost; None if it is not.
+
+        The time and the share of all scans so far count.
+        """
+        share = self._lost / self._scans if self._scans else 0.0
+        if self.too_long is None and share <= LOST_SHARE:
+            return None
+        counted = f"{self._lost} of {self._scans} scans ({100 * share:.1f} %)"
+        if self.too_long is None:
+            return f"the mapper did not know its place during {counted}"
+        return f"{self.too_long}; it did not know it during {counted}"
+
+
+def incompleteness(coverage: float) -> str | None:
+    """Return why a trajectory's scan coverage is too low; None if it suffices."""
+    if coverage >= MIN_COVERAGE:
+        return None
+    return (
+        f"the trajectory has a pose for {100 * coverage:.1f} % of the scans, "
+        f"at least {100 * MIN_COVERAGE:g} % are required"
+    )
+
+
+def inconsistency(contradicted: float | None) -> str | None:
+    """Return why the share of contradicting scans is too high; None if acceptable."""
+    if contradicted is None or contradicted <= LOST_SHARE:
+        return None
+    return (
+        f"{100 * contradicted:.1f} % of the scans end in space that other passes saw free, "
+        f"at most {100 * LOST_SHARE:g} % may"
+    )
+
+
+def revisit_agreement(residual: float) -> str:
+    """Return the agreement of passes in words, by the revisit residual in meters."""
+    if residual <= AGREEING:
+        return "the passes agree"
+    return "the passes agree in part" if residual <= DISAGREEING else "the passes disagree"
 
 
 @dataclass(frozen=True)
@@ -45,9 +274,9 @@ class Verdict:
     """Verdict on a run, a mapped log or a score.
 
     Attributes:
-        kind: class, from `failed` to `works`.
-        sentence: conclusion for the user, with what was evaluated.
-        reasons: figures that decided; empty if the method works.
+        kind: Class, from `failed` to `works`.
+        sentence: Conclusion for the user, with the evaluated part of the world.
+        reasons: Figures that decided; empty if the method works.
     """
 
     kind: VerdictClass
@@ -63,13 +292,22 @@ class Verdict:
         return {"class": self.kind, "sentence": self.sentence, "reasons": reasons}
 
 
+def stored_verdict(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
+    """Return the verdict that a record holds; by other limits, the record is judged again."""
+    if limits != LIMITS:
+        return judge(entry, limits)
+    stored = entry["verdict"]
+    reasons = tuple(Reason(**reason) for reason in stored["reasons"])
+    return Verdict(stored["class"], stored["sentence"], reasons)
+
+
 def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Verdict:
     """Return the verdict on a run's record.
 
     Args:
-        entry: the record as nested dicts.
-        limits: between the classes.
-        method: name in the sentence; empty = the run's mapper and robot.
+        entry: Record as nested dicts.
+        limits: Limits between the classes.
+        method: Name in the sentence; empty = the run's mapper and robot.
     """
     figures = run_figures(entry)
     kind, reasons = classify(figures, limits)
@@ -120,9 +358,9 @@ def _quality_sentence(quality: Entry) -> str:
     return f"{told[0].upper()}{told[1:]}." if told else ""
 
 
-def class_counts(verdicts: Iterable[Verdict]) -> str:
-    """Return the classes of several verdicts with their numbers, the most frequent first."""
-    counts = Counter(verdict.kind for verdict in verdicts)
+def class_counts(kinds: Iterable[str]) -> str:
+    """Return classes of verdicts with their numbers, the most frequent first."""
+    counts = Counter(kinds)
     return ", ".join(f"{kind} ({count} of {counts.total()})" for kind, count in counts.most_common())
 
 
@@ -265,10 +503,5 @@ def read_limits(path: Path) -> tuple[VerdictLimits, frozenset[str]]:
     for name, value in entry.items():
         if name not in names:
             raise ConfigError(f"{path}: unknown limit {name!r}; legal: {', '.join((*names, 'accept'))}")
-        if (
-            isinstance(value, bool)
-            or not isinstance(value, int | float)
-            or not 0 <= value <= sys.float_info.max
-        ):
-            raise ConfigError(f"{path}: {name} must be a finite number, at least 0, got {value!r}")
+        within("[0, 1e9]")(value, f"{path}: {name}")
     return VerdictLimits(**entry), frozenset(accept)

@@ -16,8 +16,7 @@ from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 
 from lirs_validation.analysis.groups import RunGroup, by_group, distinguishing_fields
-from lirs_validation.record.formatting import Entry, value_at
-from lirs_validation.record.metric_catalog import Metric, rtf_counts
+from lirs_validation.record.metric_catalog import Entry, Metric, rtf_counts, value_at
 from lirs_validation.record.run_record import succeeded
 from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import BLUE, GREEN, VERMILLION, Drawing

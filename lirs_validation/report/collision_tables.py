@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from lirs_validation.collision.validation import Check, CollisionVerdict
-from lirs_validation.record.formatting import NOTHING
+from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.table import ReportTable
 
 COLUMNS: tuple[tuple[str, Callable[[CollisionVerdict], str]], ...] = (

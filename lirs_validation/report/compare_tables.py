@@ -11,8 +11,7 @@ from typing import Any
 from lirs_validation.analysis.compare import LEVEL, Comparison, Difference
 from lirs_validation.analysis.groups import FIELDS, distinguishing_fields
 from lirs_validation.analysis.score import Score
-from lirs_validation.record.formatting import NOTHING
-from lirs_validation.record.metric_catalog import WORSE, metrics_in, worse_than_odometry
+from lirs_validation.record.metric_catalog import NOTHING, WORSE, metrics_in, worse_than_odometry
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.record.verdict import Verdict
 from lirs_validation.report.table import ReportTable

@@ -13,13 +13,14 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from lirs_validation.analysis.groups import RunGroup, by_group, unusual_fields
 from lirs_validation.analysis.result_folders import ResultFolder, RunFolder
-from lirs_validation.record.formatting import Entry, span
 from lirs_validation.record.metric_catalog import (
     WORSE,
     WORSE_MARK,
+    Entry,
     Section,
     metrics_selected,
     rtf_counts,
+    span,
     worse_than_odometry,
 )
 from lirs_validation.record.run_record import succeeded

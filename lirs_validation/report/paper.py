@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise, product
 from typing import Final, Literal
 
-from lirs_validation.record.formatting import Entry, significant, span
-from lirs_validation.record.metric_catalog import Metric, metrics_named
+from lirs_validation.record.metric_catalog import Entry, Metric, metrics_named, significant, span
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.run_tables import EXTRAPOLATED, over_runs
 from lirs_validation.report.table import Content, ReportTable

@@ -11,7 +11,7 @@ from typing import Any
 
 from lirs_validation.analysis.recorded_run import recorded_config
 from lirs_validation.config import WORLD_FLAGS, RunConfig
-from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.report.table import ReportTable
 from lirs_wct import Pose2, WctError
 from lirs_wct.option import Options, changed, declared

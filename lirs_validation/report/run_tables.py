@@ -12,24 +12,25 @@ from lirs_validation.analysis.as_published import Planar, method_pairs
 from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group, distinguishing_fields, unusual_fields
 from lirs_validation.analysis.statistics import repeats
 from lirs_validation.config import RUN_AXES
-from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
-from lirs_validation.record.formatting import Entry, as_entry, text_at, value_at
 from lirs_validation.record.metric_catalog import (
     ATE,
     ODOMETRY_ATE,
     WORSE,
     WORSE_MARK,
+    Entry,
     Metric,
     Section,
     metrics_in,
     metrics_named,
     metrics_selected,
     rtf_counts,
+    text_at,
+    value_at,
     worse_lines,
     worse_than_odometry,
 )
-from lirs_validation.record.run_record import RunRecord, read_record, succeeded
-from lirs_validation.record.verdict import class_counts, judge
+from lirs_validation.record.run_record import read_record, succeeded
+from lirs_validation.record.verdict import LIMITS, VerdictLimits, class_counts, stored_verdict
 from lirs_validation.report.collision_tables import verdicts_table
 from lirs_validation.report.table import Content, MetricSpread, ReportTable
 from lirs_validation.sweep.experiment import CollisionExperiment, read_verdict
@@ -223,23 +224,23 @@ def _method_table(kind: Planar, entries: Sequence[Entry]) -> ReportTable:
 
 def _verdict_counts(entries: Sequence[Entry]) -> str:
     """Return the verdicts of the evaluated runs as text."""
-    verdicts = [verdict for verdict in map(judge, entries) if verdict.kind != "not evaluated"]
-    return class_counts(verdicts) or "not evaluated"
+    kinds = [entry["verdict"]["class"] for entry in entries]
+    return class_counts(kind for kind in kinds if kind != "not evaluated") or "not evaluated"
 
 
-def results_table(records: Sequence[RunRecord | Entry]) -> ReportTable:
+def results_table(entries: Sequence[Entry]) -> ReportTable:
     """Return the runs, failures first, with remarks on failed and inaccurate runs.
 
     Values that all runs share are in the title, so that the table fits a terminal of 80 characters.
     """
-    entries = sorted(map(as_entry, records), key=succeeded)
+    entries = sorted(entries, key=succeeded)
     shown = {*ALWAYS, *unusual_fields(map(RunGroup.of, entries))}
     facts = [name for name in FACTS if name in shown]
     metrics = [m for m in metrics_selected("runs") if not m.optional or _existing([m], entries)]
     rows = [
         (
             *(text_at(e, FACTS[name]) for name in facts),
-            judge(e).kind,
+            e["verdict"]["class"],
             *(m.formatted(m.comparable(e)) for m in metrics),
         )
         for e in entries
@@ -266,10 +267,11 @@ def verdict_lines(entries: Sequence[Entry], limits: VerdictLimits = LIMITS) -> l
     varied = tuple(name for name in _fields(groups) if name not in named)
     lines = []
     for group, runs in groups.items():
-        verdicts = [judge(run, limits) for run in runs]
+        verdicts = [stored_verdict(run, limits) for run in runs]
         fields = varied if len(runs) == 1 else (*named, *varied)
         label = f", {group.label(fields)}" if fields else ""
-        lines.append(f"verdict{label}: {verdicts[0] if len(runs) == 1 else class_counts(verdicts)}")
+        text = class_counts(verdict.kind for verdict in verdicts) if len(runs) > 1 else str(verdicts[0])
+        lines.append(f"verdict{label}: {text}")
     return lines
 
 
@@ -279,9 +281,10 @@ def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:
     fields = _fields(groups)
     rows = []
     for group, runs in groups.items():
-        judged = [judge(entry) for entry in runs]
-        first = next((v for v in judged if v.kind != "works"), judged[0])
-        rows.append((*group_texts(group, fields), class_counts(judged), first.sentence))
+        verdicts = [entry["verdict"] for entry in runs]
+        first = next((v for v in verdicts if v["class"] != "works"), verdicts[0])
+        counts = class_counts(v["class"] for v in verdicts)
+        rows.append((*group_texts(group, fields), counts, first["sentence"]))
     caption = "Class of each run (docs/results.md), and the sentence of the first that does not work, if any."
     headings = (*fields, "verdict", "sentence")
     return ReportTable("verdicts", "Verdict", caption, headings, tuple(rows), len(headings))

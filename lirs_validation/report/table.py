@@ -16,8 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from lirs_validation.analysis.statistics import Repeats
-from lirs_validation.record.formatting import NOTHING
-from lirs_validation.record.metric_catalog import Metric
+from lirs_validation.record.metric_catalog import NOTHING, Metric
 
 UNBOUNDED = 100_000
 """Width of a screen that fits every table, characters."""

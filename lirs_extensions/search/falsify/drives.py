@@ -23,7 +23,7 @@ from lirs_extensions.search.case_search import Case, SearchParameter, SearchSpac
 from lirs_extensions.search.options import FAILURE_FACTOR, POLICY_TASK, FalsifyOptions
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
-from lirs_validation.metrics.verdict import LIMITS, VerdictFigures, classify
+from lirs_validation.record.verdict import LIMITS, VerdictFigures, classify
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_validation.sweep.suites import CASE, case_options, read_yaml_fields
 from lirs_validation.sweep.workers import WorkerPool

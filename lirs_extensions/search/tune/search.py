@@ -34,8 +34,14 @@ from lirs_validation.logs.map_log import odometry_accuracy, read_log, read_truth
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.consistency import scan_consistency
 from lirs_validation.metrics.log_accuracy import trajectory_accuracy
-from lirs_validation.metrics.verdict import AGREEING, LIMITS, VerdictFigures, classify
-from lirs_validation.record.verdict import log_figures, run_figures
+from lirs_validation.record.verdict import (
+    AGREEING,
+    LIMITS,
+    VerdictFigures,
+    classify,
+    log_figures,
+    run_figures,
+)
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.suites import read_yaml_fields
 from lirs_validation.sweep.workers import WorkerPool

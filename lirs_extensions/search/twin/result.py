@@ -15,7 +15,7 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_extensions.search.twin.compare import CLUSTER, GATE, LogComparison, noisy_ranges
 from lirs_extensions.search.twin.fit import FittedNoise, FittedOdometry, curve
 from lirs_extensions.search.twin.replay import FACTOR, Replay
-from lirs_validation.record.formatting import NOTHING
+from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.page import data_url, png, render
 from lirs_validation.report.table import ReportTable
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray

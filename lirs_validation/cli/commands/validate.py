@@ -13,7 +13,7 @@ from lirs_validation.cli.command import common
 from lirs_validation.cli.progress import GATE_FAILED, manifest_of_command, out, run_sweep
 from lirs_validation.cli.sources import BagOptions, World, map_logs, sources_argument
 from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, run_name
-from lirs_validation.metrics.verdict import LIMITS, VerdictLimits
+from lirs_validation.record.verdict import LIMITS, VerdictLimits
 from lirs_wct.errors import ConfigError, OutputError, SourceError
 from lirs_wct.option import Options, option
 from lirs_wct.sources.source import BuildOptions
@@ -190,7 +190,7 @@ def _check_free(folder: Path, experiment: SlamExperiment) -> None:
 def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
     """Print tables, folders and verdicts of a sweep; return the verdicts."""
     from lirs_validation.record.run_record import read_record
-    from lirs_validation.record.verdict import judge
+    from lirs_validation.record.verdict import stored_verdict
     from lirs_validation.report.run_tables import sweep_tables, verdict_lines
 
     if not sweep.outcomes:
@@ -207,4 +207,4 @@ def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
         out.print(f"inertial readings: {', '.join(sorted(rates))}", highlight=False)
     for line in verdict_lines(runs, limits):
         out.print(line, soft_wrap=True, highlight=False, markup=False)
-    return [judge(entry, limits) for entry in runs]
+    return [stored_verdict(entry, limits) for entry in runs]

@@ -15,7 +15,6 @@ from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.gui.session.uploads import with_own_picture
 from lirs_validation.record.run_record import maps_clouds, read_record, succeeded
-from lirs_validation.record.verdict import judge
 from lirs_wct import Pose3, SourceError, WctError, World
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.map_server import read_map
@@ -57,7 +56,8 @@ def read_playback(
     if not maps_clouds(record):
         run.maps = [MapSnapshot.of(read_map(folder / "map.yaml"), 0.0)]
     run.marks = [] if succeeded(record) else [(run.time, record["status"])]
-    run.rtf, run.verdict, run.note = list(record["rtf"]["series"]), f"Verdict: {judge(record)}", note
+    run.rtf, run.note = list(record["rtf"]["series"]), note
+    run.verdict = f"Verdict: {record['verdict']['sentence']}"
     run.status = record["status"] + (f": {record['reason']}" if record["reason"] else "")
     run.results = _results(record)
     return run

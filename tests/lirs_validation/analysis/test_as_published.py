@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from lirs_validation.analysis.as_published import method_pairs
-from lirs_validation.record.formatting import Entry
+from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.report.run_tables import method_tables
 from lirs_validation.report.table import MetricSpread
 from tests.lirs_validation.records import entry

@@ -18,7 +18,7 @@ from lirs_validation.experiment.evaluation import evaluate_rtf, reference_rtf
 from lirs_validation.experiment.loop import drive
 from lirs_validation.experiment.run import Run, prepare
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
-from lirs_validation.metrics.verdict import LOST_SECONDS
+from lirs_validation.record.verdict import LOST_SECONDS
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.map_server import read_map

@@ -13,8 +13,7 @@ import pytest
 from lirs_validation.analysis.groups import RunGroup, by_group
 from lirs_validation.analysis.result_folders import RunFolder, read_results
 from lirs_validation.analysis.statistics import repeats
-from lirs_validation.record.formatting import significant
-from lirs_validation.record.metric_catalog import metrics_in, metrics_named
+from lirs_validation.record.metric_catalog import metrics_in, metrics_named, significant
 from lirs_validation.report import charts
 from lirs_validation.report.charts import INK
 from lirs_validation.report.page import Report, page, report_of

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from lirs_validation.record.formatting import significant
+from lirs_validation.record.metric_catalog import significant
 from lirs_validation.report.paper import VIEWS, findings, paper_tables
 from tests.lirs_validation.records import entry
 

@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from lirs_validation.record.metric_catalog import picture_lines
+from lirs_validation.record.run_record import SUCCEEDED
 from lirs_validation.report.run_tables import ended_lines, results_table, summary_table, verdict_lines
 from lirs_validation.report.table import ReportTable
 from tests.lirs_validation.records import entry
@@ -27,7 +28,7 @@ def shown(table: ReportTable, width: int = 80) -> str:
 
 
 def run(world: str = "simple", status: str = "ok", reason: str = "", **more: Any) -> dict[str, Any]:
-    return {
+    figures: dict[str, Any] = {
         "world": {"name": world},
         "config": {"robot": "husky", "mapper": more.get("mapper", "hector"), "seed": more.get("seed", 1)},
         "status": status,
@@ -41,6 +42,7 @@ def run(world: str = "simple", status: str = "ok", reason: str = "", **more: Any
             "false_occupied": 0.012,
         },
     }
+    return figures | {"verdict": {"class": "works" if status in SUCCEEDED else "not evaluated"}}
 
 
 @pytest.mark.parametrize("width", [60, 80, 200])
@@ -114,6 +116,7 @@ def test_the_figures_are_the_records_and_missing_ones_a_dash() -> None:
         ["medium", "gmapping", "2", "ok", "works", "42.1", "81.2", "0.031", "0.200", "-", "0.012"],
     ]
     empty = {"world": {"name": "x"}, "config": {}, "status": "diverged", "reason": "", "trajectory": {}}
+    empty |= {"verdict": {"class": "not evaluated"}}
     row = "| x | - | - | - | diverged | not evaluated | - | - | - | - | - | - |"
     assert row in results_table([empty, run()]).as_markdown()
     assert picture_lines(empty) == [("verdict", "not evaluated"), ("status", "diverged")]

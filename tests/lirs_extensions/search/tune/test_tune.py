@@ -20,7 +20,7 @@ from lirs_extensions.search.tune.search import (
 from lirs_extensions.search.tune.tunable import TUNABLE, usual_values
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
-from lirs_validation.metrics.verdict import VerdictFigures
+from lirs_validation.record.verdict import VerdictFigures
 from lirs_wct.errors import ConfigError
 from slam_baselines.mapper import make_mapper, read_parameters
 from tests.command_line import run_command
