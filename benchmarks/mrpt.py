@@ -28,8 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.slam import DATA, LOGS, RELATIONS
-from lirs_validation.metrics.relative_pose_error import constraint_errors, read_constraints
-from lirs_validation.metrics.trajectory import trajectory_errors
+from lirs_validation.metrics.trajectory import constraint_errors, read_constraints, trajectory_errors
 from lirs_wct import LaserScan, Pose2, Trajectory
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog

@@ -28,11 +28,11 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation.logs.map_log import read_reference
-from lirs_validation.metrics.log_accuracy import reference_errors
-from lirs_validation.metrics.relative_pose_error import (
+from lirs_validation.metrics.trajectory import (
     RelativePoseConstraint,
     constraint_errors,
     read_constraints,
+    reference_errors,
 )
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog

@@ -31,9 +31,9 @@ class Steps:
     """Work in named steps of equal weight, reported as one share.
 
     Attributes:
-        count: number of steps.
-        progress: of the whole work.
-        begun: number of steps that have begun.
+        count: Number of steps.
+        progress: Progress of the whole work.
+        begun: Number of steps that have begun.
     """
 
     count: int

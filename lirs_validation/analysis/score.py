@@ -10,54 +10,37 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.optimize import minimize_scalar
-from scipy.signal import correlate, correlation_lags
-from scipy.spatial.transform import Rotation, Slerp
 
 from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.map_log import read_trajectory
-from lirs_validation.metrics.agreement import agreement, as_stored, sample_like
 from lirs_validation.metrics.alignment import (
     MAX_GAP,
     StartAlignment,
     associated,
-    nearest,
+    find_time_offset,
+    interpolate_poses,
     rigid_alignment,
     start_alignment,
+    turn_upright,
 )
-from lirs_validation.metrics.map import map_scores
+from lirs_validation.metrics.map import agreement, as_stored, map_scores, sample_like
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.record.verdict import Verdict, incompleteness, judge
 from lirs_wct import ConfigError, Pose2, SourceError, Trajectory, wrap_angle
-from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.tum import read_tum
 
 Frame = Literal["auto", "map", "world", "align"]
 FRAMES: tuple[Frame, ...] = ("auto", "map", "world", "align")
-NEAR, NEAR_SHARE, NEAR_YAW = 0.5, 0.1, math.radians(20)
+START_RADIUS, START_SHARE, START_YAW = 0.5, 0.1, math.radians(20)
 """Tolerances of a trajectory's first pose: meters, share of the path driven until then, and angle. Beyond
 them, the trajectory is in another frame."""
-TOLD_APART = 0.2
+CLEAR_F1 = 0.2
 """Smallest difference of F1 that identifies one of two frames."""
-SAME_RESOLUTION = 1e-6
-SAME = 1e-3
-"""Poses within this time of a scan are of the scan, seconds."""
-GAP, KEYFRAME_GAP = 1.5, 2.0
-"""Largest distance of two poses between which a scan's pose is interpolated, in periods of the scans, or
-seconds if that is more."""
-UPRIGHT, SPREAD = math.cos(math.radians(45)), 0.05
-"""Least vertical part of an upright z axis, and least ratio of a path's width to its length by which a fit in
-space finds the axes."""
-STEP, WINDOW = 0.05, 0.5
-"""Sampling of the motion, and time over which a speed and a turn are measured, seconds."""
-OVERLAP, LEAST_COMMON, LONGEST, EQUAL = 0.5, 3.0, 1e5, 0.02
-"""Least share of the shorter trajectory within the other; least and longest time, seconds; difference of
-correlations that does not tell two offsets apart."""
-CLEAR = 0.5
-"""Least correlation of the motions at the right offset."""
+RESOLUTION_TOLERANCE = 1e-6
+"""Largest difference of equal cell sizes, meters."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,8 +110,9 @@ def score(
         given, offset = len(read), _offset(trajectory, truth, read, time_offset)
         estimate = interpolate_poses(replace(read, stamps=read.stamps + offset), truth.stamps)
         _check_stamps(trajectory, estimate, truth)
-        if frame in ("auto", "align") and (turned := _upright(trajectory, estimate, truth)):
-            estimate, frame = turned, "align"
+        if frame in ("auto", "align") and (turned := turn_upright(estimate, truth)):
+            estimate, axes, frame = *turned, "align"
+            warnings.warn(f"{trajectory}: its axes are {axes}: moved to the best fit", stacklevel=2)
         frame = frame_of(trajectory, estimate, truth, frame)
     if frame == "auto":
         frame = "map" if map_yaml is None else frame_of_map(run, map_yaml, truth)
@@ -195,8 +179,8 @@ def frame_of(
     fits = [
         name
         for name, pose in there.items()
-        if first.distance(pose) <= NEAR + NEAR_SHARE * driven
-        and abs(wrap_angle(first.yaw - pose.yaw)) <= NEAR_YAW
+        if first.distance(pose) <= START_RADIUS + START_SHARE * driven
+        and abs(wrap_angle(first.yaw - pose.yaw)) <= START_YAW
     ]
     if frame in fits or (frame == "auto" and fits):
         return "map" if (frame if frame in fits else fits[0]) == "map" else "world"
@@ -209,42 +193,6 @@ def frame_of(
         f"{path}: another frame: at {estimate.stamps[j[0]]:.2f} s it begins at {_pose_text(first)}, where "
         f"the run was at {places}; the map frame's origin is the first base pose; {hint}"
     )
-
-
-def _upright(path: Path, estimate: Trajectory, truth: Trajectory) -> Trajectory | None:
-    """Return an estimate turned to z up; None if it is upright already.
-
-    The axes follow from the best fit in space, which a straight path does not have. Those of the body count
-    as named like those of the frame, as in the trajectories of cameras.
-    """
-    i, j = associated(truth.stamps, estimate.stamps)
-    true, found = (t.positions[k] - t.positions[k].mean(axis=0) for t, k in ((truth, i), (estimate, j)))
-    spread = np.linalg.svd(found, compute_uv=False)
-    width = np.ptp(found, axis=0)
-    if len(i) < 3 or spread[1] < SPREAD * spread[0] or width[2] < SPREAD * width[:2].min():
-        return None
-    turn, _ = Rotation.align_vectors(true, found)
-    up = turn.inv().apply((0.0, 0.0, 1.0))
-    if up[2] > UPRIGHT:
-        return None
-    z, heading = _main_axis(up), truth.pose2(int(i[0])).yaw
-    x = _main_axis((1 - np.abs(z)) * turn.inv().apply((math.cos(heading), math.sin(heading), 0.0)))
-    names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (x, z)]
-    warnings.warn(
-        f"{path}: its axes are {names[0]} ahead, {names[1]} up: moved to the best fit", stacklevel=2
-    )
-    body = Rotation.from_matrix(np.column_stack((x, np.cross(z, x), z)))
-    turned = turn * Rotation.from_quat(estimate.quaternions, scalar_first=True) * body
-    positions = turn.apply(estimate.positions)
-    return Trajectory(estimate.stamps, positions, turned.as_quat(scalar_first=True))
-
-
-def _main_axis(direction: FloatArray) -> FloatArray:
-    """Return the coordinate axis nearest to a direction (3,), with its sign."""
-    axis = np.zeros(3)
-    k = int(np.argmax(np.abs(direction)))
-    axis[k] = np.sign(direction[k])
-    return axis
 
 
 def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map", "world"]:
@@ -260,7 +208,7 @@ def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map"
     )
     if in_map == in_world:  # the frames are the same, or the map is of another place
         return "map"
-    if abs(in_map - in_world) < TOLD_APART:
+    if abs(in_map - in_world) < CLEAR_F1:
         raise SourceError(
             f"{path}: in which frame? F1 is {in_map:.3f} in the map frame, {in_world:.3f} in the world "
             "frame: --frame map (origin: the first base pose) or --frame world (as the run's own files)"
@@ -300,7 +248,7 @@ def _score_map(
     config = recorded_world_config(run.entry)
     built = read_map(path).moved(T_world_frame)
     reference = read_map(run.folder / "map_true_pose.yaml")
-    if abs(reference.resolution - built.resolution) > SAME_RESOLUTION:
+    if abs(reference.resolution - built.resolution) > RESOLUTION_TOLERANCE:
         reference = true_pose_map(run.folder, config, built.resolution)
     there = ~np.isnan(sample_like(as_stored(built), as_stored(reference)))
     if not (there & as_stored(reference).known).any():
@@ -313,98 +261,3 @@ def _score_map(
         built, reference, surface=world.surface, walls=world.walls, truth=world.truth, alignment=alignment
     )
     return asdict(scores)
-
-
-def interpolate_poses(trajectory: Trajectory, stamps: FloatArray) -> Trajectory:
-    """Return the poses at the stamps of scans (n,).
-
-    Stamps whose neighboring poses are too far apart are left out. A trajectory is returned as it is if all
-    scans have a pose, or most poses are too far apart.
-    """
-    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
-    most, gaps = max(GAP * period, KEYFRAME_GAP), np.diff(trajectory.stamps)
-    own = np.abs(trajectory.stamps[nearest(trajectory.stamps, stamps)] - stamps) <= SAME
-    if not len(gaps) or np.median(gaps) > most or own.all():
-        return trajectory
-    after = np.clip(np.searchsorted(trajectory.stamps, stamps), 1, len(gaps))
-    inside = (stamps >= trajectory.stamps[0]) & (stamps <= trajectory.stamps[-1])
-    known = stamps[inside & (own | (gaps[after - 1] <= most))]
-    if not len(known):
-        return trajectory
-    positions, turns = _poses_at(trajectory, known)
-    return Trajectory(known, positions, turns.as_quat(scalar_first=True))
-
-
-def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
-    """Return the seconds that lead from the estimate's clock to that of the truth.
-
-    Speed and turn rate do not depend on the frame. Their correlation finds the offset to a step, and the
-    least squares of their differences refine it.
-
-    Raises:
-        SourceError: the motions do not agree at any offset.
-    """
-    span = float(np.ptp(estimate.stamps))
-    if span > LONGEST:
-        raise SourceError(f"its stamps span {span:.4g} s, which has no time offset: give it in seconds")
-    start = float(truth.stamps[0] - estimate.stamps[0])
-    true, found = (_motion(t, np.arange(*_span(t), STEP)) for t in (truth, estimate))
-    if min(len(true), len(found)) * STEP < LEAST_COMMON or not (true.std(axis=0) > 0).all():
-        raise SourceError("too short to find its time offset: give it in seconds")
-    a, b = ((m - m.mean(axis=0)) / np.maximum(m.std(axis=0), 1e-9) for m in (true, found))
-    lags = correlation_lags(len(a), len(b))
-    common = correlate(np.ones(len(a)), np.ones(len(b)))
-    total = sum(correlate(a[:, k], b[:, k]) for k in range(2)) / (2 * np.maximum(common, 1))
-    total[common < max(OVERLAP * min(len(a), len(b)), LEAST_COMMON / STEP)] = -1
-    equal = np.flatnonzero(total > total.max() - EQUAL)
-    equal = equal[common[equal] >= common[equal].max() - 1]
-    if np.ptp(equal) * STEP > 2 * WINDOW:
-        found_at = ", ".join(f"{start + STEP * float(lags[k]):.1f}" for k in (equal[0], equal[-1]))
-        raise SourceError(
-            f"its motion fits the run's at several time offsets, {found_at} s: give it in seconds"
-        )
-    best = int(equal[np.argmax(total[equal])])
-    if total[best] < CLEAR:
-        raise SourceError(
-            "no time offset found: at the best one, its motion and the run's correlate by "
-            f"{total[best]:.2f}, at least {CLEAR:g} is needed"
-        )
-    coarse = start + STEP * float(lags[best])
-    near = replace(estimate, stamps=estimate.stamps + coarse)
-    fine = minimize_scalar(
-        lambda x: _difference(truth, near, x), bounds=(-2 * STEP, 2 * STEP), method="bounded"
-    )
-    return coarse + float(fine.x)
-
-
-def _span(trajectory: Trajectory) -> tuple[float, float]:
-    """Return first and last stamp at which the motion is known."""
-    return float(trajectory.stamps[0]) + WINDOW / 2, float(trajectory.stamps[-1]) - WINDOW / 2
-
-
-def _motion(trajectory: Trajectory, stamps: FloatArray) -> FloatArray:
-    """Return (n, 2) distance and angle within a window around each stamp, meters and radians.
-
-    Both are the same in any frame, also in that of a camera.
-    """
-    if len(trajectory) < 2:
-        return np.empty((0, 2))
-    ends = [np.clip(stamps + shift, *trajectory.stamps[[0, -1]]) for shift in (-WINDOW / 2, WINDOW / 2)]
-    (before, turn), (after, turned) = (_poses_at(trajectory, t) for t in ends)
-    return np.column_stack((np.linalg.norm(after - before, axis=1), (turn.inv() * turned).magnitude()))
-
-
-def _poses_at(trajectory: Trajectory, stamps: FloatArray) -> tuple[FloatArray, Rotation]:
-    """Return positions (n, 3) and attitudes, interpolated at stamps (n,) within the trajectory."""
-    positions = [np.interp(stamps, trajectory.stamps, column) for column in trajectory.positions.T]
-    turns = Slerp(trajectory.stamps, Rotation.from_quat(trajectory.quaternions, scalar_first=True))
-    return np.column_stack(positions), turns(stamps)
-
-
-def _difference(truth: Trajectory, estimate: Trajectory, offset: float) -> float:
-    """Return the mean square of the motions' differences at an offset."""
-    low, high = _span(truth)
-    first, last = _span(estimate)
-    stamps = np.arange(max(low, first + offset), min(high, last + offset), STEP / 2)
-    difference = _motion(truth, stamps) - _motion(estimate, stamps - offset)
-    return float(np.mean(difference**2))

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 from lirs_envs.robot_model import TIPPED, RobotModel
 from lirs_validation.collision.random_drive import DEEP, DeepContact, Leg
-from lirs_validation.metrics.mesh import mesh_error
+from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct import TriangleMesh, WallGrid, World
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.contact import ContactGeometry

@@ -35,8 +35,13 @@ from lirs_validation.logs.preflight import Preflight, check_log_data
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import rms, scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
-from lirs_validation.metrics.log_accuracy import Accuracy, reference_errors, trajectory_accuracy
-from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint, read_constraints
+from lirs_validation.metrics.trajectory import (
+    Accuracy,
+    RelativePoseConstraint,
+    read_constraints,
+    reference_errors,
+    trajectory_accuracy,
+)
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.provenance import is_stale
 from lirs_validation.record.verdict import LostRule, incompleteness, inconsistency

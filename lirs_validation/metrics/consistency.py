@@ -5,16 +5,16 @@ see a wall as well, or where they cannot see. Placed by a wrong one, many of its
 beams of another pass crossed. The test needs neither the truth nor the mapper. People, doors and furniture
 that moved contradict too, but only a few beams of a scan.
 
-A hit is contradicted where every beam of another scan that passes within `MARGIN` of it ends more than
-`MARGIN` behind it. A hit behind the other scan's hit, or near a beam without return, is not counted.
+A hit is contradicted where every beam of another scan that passes within `FREE_DEPTH` of it ends more than
+`FREE_DEPTH` behind it. A hit behind the other scan's hit, or near a beam without return, is not counted.
 
 Limits: the test misses a place that was passed only once, a shift along a corridor whose walls look alike,
-and errors below `MARGIN`. A hillside seen from two heights contradicts itself: where the attitude is known
-and the robot tilts, there is no test; where it is unknown, the ground is taken for level.
+and errors below `FREE_DEPTH`. A hillside seen from two heights contradicts itself: where the attitude is
+known and the robot tilts, there is no test; where it is unknown, the ground is taken for level.
 
 The revisit residual measures the same in meters: the mean distance from a hit to the nearest hit of another
-pass, at most `FARTHEST`. Hits behind what the other scan sees by more than that, or where it has no return,
-are not counted.
+pass, at most `MAX_RESIDUAL`. Hits behind what the other scan sees by more than that, or where it has no
+return, are not counted.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from lirs_validation.metrics.alignment import associated, planar
 from lirs_wct.arrays import FloatArray, IntArray, njit
 from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory, wrap_angle
 
-MARGIN = 0.3
+FREE_DEPTH = 0.3
 """Distance by which a hit must lie in free space, meters: more than noise and small errors of a map."""
-REACH = 10.0
-"""Range up to which beams count, meters: farther away, a small error of the yaw exceeds `MARGIN`."""
-PASS = 10.0
+MAX_RANGE = 10.0
+"""Range up to which beams count, meters: farther away, a small error of the yaw exceeds `FREE_DEPTH`."""
+PASS_LENGTH = 10.0
 """Distance driven between two scans from which on they belong to different passes, meters."""
 STEP, TURN = 0.5, 0.5
 """Meters and radians after which the next scan is tested: those between see the same."""
 HITS = 90
 """Number of beams of a scan that are tested, about; the other scan counts with all of its beams."""
-FEWEST = 30
+MIN_HITS = 30
 """Hits in view of other passes that a scan needs to be tested."""
 CONTRADICTED = 0.25
 """Share of these hits in free space above which the scan contradicts the other passes."""
-FARTHEST = 1.0
+MAX_RESIDUAL = 1.0
 """Largest distance from a hit to the wall of another pass that counts, meters; larger ones count as this."""
 NEIGHBORHOOD, NEIGHBORS, PLACES = 0.5, 5, 4000
 """Radius in meters, fewest hits in it and number of places of the wall thickness."""
@@ -63,8 +63,8 @@ def contradicted_share(
     A scan that no other pass can test counts as consistent.
 
     Args:
-        scans: of a planar laser.
-        readings: attitude at each scan; None where unknown.
+        scans: Scans of a planar laser.
+        readings: Attitude at each scan; None where unknown.
         trajectory: `T_map_base` of the scans, by their stamps.
 
     Returns:
@@ -74,7 +74,7 @@ def contradicted_share(
     if placed is None:
         return None
     seen, against = _compare(placed.ranges, placed.angles, placed.sensors, placed.driven)
-    return float(((seen >= FEWEST) & (against > CONTRADICTED * seen)).mean())
+    return float(((seen >= MIN_HITS) & (against > CONTRADICTED * seen)).mean())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,10 +82,10 @@ class ScanConsistency:
     """Quality of a trajectory by its own scans, without a truth.
 
     Attributes:
-        revisit_residual: mean distance from hits to walls that another pass saw, meters; None = no revisits.
-        pass_residual: the same between scans of one pass, meters; None = too few hits.
-        revisited: share of the scans that another pass can test.
-        wall_thickness: median deviation of hits across walls, meters; None = too few hits.
+        revisit_residual: Mean distance from hits to walls that another pass saw, meters; None = no revisits.
+        pass_residual: Mean distance between scans of one pass, meters; None = too few hits.
+        revisited: Share of the scans that another pass can test.
+        wall_thickness: Median deviation of hits across walls, meters; None = too few hits.
     """
 
     revisit_residual: float | None
@@ -102,19 +102,19 @@ def scan_consistency(
     if placed is None:
         return None
     arrays = placed.ranges, placed.angles, placed.sensors, placed.driven
-    compared, total = _residuals(*arrays, PASS, math.inf)
-    compared_within, total_within = _residuals(*arrays, 0.0, PASS)
+    compared, total = _residuals(*arrays, PASS_LENGTH, math.inf)
+    compared_within, total_within = _residuals(*arrays, 0.0, PASS_LENGTH)
     return ScanConsistency(
         revisit_residual=_mean(total, compared),
         pass_residual=_mean(total_within, compared_within),
-        revisited=float((compared >= FEWEST).mean()),
+        revisited=float((compared >= MIN_HITS).mean()),
         wall_thickness=_wall_thickness(placed.points()),
     )
 
 
 def _mean(total: FloatArray, count: IntArray) -> float | None:
     """Return the mean over all counted hits; None of fewer than one scan needs."""
-    return float(total.sum() / count.sum()) if count.sum() >= FEWEST else None
+    return float(total.sum() / count.sum()) if count.sum() >= MIN_HITS else None
 
 
 def _wall_thickness(points: FloatArray) -> float | None:
@@ -150,13 +150,13 @@ class _PlacedScans:
     driven: FloatArray
 
     def points(self) -> FloatArray:
-        """Return (m, 2) hits of the tested beams up to `REACH` in the map, meters."""
+        """Return (m, 2) hits of the tested beams up to `MAX_RANGE` in the map, meters."""
         beams = np.arange(0, self.ranges.shape[1], max(1, self.ranges.shape[1] // HITS))
         ranges = self.ranges[:, beams]
         bearings = self.sensors[:, 2:] + self.angles[:, :1] + beams * self.angles[:, 1:]
         directions = np.stack((np.cos(bearings), np.sin(bearings)), axis=-1)
         ends: FloatArray = self.sensors[:, None, :2] + ranges[..., None] * directions
-        return ends[ranges <= REACH]
+        return ends[ranges <= MAX_RANGE]
 
 
 def _place_scans(
@@ -204,10 +204,10 @@ def _select_spaced(poses: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 def _is_level(scan: LaserScan, reading: Imu | None) -> bool:
-    """Return whether a hit at `REACH` lies less than `MARGIN` above or below the laser."""
+    """Return whether a hit at `MAX_RANGE` lies less than `FREE_DEPTH` above or below the laser."""
     attitude = Pose3() if reading is None else Pose3.from_rpy(0, 0, 0, reading.roll, reading.pitch, 0)
     upright = (attitude @ scan.T_base_laser).rotation[2, 2]
-    return bool(abs(upright) >= math.cos(MARGIN / REACH))
+    return bool(abs(upright) >= math.cos(FREE_DEPTH / MAX_RANGE))
 
 
 def _sweep(scan: LaserScan) -> tuple[FloatArray, float, float]:
@@ -231,21 +231,21 @@ def _compare(
     for i in range(n):
         for j in range(n):
             dx, dy = sensors[i, 0] - sensors[j, 0], sensors[i, 1] - sensors[j, 1]
-            if abs(driven[i] - driven[j]) < PASS or dx * dx + dy * dy > 4 * REACH * REACH:
+            if abs(driven[i] - driven[j]) < PASS_LENGTH or dx * dx + dy * dy > 4 * MAX_RANGE * MAX_RANGE:
                 continue
             for k in range(0, beams, stride):
                 r = ranges[i, k]
-                if not r <= REACH:
+                if not r <= MAX_RANGE:
                     continue
                 bearing = sensors[i, 2] + angles[i, 0] + k * angles[i, 1]
                 x, y = dx + r * math.cos(bearing), dy + r * math.sin(bearing)
                 distance = math.sqrt(x * x + y * y)
-                if distance > REACH or distance < 2 * MARGIN:
+                if distance > MAX_RANGE or distance < 2 * FREE_DEPTH:
                     continue
                 start, step = sensors[j, 2] + angles[j, 0], angles[j, 1]
                 turn = (math.atan2(y, x) - start) % math.tau
                 nearest = int(turn / step + 0.5)
-                if nearest >= beams or not ranges[j, nearest] >= distance - MARGIN:
+                if nearest >= beams or not ranges[j, nearest] >= distance - FREE_DEPTH:
                     continue
                 verdict = _sees(ranges[j], turn, step, distance)
                 seen[i] += verdict >= 0
@@ -259,13 +259,13 @@ def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
 
     Args:
         ranges: (beams,) of the scan, meters.
-        turn: from its first beam to the point, radians.
-        step: between beams, radians.
-        distance: of the point, meters.
+        turn: Angle from its first beam to the point, radians.
+        step: Angle between beams, radians.
+        distance: Distance of the point, meters.
     """
-    if ranges[int(turn / step + 0.5)] <= distance + MARGIN:
+    if ranges[int(turn / step + 0.5)] <= distance + FREE_DEPTH:
         return 0
-    around = math.asin(MARGIN / distance)
+    around = math.asin(FREE_DEPTH / distance)
     first, last = math.ceil((turn - around) / step), math.floor((turn + around) / step)
     if first < 0 or last >= len(ranges):
         return -1
@@ -273,7 +273,7 @@ def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
         if math.isnan(ranges[k]):
             return -1
     for k in range(first, last + 1):
-        if ranges[k] <= distance + MARGIN:
+        if ranges[k] <= distance + FREE_DEPTH:
             return 0
     return 1
 
@@ -289,8 +289,8 @@ def _residuals(
         angles: (n, 2) of the first beam, and between beams, radians.
         sensors: (n, 3) poses of the laser in the map.
         driven: (n,) meters driven up to each scan.
-        least: smallest distance driven between two compared scans, meters.
-        most: their distance driven is smaller than this, meters.
+        least: Least distance driven between two compared scans, meters.
+        most: Distance driven between two compared scans is smaller than this, meters.
     """
     n, beams = ranges.shape
     compared, total = np.zeros(n, np.int64), np.zeros(n)
@@ -299,15 +299,15 @@ def _residuals(
         for j in range(n):
             dx, dy = sensors[i, 0] - sensors[j, 0], sensors[i, 1] - sensors[j, 1]
             apart = abs(driven[i] - driven[j])
-            if i == j or apart < least or apart >= most or dx * dx + dy * dy > 4 * REACH * REACH:
+            if i == j or apart < least or apart >= most or dx * dx + dy * dy > 4 * MAX_RANGE * MAX_RANGE:
                 continue
             for k in range(0, beams, stride):
-                if not ranges[i, k] <= REACH:
+                if not ranges[i, k] <= MAX_RANGE:
                     continue
                 bearing = sensors[i, 2] + angles[i, 0] + k * angles[i, 1]
                 x, y = dx + ranges[i, k] * math.cos(bearing), dy + ranges[i, k] * math.sin(bearing)
                 distance = math.sqrt(x * x + y * y)
-                if FARTHEST / 2 <= distance <= REACH:
+                if MAX_RESIDUAL / 2 <= distance <= MAX_RANGE:
                     turn = (math.atan2(y, x) - sensors[j, 2] - angles[j, 0]) % math.tau
                     residual = _nearest_hit(ranges[j], turn, angles[j, 1], distance)
                     compared[i] += residual >= 0
@@ -319,11 +319,11 @@ def _residuals(
 def _nearest_hit(ranges: FloatArray, turn: float, step: float, distance: float) -> float:
     """Return a point's distance from a scan's nearest hit, meters; -1 if unseen."""
     beam = int(turn / step + 0.5)
-    if beam >= len(ranges) or not ranges[beam] >= distance - FARTHEST:  # no return says nothing
+    if beam >= len(ranges) or not ranges[beam] >= distance - MAX_RESIDUAL:  # no return says nothing
         return -1.0
-    around = math.asin(min(1.0, FARTHEST / distance))
+    around = math.asin(min(1.0, MAX_RESIDUAL / distance))
     first, last = max(0, math.floor((turn - around) / step)), math.ceil((turn + around) / step)
-    nearest = FARTHEST * FARTHEST
+    nearest = MAX_RESIDUAL * MAX_RESIDUAL
     for k in range(first, min(len(ranges), last + 1)):
         r = ranges[k]
         if not math.isnan(r):

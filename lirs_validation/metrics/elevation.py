@@ -14,16 +14,15 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_validation.metrics.alignment import associated, rms
-from lirs_validation.metrics.near_obstacles import near_obstacle
-from lirs_validation.metrics.trajectory import spatial_alignment
+from lirs_validation.metrics.alignment import associated, rms, spatial_alignment
+from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct import HeightField, PointCloud, Pose3, Trajectory, WallGrid, World
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.errors import SourceError, reason_of
 
 CELL = 0.10
 """Edge of a cell, meters."""
-MARGIN = 0.20
+OBSTACLE_DISTANCE = 0.20
 """Cells so near a wall or a face steeper than 45 deg are not judged, meters: what lies in them is one side of
 it, and no height of the ground."""
 
@@ -58,12 +57,12 @@ class ElevationMap:
     def error(self, surface: HeightField, walls: WallGrid | None) -> FloatArray:
         """Return (rows, cols) mean height less the surface's at the cell's center, meters.
 
-        NaN where no point lies, off the surface, and within MARGIN of a wall or a face steeper than 45 deg.
+        NaN where no point lies, off the surface, and near a wall or a face steeper than 45 deg.
         """
         seen = self.seen.ravel()
         xy = self.centers[seen]
         found = self.mean.ravel()[seen] - surface.height_at(xy[:, 0], xy[:, 1])
-        found[near_obstacle(xy, surface, walls, MARGIN)] = np.nan
+        found[near_obstacle(xy, surface, walls, OBSTACLE_DISTANCE)] = np.nan
         error = np.full(self.mean.size, np.nan)
         error[seen] = found
         return error.reshape(self.mean.shape)
@@ -74,12 +73,11 @@ class ElevationScores:
     """The metrics of one elevation map; None where no cell is left to judge.
 
     Attributes:
-        elevation_rmse: root mean square difference between the built map and the true surface, meters.
-        elevation_rmse_aligned: the same after the alignment of the trajectory in space; None without one.
-        elevation_seen: share of the cells that could be seen (in the map of the true poses) that the built
+        elevation_rmse: Root mean square difference between the built map and the true surface, meters.
+        elevation_rmse_aligned: Difference after the alignment of the trajectory in space; None without one.
+        elevation_seen: Share of the cells that could be seen (in the map of the true poses) that the built
             map holds.
-        reference_elevation_rmse: elevation_rmse of the map of the true poses: what cells, noise and slopes
-            make of it without any error of the poses.
+        reference_elevation_rmse: Difference of the map of the true poses, by cells, noise and slopes alone.
     """
 
     elevation_rmse: float | None = None
@@ -114,11 +112,11 @@ def elevation_scores(
     """Score a built elevation map.
 
     Args:
-        built: by the mapper's poses, moved by the true start pose.
-        reference: of the same clouds by the true poses, on the same grid.
-        aligned: by the mapper's poses after the alignment of the trajectory, where there is one.
-        surface: the world's ground.
-        walls: the world's walls.
+        built: Map by the mapper's poses, moved by the true start pose.
+        reference: Map of the same clouds by the true poses, on the same grid.
+        aligned: Map by the mapper's poses after the alignment of the trajectory; None without one.
+        surface: Ground of the world.
+        walls: Walls of the world.
     """
     could = reference.error(surface, walls)
     visible = ~np.isnan(could)
@@ -176,7 +174,7 @@ def read_elevation(path: Path) -> tuple[ElevationMap, ElevationMap]:
     return built, true_pose
 
 
-NARROW = 0.1
+MIN_WIDTH = 0.1
 """A path whose width is a smaller share of its length does not say how it is turned about itself."""
 
 
@@ -196,10 +194,10 @@ def evaluate_elevation(
     A world with overhangs has none.
 
     Args:
-        world: where it took place.
-        sample: clouds that were kept.
-        truth: true poses of all scans, world frame.
-        estimate: the mapper's final poses, world frame (moved by the true start pose).
+        world: World of the run.
+        sample: Sample of the run's clouds.
+        truth: True poses of all scans, world frame.
+        estimate: Final poses of the mapper, world frame (moved by the true start pose).
     """
     if world.overhangs:
         return None, ElevationScores()
@@ -238,12 +236,12 @@ def _alignment(truth: Trajectory, estimate: Trajectory) -> Pose3 | None:
         return None
     true = truth.positions[i]
     spread = np.linalg.svd(true - true.mean(axis=0), compute_uv=False)
-    if spread[1] < NARROW * spread[0]:
+    if spread[1] < MIN_WIDTH * spread[0]:
         return None
     return spatial_alignment(estimate.positions[j], true)
 
 
-MOST = 240
+MAX_CLOUDS = 240
 """Clouds that are kept at a time, some 100 MB of them; beyond, every second one is dropped."""
 
 
@@ -254,9 +252,9 @@ class CloudSample:
     One per second; fewer on longer drives.
 
     Attributes:
-        clouds: that are kept, without the points on walkers.
-        scans: number of the scan that each belongs to.
-        period: seconds from one to the next.
+        clouds: Kept clouds, without the points on walkers.
+        scans: Number of each cloud's scan.
+        period: Seconds from one cloud to the next.
     """
 
     clouds: list[PointCloud] = field(default_factory=list)
@@ -269,5 +267,5 @@ class CloudSample:
             return
         self.clouds.append(cloud if walkers is None else cloud.select(~walkers))
         self.scans.append(scan)
-        if len(self.clouds) > MOST:
+        if len(self.clouds) > MAX_CLOUDS:
             self.clouds, self.scans, self.period = self.clouds[::2], self.scans[::2], 2 * self.period

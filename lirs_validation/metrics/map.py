@@ -1,4 +1,4 @@
-"""Comparison of a built map with a reference map and the world's geometry.
+"""Agreement of a built map with a reference map and the world's geometry.
 
 All grids are given in the world frame: the built map moved by the true start pose and by nothing else. So an
 error of the first meters shifts or turns the whole map; the `_aligned` metrics are of the map moved by the
@@ -9,24 +9,229 @@ says: a cell that is neither occupied nor free (p < 0.25) is unknown.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
-from lirs_validation.metrics.agreement import (
-    NO_AGREEMENT,
-    ROUNDING,
-    TOLERANCE,
-    CellDistance,
-    agreement,
-    as_stored,
-    cell_distance,
-    map_ssim,
-    sample_like,
-)
 from lirs_validation.metrics.alignment import StartAlignment
-from lirs_validation.metrics.near_obstacles import near_obstacle
+from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct import HeightField, OccupancyGrid, WallGrid
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from lirs_wct.geometry import wrap_angle
+
+TOLERANCE = 0.10
+"""Two occupied cells agree where their centers are at most this far apart, meters."""
+ROUNDING = 1e-9
+"""Cell centers that are 0.10 m apart but for rounding agree, meters."""
+COINCIDING = 1e-3
+"""Largest distance of cells of two maps on one lattice, cells; more than rounding."""
+WINDOW, SIGMA = 11, 1.5
+"""Side and standard deviation of the Gaussian window, cells (Wang et al., Sec. III-C)."""
+K1, K2 = 0.01, 0.03
+"""Constants that keep the quotients finite, as in the paper, for pictures in [0, 1]."""
+BAND = 64
+"""Rows of a map per block: intermediate arrays are ten times the size of the block."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Agreement:
+    """Agreement of occupied cells of two maps; None if neither map has one.
+
+    All three are 0 where only one of the two maps has occupied cells, or where the maps know nothing in
+    common: a map without walls is wrong where there are walls, and earns no gap in a mean.
+
+    Attributes:
+        precision: Share of the built map's occupied cells with one of the reference within 0.10 m.
+        recall: Share of the reference's occupied cells with one of the built map within 0.10 m.
+        f1: Harmonic mean of both.
+    """
+
+    precision: float | None
+    recall: float | None
+    f1: float | None
+
+
+NO_AGREEMENT = Agreement(precision=None, recall=None, f1=None)
+"""Agreement of two maps without an occupied cell, or without another map."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellDistance:
+    """Distances from the occupied cells of one map to those of another.
+
+    Attributes:
+        mean: Mean distance, meters.
+        p95: Distance of at least 95 % of the cells, meters, at most.
+    """
+
+    mean: float
+    p95: float
+
+
+def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float = TOLERANCE) -> Agreement:
+    """Compare occupied cells by the distance of their centers, in meters, where both maps know.
+
+    A cell is asked where the other map knows the cell under its center; it agrees with any occupied
+    cell of the other map within the tolerance. Works for any two resolutions and rotations.
+    """
+    if not built.occupied.any() and not reference.occupied.any():
+        return NO_AGREEMENT
+    precision = _confirmed_share(built, reference, tolerance)
+    recall = _confirmed_share(reference, built, tolerance)
+    both = precision + recall
+    return Agreement(precision=precision, recall=recall, f1=2 * precision * recall / both if both else 0.0)
+
+
+def cell_distance(asked: OccupancyGrid, other: OccupancyGrid) -> CellDistance | None:
+    """Return distances of a map's occupied cells to those of another map.
+
+    Only cells known in the other map count.
+
+    None where there is no cell to ask, or the other map has no occupied cell.
+    """
+    _, distance = nearest_occupied(asked, other)
+    if len(distance) == 0 or not np.isfinite(distance).all():
+        return None
+    return CellDistance(mean=float(distance.mean()), p95=float(np.percentile(distance, 95)))
+
+
+def contradicted(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = TOLERANCE) -> BoolArray:
+    """Return (rows, cols) occupied cells that the other map contradicts.
+
+    Only cells known in the other map count.
+    """
+    cells, distance = nearest_occupied(asked, other)
+    wrong = np.zeros(asked.shape, np.bool_)
+    wrong[tuple(cells[distance > tolerance + ROUNDING].T)] = True
+    return wrong
+
+
+def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArray, FloatArray]:
+    """Return (n, 2) comparable occupied cells and (n,) their distances in meters.
+
+    A cell is comparable if the other map knows it; the distance leads to the other's nearest occupied cell.
+
+    The distance is infinite where the other map has no occupied cell at all.
+    """
+    cells, targets = np.argwhere(asked.occupied).astype(np.int64), other.occupied_points()
+    points = asked.centers(cells)
+    known = ~np.isnan(log_odds_at(other, points))
+    if len(targets) == 0:
+        return cells[known], np.full(int(known.sum()), np.inf)
+    distance, _ = cKDTree(targets).query(points[known])
+    return cells[known], np.asarray(distance, dtype=np.float64)
+
+
+def as_stored(grid: OccupancyGrid) -> OccupancyGrid:
+    """Return the cells as a map file stores them: occupied, free or unknown.
+
+    A map is evaluated by this, so that one read from a file, of whatever program, is evaluated like one in
+    memory: a cell that a mapper saw and did not decide is unknown in both.
+    """
+    log_odds = np.where(grid.occupied | grid.free, grid.log_odds, np.float32(np.nan))
+    return replace(grid, log_odds=log_odds)
+
+
+def sample_like(grid: OccupancyGrid, like: OccupancyGrid) -> Float32Array:
+    """Return a grid's log-odds at another grid's cell centers; NaN where unknown or outside."""
+    T = grid.origin.inverse() @ like.origin
+    row, col = round(T.y / grid.resolution), round(T.x / grid.resolution)
+    rows, cols = like.shape
+    off = math.hypot(T.x - col * grid.resolution, T.y - row * grid.resolution)
+    off += abs(wrap_angle(T.yaw)) * math.hypot(rows, cols) * like.resolution
+    if grid.resolution == like.resolution and off < COINCIDING * grid.resolution:
+        return _shifted(grid.log_odds, row, col, like.shape)
+    found = np.empty(like.shape, np.float32)
+    for first in range(0, rows, BAND):
+        band = np.arange(first, min(first + BAND, rows)), np.arange(cols)
+        cells = np.stack(np.meshgrid(*band, indexing="ij"), axis=-1)
+        found[first : first + BAND] = log_odds_at(grid, like.centers(cells))
+    return found
+
+
+def _shifted(values: Float32Array, row: int, col: int, shape: tuple[int, int]) -> Float32Array:
+    """Return the values of a shape from a row and column on; NaN beyond."""
+    found = np.full(shape, np.nan, np.float32)
+    north, east = max(row + shape[0], 0), max(col + shape[1], 0)
+    held = values[max(row, 0) : north, max(col, 0) : east]
+    south, west = max(-row, 0), max(-col, 0)
+    found[south : south + held.shape[0], west : west + held.shape[1]] = held
+    return found
+
+
+def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
+    """Return a grid's log-odds at points (..., 2), meters; NaN where unknown or outside."""
+    cells = grid.cells(points)
+    inside = np.all((cells >= 0) & (cells < np.array(grid.shape)), axis=-1)
+    held = np.where(inside[..., None], cells, 0)
+    values: Float32Array = np.where(inside, grid.log_odds[held[..., 0], held[..., 1]], np.float32(np.nan))
+    return values
+
+
+def _confirmed_share(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float:
+    """Return the share of occupied cells that the other map confirms.
+
+    Only cells known in the other map count; 0 without cells.
+    """
+    _, distance = nearest_occupied(asked, other)
+    return float((distance <= tolerance + ROUNDING).mean()) if len(distance) else 0.0
+
+
+def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
+    """Return the mean structural similarity over cells known in both maps.
+
+    None if there is none.
+
+    The built map is read at the centers of the reference's cells. Pictures hold 0 for occupied, 1 for
+    free and 0.5 for unknown or undecided cells.
+    """
+    moved = OccupancyGrid(sample_like(built, reference), reference.resolution)
+    both = moved.known & reference.known
+    if not both.any():
+        return None
+    return float(similarity(as_picture(moved), as_picture(reference))[both].mean())
+
+
+def as_picture(grid: OccupancyGrid) -> Float32Array:
+    """Return (rows, cols), south first: 0 for occupied, 1 for free, 0.5 otherwise."""
+    picture = np.full(grid.shape, 0.5, np.float32)
+    picture[grid.free] = 1.0
+    picture[grid.occupied] = 0.0
+    return picture
+
+
+def similarity(x: FloatArray | Float32Array, y: FloatArray | Float32Array) -> FloatArray:
+    """Return the structural similarity about each pixel of two pictures (rows, cols) in [0, 1].
+
+    Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity" (IEEE TIP
+    2004), Eq. 13 with the moments of Eqs. 14-16; pictures are mirrored at their borders.
+    """
+    half = WINDOW // 2
+    mirrored = np.pad(np.arange(len(x)), half, mode="symmetric")
+    found = np.empty(x.shape)
+    for first in range(0, len(found), BAND):
+        rows = mirrored[first : first + BAND + 2 * half]
+        parts = (np.asarray(picture[rows], dtype=np.float64) for picture in (x, y))
+        found[first : first + BAND] = _similarity(*parts)[half:-half]
+    return found
+
+
+def _similarity(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return `similarity` of some rows, valid away from the first and last ones."""
+    c1, c2 = K1**2, K2**2
+    mx, my = _mean(x), _mean(y)
+    vx, vy, cov = _mean(x * x) - mx * mx, _mean(y * y) - my * my, _mean(x * y) - mx * my
+    above: FloatArray = (2 * mx * my + c1) * (2 * cov + c2)
+    return above / ((mx * mx + my * my + c1) * (vx + vy + c2))
+
+
+def _mean(picture: FloatArray) -> FloatArray:
+    """Return the mean under the Gaussian window about each pixel."""
+    blurred = cv2.GaussianBlur(picture, (WINDOW, WINDOW), SIGMA, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, dtype=np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,24 +241,24 @@ class MapScores:
     None if neither map has an occupied cell, or there is no reference.
 
     Attributes:
-        f1: agreement with the true-pose map, harmonic mean of precision and recall.
-        f1_aligned: the same after the alignment of the trajectory; None without one.
-        start_shift: how far that alignment moves the start pose, meters.
-        start_turn: by how much it turns the map, radians, not negative.
-        precision: share of the built occupied cells that the true-pose map confirms within 0.10 m.
-        recall: share of the true-pose map's occupied cells that the built map holds within 0.10 m.
-        iou: occupied in both over occupied in either, cell by cell.
-        f1_input: agreement with the input laser map.
-        precision_input: share of the built occupied cells that the input laser map confirms.
-        recall_input: share of the input laser map's occupied cells, where the built map knows, that it holds.
-        false_occupied: share of the built occupied cells farther than 0.10 m from any steep face or wall.
-        false_occupied_aligned: the same after the alignment of the trajectory; None without one.
-        reference_false_occupied: false_occupied of the true-pose map itself: walls that no pose error made.
-        unknown: share of the true-pose map's known cells that the built map does not know.
-        to_reference: how far the built occupied cells lie from the true-pose map's nearest.
-        from_reference: how far the true-pose map's occupied cells lie from the built map's nearest.
-        ssim: structural similarity with the true-pose map.
-        occupied_cells: how many occupied cells the built map has.
+        f1: Agreement with the true-pose map, harmonic mean of precision and recall.
+        f1_aligned: Agreement after the alignment of the trajectory; None without one.
+        start_shift: Distance by which the alignment moves the start pose, meters.
+        start_turn: Angle by which the alignment turns the map, radians, not negative.
+        precision: Share of the built occupied cells that the true-pose map confirms within 0.10 m.
+        recall: Share of the true-pose map's occupied cells that the built map holds within 0.10 m.
+        iou: Cells occupied in both over cells occupied in either.
+        f1_input: Agreement with the input laser map.
+        precision_input: Share of the built occupied cells that the input laser map confirms.
+        recall_input: Share of the input laser map's occupied cells, where the built map knows, that it holds.
+        false_occupied: Share of the built occupied cells farther than 0.10 m from any steep face or wall.
+        false_occupied_aligned: Share after the alignment of the trajectory; None without one.
+        reference_false_occupied: Share of the true-pose map itself: walls that no pose error made.
+        unknown: Share of the true-pose map's known cells that the built map does not know.
+        to_reference: Distances of the built occupied cells from the true-pose map's nearest.
+        from_reference: Distances of the true-pose map's occupied cells from the built map's nearest.
+        ssim: Structural similarity with the true-pose map.
+        occupied_cells: Number of occupied cells of the built map.
     """
 
     f1: float | None
@@ -88,12 +293,12 @@ def map_scores(
     """Score a built map.
 
     Args:
-        built: the mapper's map, in the world frame.
-        true_pose: the map that our update makes of the same scans at the true poses, in the world frame.
-        surface: the world's ground.
-        walls: the world's walls.
-        truth: the input laser map, where there is one, in the world frame.
-        alignment: of the trajectory that belongs to the built map, where there is one.
+        built: Map of the mapper, in the world frame.
+        true_pose: Map that our update makes of the same scans at the true poses, in the world frame.
+        surface: Ground of the world.
+        walls: Walls of the world.
+        truth: Input laser map in the world frame; None without one.
+        alignment: Alignment of the built map's trajectory; None without one.
     """
     built, true_pose = as_stored(built), as_stored(true_pose)
     seen = OccupancyGrid(sample_like(built, true_pose), true_pose.resolution, true_pose.origin)

@@ -12,7 +12,7 @@ import numpy as np
 from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
 from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
 from lirs_envs.robots.robot import Robot
-from lirs_validation.metrics.near_obstacles import near_obstacle
+from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct import LaserScan, Pose2, Pose3, World
 from lirs_wct.arrays import BoolArray, FloatArray
 
@@ -21,12 +21,11 @@ POSES = 300
 CELLS = 2000
 """Cells along the longer side, at most, of the grid on which drivable ground is looked for."""
 STREAM = 31
-"""Which of the seed's random streams they are drawn from."""
-NEAR = 0.10
+"""Random stream of the seed from which they are drawn."""
+WALL_DISTANCE = 0.10
 """Meters from a steep face or wall cell within which a hit is one of a wall, as in `map.false_occupied`."""
 
-
-ENOUGH = 0.05
+ENOUGH_WALLS = 0.05
 """Share of a scan's beams on walls above which planar mapping is expected to work."""
 
 
@@ -35,14 +34,14 @@ class ScanSupport:
     """Hits of single scans over the drivable ground; the other beams return nothing.
 
     Attributes:
-        robot: whose lidar, mount and drivable ground.
-        beams: in a scan.
-        poses: at which scans were cast; 0 = the robot can stand nowhere.
-        wall_median: hits of faces steeper than 45 deg and of wall cells, median over the poses.
-        wall_p10: the same, 10th percentile: in a tenth of the places there are fewer.
-        ground_median: hits of other ground, median over the poses.
-        ground_p10: its 10th percentile.
-        wall_share: share of all hits that are of walls, over all scans; 0 without a hit.
+        robot: Robot with the lidar.
+        beams: Beams in a scan.
+        poses: Number of scans; 0 = the robot can stand nowhere.
+        wall_median: Hits of faces steeper than 45 deg and of wall cells, median over the poses.
+        wall_p10: Hits of walls, 10th percentile: in a tenth of the places there are fewer.
+        ground_median: Hits of other ground, median over the poses.
+        ground_p10: Hits of other ground, 10th percentile.
+        wall_share: Share of walls among all hits of all scans; 0 without a hit.
     """
 
     robot: str
@@ -61,9 +60,9 @@ class ScanSupport:
             return "the robot can stand nowhere"
         least, median = f"{self.wall_p10:.0f}", f"{self.wall_median:.0f}"
         walls = f"walls on {least if least == median else f'{least} to {median}'} of {self.beams} beams"
-        if self.wall_p10 >= ENOUGH * self.beams:
+        if self.wall_p10 >= ENOUGH_WALLS * self.beams:
             return f"{walls}: enough for planar mapping nearly everywhere"
-        if self.wall_median >= ENOUGH * self.beams:
+        if self.wall_median >= ENOUGH_WALLS * self.beams:
             return f"{walls}: too few for planar mapping in some places"
         return f"{walls}: too few for planar mapping"
 
@@ -112,7 +111,7 @@ def cast_beams(
 def count_hits(world: World, hits: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """Return (n,) hits on walls and on other ground of scans with hits (k, 2)."""
     # All scans together: each call copies the surface.
-    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, NEAR)
+    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, WALL_DISTANCE)
     scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
     walls, ground = (np.bincount(scan[each], minlength=len(hits)) for each in (near, ~near))
     return walls.astype(np.float64), ground.astype(np.float64)

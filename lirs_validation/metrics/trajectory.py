@@ -1,36 +1,50 @@
-"""Trajectory errors: an estimate against the truth, in the plane and in space.
+"""Trajectory errors: an estimate against the truth, in the plane and in space, and against true relations.
 
 The metrics are those of Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems" (IROS 2012):
-absolute trajectory error (ATE, Eq. 4) and relative pose error (RPE, Eqs. 1-3).
+absolute trajectory error (ATE, Eq. 4) after rigid alignment, and relative pose error (RPE, Eqs. 1-3) of the
+motion between pairs of poses, without any alignment. Relations between close poses are those of Kuemmerle et
+al., "On measuring the accuracy of SLAM algorithms" (Autonomous Robots 2009).
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from lirs_validation.metrics.alignment import (
     MAX_GAP,
     associated,
+    motion,
     move_poses,
+    nearest,
     planar,
     rigid_alignment,
     rms,
     scan_coverage,
+    spatial_alignment,
     wrap_angles,
 )
-from lirs_validation.metrics.relative_pose_error import (
-    ConstraintErrorSummary,
-    RelativePoseError,
-    constraint_error_summary,
-    pairs_by_path,
-    pairs_by_time,
-    relative_pose_error,
-)
-from lirs_wct import ConfigError, Pose2, Pose3, Trajectory
-from lirs_wct.arrays import FloatArray
+from lirs_wct import ConfigError, Pose2, SourceError, Trajectory
+from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.files import read_gzipped
+
+PROPAGATION_GAP = 0.1
+"""A pose farther than this from a constraint's stamp is propagated there by odometry, seconds."""
+CLOSE = 2.0
+"""Constraints tie poses this near each other, meters: scans at both poses show the same places."""
+SPACING = 1.0
+"""Path between two poses that constraints are made of, meters."""
+STAMP_MARGIN = 2.0
+"""Seconds around an estimate's time; constraints with a stamp outside are left out."""
+REFERENCE_GAP = 0.5
+"""A reference pose is compared with the nearest scan, at most so many seconds away."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,19 +52,18 @@ class TrajectoryErrors:
     """The errors of one estimated trajectory against the true one.
 
     Attributes:
-        ate_rmse: root mean square position error after rigid alignment without scale, meters.
-        ate_max: largest position error after that alignment, meters.
-        ate_rmse_unaligned: the same without any alignment: both start at the true start pose, meters.
-        yaw_rmse: root mean square yaw error after alignment, radians.
-        rpe_metre: relative error per meter driven; None where the path is shorter than a meter.
-        rpe_second: relative error per second; None where it lasts less than a second.
-        relations: error of the relative-pose constraints between close poses; None where the path is
-            shorter than a meter.
-        final_drift: distance between the last two poses without alignment, meters.
-        final_yaw_drift: absolute difference of the last two yaws without alignment, radians.
-        length: length of the true path between the first and the last compared pose, meters.
-        poses: how many pairs of poses were compared.
-        scan_coverage: share of the true poses, one a scan, with an estimate at their stamp.
+        ate_rmse: Root mean square position error after rigid alignment without scale, meters.
+        ate_max: Largest position error after alignment, meters.
+        ate_rmse_unaligned: Root mean square position error from a common start pose, meters.
+        yaw_rmse: Root mean square yaw error after alignment, radians.
+        rpe_metre: Relative error per meter driven; None of a path shorter than a meter.
+        rpe_second: Relative error per second; None of a path shorter than a second.
+        relations: Error of constraints between close poses; None of a path shorter than a meter.
+        final_drift: Distance between the last two poses without alignment, meters.
+        final_yaw_drift: Absolute difference of the last two yaws without alignment, radians.
+        length: Length of the true path between the first and the last compared pose, meters.
+        poses: Number of compared pairs of poses.
+        scan_coverage: Share of the true poses, one a scan, with an estimate at their stamp.
     """
 
     ate_rmse: float
@@ -75,7 +88,7 @@ def trajectory_errors(
     Args:
         truth: true poses in the world frame.
         estimate: estimated poses in the map frame.
-        T_world_map: where the map frame lies in the world: the true start pose (None: the same frame).
+        T_world_map: Place of the map frame in the world: the true start pose (None: the same frame).
 
     Raises:
         ConfigError: fewer than two poses share a moment.
@@ -111,10 +124,10 @@ class SpatialErrors:
     """The errors of one estimated trajectory against the true one, in space.
 
     Attributes:
-        ate_rmse_3d: root mean square position error after rigid alignment without scale, meters.
-        ate_max_3d: largest position error after that alignment, meters.
-        ate_rmse_3d_unaligned: the same without alignment: both start at the true start pose, meters.
-        rotation_rmse_3d: root mean square angle between true and estimated attitude, radians; without
+        ate_rmse_3d: Root mean square position error after rigid alignment without scale, meters.
+        ate_max_3d: Largest position error after alignment, meters.
+        ate_rmse_3d_unaligned: Root mean square position error from a common start pose, meters.
+        rotation_rmse_3d: Root mean square angle between true and estimated attitude, radians; without
             alignment, which leaves the turn about a straight path open.
     """
 
@@ -133,7 +146,8 @@ def spatial_errors(truth: Trajectory, estimate: Trajectory) -> SpatialErrors:
     true, est = truth.positions[i], estimate.positions[j]
     T = spatial_alignment(est, true)
     error = np.linalg.norm(T.apply(est) - true, axis=1)
-    turned = _rotations(truth.quaternions[i]).inv() * _rotations(estimate.quaternions[j])
+    attitude = Rotation.from_quat(truth.quaternions[i], scalar_first=True)
+    turned = attitude.inv() * Rotation.from_quat(estimate.quaternions[j], scalar_first=True)
     return SpatialErrors(
         ate_rmse_3d=rms(error),
         ate_max_3d=float(error.max()),
@@ -142,19 +156,294 @@ def spatial_errors(truth: Trajectory, estimate: Trajectory) -> SpatialErrors:
     )
 
 
-def spatial_alignment(source: FloatArray, target: FloatArray) -> Pose3:
-    """Return the least-squares `T_target_source` from points (n, 3) to points (n, 3).
+@dataclass(frozen=True, kw_only=True)
+class RelativePoseError:
+    """Relative pose error over pairs of poses that lie one `delta` apart.
 
-    Umeyama (PAMI 1991), Eqs. 39-42 without scale. Points on a line leave the turn about it open; that of the
-    singular value decomposition is then taken.
+    Attributes:
+        translation_rmse: Root mean square of the translational error of a pair, meters.
+        rotation_rmse: Root mean square of the rotational error of a pair, radians.
+        pairs: Number of compared pairs.
     """
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
-    U, _, Vt = np.linalg.svd(b.T @ a)
-    mirrored = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
-    R = U @ np.diag((1.0, 1.0, mirrored)) @ Vt
-    t = target.mean(axis=0) - R @ source.mean(axis=0)
-    return Pose3.from_arrays(t, Rotation.from_matrix(R).as_quat(scalar_first=True))
+
+    translation_rmse: float
+    rotation_rmse: float
+    pairs: int
 
 
-def _rotations(quaternions: FloatArray) -> Rotation:
-    return Rotation.from_quat(quaternions, scalar_first=True)
+def relative_pose_error(
+    true: FloatArray, estimate: FloatArray, pairs: tuple[IntArray, IntArray]
+) -> RelativePoseError | None:
+    """Compare motions of pairs of planar poses (n, 3); None without pairs.
+
+    Sturm et al. 2012, Eq. 1: E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
+    """
+    if len(pairs[0]) == 0:
+        return None
+    shift, turn = motion_errors(true, estimate, pairs)
+    return RelativePoseError(translation_rmse=rms(shift), rotation_rmse=rms(turn), pairs=len(shift))
+
+
+def pairs_by_path(poses: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
+    """Return consecutive pairs of planar poses (n, 3), `delta` meters of path apart.
+
+    A distance may be just above `delta`.
+    """
+    steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
+    marks, driven = [0], 0.0
+    for k, step in enumerate(steps.tolist(), start=1):
+        driven += step
+        if driven >= delta:
+            marks.append(k)
+            driven = 0.0
+    ids = np.asarray(marks, dtype=np.int64)
+    return ids[:-1], ids[1:]
+
+
+def pairs_by_time(stamps: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
+    """Return every pair of stamps (n,) that are `delta` seconds apart, to the nearest stamp."""
+    gap = float(np.median(np.diff(stamps))) if len(stamps) > 1 else delta
+    late = np.flatnonzero(stamps <= stamps[-1] - delta + gap / 2)
+    ahead, back = associated(stamps[late] + delta, stamps, max_gap=gap)
+    return late[ahead].astype(np.int64), back
+
+
+def motion_errors(
+    true: FloatArray, estimate: FloatArray, pairs: tuple[IntArray, IntArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return (n,) translational and (n,) signed rotational errors of the motion between each pair's poses."""
+    i, j = pairs
+    q, p = motion(true[i], true[j]), motion(estimate[i], estimate[j])
+    # |E's translation| = |p's - q's translation|, as both are expressed in the first pose's frame.
+    return np.linalg.norm(p[:, :2] - q[:, :2], axis=1), wrap_angles(p[:, 2] - q[:, 2])
+
+
+@dataclass(frozen=True)
+class RelativePoseConstraint:
+    """The true pose of the robot at `stamp_b` in its frame at `stamp_a`."""
+
+    stamp_a: float
+    stamp_b: float
+    T_ab: Pose2
+
+
+@dataclass(frozen=True)
+class ConstraintErrors:
+    """Errors of the constraints inside the trajectory's time, and how many lay outside.
+
+    Attributes:
+        translation: (n,) meters.
+        rotation: (n,) radians, not negative.
+        outside: Number of constraints that were left out.
+        stamps: (n,) seconds, the earlier stamp of each constraint.
+    """
+
+    translation: FloatArray
+    rotation: FloatArray
+    outside: int
+    stamps: FloatArray
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics as a record holds them."""
+        turn = np.degrees(self.rotation)
+        some = len(turn) > 0
+        return {
+            "translation_mean": float(self.translation.mean()) if some else None,
+            "translation_std": float(self.translation.std()) if some else None,
+            "rotation_mean_deg": float(turn.mean()) if some else None,
+            "rotation_std_deg": float(turn.std()) if some else None,
+            "used": len(turn),
+            "outside": self.outside,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstraintErrorSummary:
+    """Error of the constraints between poses that lie close together, whenever they were passed.
+
+    Attributes:
+        translation_mean: Mean translational error of a constraint, meters.
+        translation_std: Standard deviation of the translational error, meters.
+        rotation_mean: Mean absolute rotational error of a constraint, radians.
+        rotation_std: Standard deviation of the absolute rotational error, radians.
+        relations: Number of constraints.
+    """
+
+    translation_mean: float
+    translation_std: float
+    rotation_mean: float
+    rotation_std: float
+    relations: int
+
+
+def read_constraints(path: Path) -> tuple[RelativePoseConstraint, ...]:
+    """Read `stamp1 stamp2 x y z roll pitch yaw` lines, gzipped or not.
+
+    Raises:
+        SourceError: the file cannot be read, holds none, or a line has not eight finite numbers.
+    """
+    data = read_gzipped(path)
+    try:
+        lines = [line.split() for line in data.decode().splitlines()]
+        rows = [[float(field) for field in line] for line in lines if line and line[0][0] != "#"]
+    except ValueError as error:
+        raise SourceError(f"{path}: not readable as relations: {error}") from error
+    if not rows:
+        raise SourceError(f"{path}: holds no relation (stamp1 stamp2 x y z roll pitch yaw)")
+    if any(len(row) != 8 or not np.isfinite(row).all() for row in rows):
+        raise SourceError(f"{path}: a relation needs 8 numbers (stamp1 stamp2 x y z roll pitch yaw)")
+    return tuple(RelativePoseConstraint(r[0], r[1], Pose2(r[2], r[3], r[7])) for r in rows)
+
+
+def constraint_errors(
+    estimate: Trajectory, constraints: Sequence[RelativePoseConstraint], odometry: Trajectory
+) -> ConstraintErrors:
+    """Compare the estimate with the constraints.
+
+    Args:
+        estimate: poses in any frame.
+        constraints: the truth.
+        odometry: raw odometry over the same time, any frame, that propagates poses to the stamps; where it is
+            empty, the estimate itself does.
+    """
+    low, high = estimate.stamps[0] - STAMP_MARGIN, estimate.stamps[-1] + STAMP_MARGIN
+    stamps = np.array([(c.stamp_a, c.stamp_b) for c in constraints]).reshape(-1, 2)
+    inside = (stamps.min(axis=1) >= low) & (stamps.max(axis=1) <= high)
+    stamps = stamps[inside]
+    true = np.array([c.T_ab.as_array() for c in constraints]).reshape(-1, 3)[inside]
+    propagator = odometry if len(odometry) else estimate
+    a, b = (poses_at(estimate, stamps[:, k], propagator) for k in (0, 1))
+    error = motion(true, motion(a, b))
+    return ConstraintErrors(
+        np.linalg.norm(error[:, :2], axis=1),
+        np.abs(wrap_angles(error[:, 2])),
+        int((~inside).sum()),
+        stamps.min(axis=1),
+    )
+
+
+def constraint_error_summary(true: FloatArray, estimate: FloatArray) -> ConstraintErrorSummary | None:
+    """Compare relative poses of close pairs of trajectories (n, 3); None without pairs.
+
+    Kuemmerle et al. 2009, Eqs. 2-3 with absolute instead of squared errors, as in their tables. Constraints
+    join poses a meter of path apart that lie within 2 m of each other. Neighbors show the local error, places
+    passed again the map's consistency.
+    """
+    pairs = close_pairs(true)
+    if len(pairs[0]) == 0:
+        return None
+    shift, turn = motion_errors(true, estimate, pairs)
+    turn = np.abs(turn)
+    return ConstraintErrorSummary(
+        translation_mean=float(shift.mean()),
+        translation_std=float(shift.std()),
+        rotation_mean=float(turn.mean()),
+        rotation_std=float(turn.std()),
+        relations=len(shift),
+    )
+
+
+def close_pairs(poses: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return pairs of close planar poses (n, 3), a meter of path apart."""
+    first, second = pairs_by_path(poses, SPACING)
+    marks = np.append(first, second[-1:])
+    pairs = cKDTree(poses[marks, :2]).query_pairs(CLOSE, output_type="ndarray") if len(marks) else marks
+    ordered = np.unique(pairs.reshape(-1, 2), axis=0)
+    return marks[ordered[:, 0]], marks[ordered[:, 1]]
+
+
+def poses_at(estimate: Trajectory, stamps: FloatArray, odometry: Trajectory) -> FloatArray:
+    """Return (n, 3) estimated poses at the stamps.
+
+    Distant ones are propagated from the nearest pose by odometry.
+
+    Args:
+        estimate: not empty.
+        stamps: (n,) seconds.
+        odometry: not empty, in any frame.
+    """
+    near = nearest(estimate.stamps, stamps)
+    poses, there = planar(estimate)[near], estimate.stamps[near]
+    step = motion(odometry.planar_at(there), odometry.planar_at(stamps))
+    step[np.abs(there - stamps) <= PROPAGATION_GAP] = 0.0
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return poses + np.column_stack(
+        (c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1], step[:, 2])
+    )
+
+
+@dataclass(frozen=True)
+class ReferenceErrors:
+    """Errors at the reference poses with a scan near by, after rigid alignment without scale.
+
+    Attributes:
+        stamps: (n,) seconds.
+        position: (n,) meters.
+        yaw: (n,) radians, not negative.
+        outside: Number of reference poses without a scan near by.
+        T_map_reference: Place of the reference's frame in the map, so that the two can be drawn together.
+    """
+
+    stamps: FloatArray
+    position: FloatArray
+    yaw: FloatArray
+    outside: int
+    T_map_reference: Pose2
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics as a record holds them."""
+        some = len(self.position) > 0
+        return {
+            "ate_rmse": rms(self.position) if some else None,
+            "ate_max": float(self.position.max()) if some else None,
+            "yaw_rmse_deg": math.degrees(rms(self.yaw)) if some else None,
+            "used": len(self.position),
+            "outside": self.outside,
+        }
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of a trajectory; None if not requested, or nothing can be compared."""
+
+    constraints: ConstraintErrors | None = None
+    reference: ReferenceErrors | None = None
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics as a record holds them."""
+        return {
+            "relations": None if self.constraints is None else self.constraints.metrics(),
+            "reference": None if self.reference is None else self.reference.metrics(),
+        }
+
+
+def trajectory_accuracy(
+    estimate: Trajectory,
+    odometry: Trajectory,
+    constraints: Sequence[RelativePoseConstraint] | None,
+    reference: Trajectory | None,
+) -> Accuracy:
+    """Compare an estimate in the map frame with relations and reference."""
+    return Accuracy(
+        None if constraints is None else constraint_errors(estimate, constraints, odometry),
+        None if reference is None else reference_errors(estimate, reference),
+    )
+
+
+def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceErrors:
+    """Compare each reference pose with the nearest scan's (ATE of Sturm et al. 2012, Eq. 4, in the plane)."""
+    i, j = associated(reference.stamps, estimate.stamps, max_gap=REFERENCE_GAP)
+    outside = len(reference) - len(i)
+    if len(i) < 2:
+        nothing = np.empty(0)
+        return ReferenceErrors(nothing, nothing, nothing, outside, Pose2())
+    true, found = planar(reference)[i], planar(estimate)[j]
+    T_reference_map = rigid_alignment(found[:, :2], true[:, :2])
+    aligned = move_poses(found, T_reference_map)
+    return ReferenceErrors(
+        reference.stamps[i],
+        np.linalg.norm(aligned[:, :2] - true[:, :2], axis=1),
+        np.abs(wrap_angles(aligned[:, 2] - true[:, 2])),
+        outside,
+        T_reference_map.inverse(),
+    )

@@ -16,8 +16,8 @@ from lirs_validation.analysis.recorded_run import recorded_world_config
 from lirs_validation.analysis.result_folders import RunFolder
 from lirs_validation.drawing import error_picture, shown_bounds
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.metrics.agreement import contradicted
 from lirs_validation.metrics.elevation import ELEVATION, ElevationMap, read_elevation
+from lirs_validation.metrics.map import contradicted
 from lirs_validation.record.run_record import maps_clouds
 from lirs_wct import OccupancyGrid, Trajectory, WctError
 from lirs_wct.arrays import ByteArray, FloatArray

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from lirs_validation.metrics.alignment import planar
-from lirs_validation.metrics.relative_pose_error import (
+from lirs_validation.metrics.trajectory import (
     close_pairs,
     constraint_error_summary,
     pairs_by_path,
     pairs_by_time,
     relative_pose_error,
+    trajectory_errors,
 )
-from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.geometry.pose import Pose2, Trajectory
 
 metrics = pytest.importorskip("evo.core.metrics")

@@ -8,10 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from lirs_validation.logs.map_log import read_reference
-from lirs_validation.metrics.agreement import agreement
-from lirs_validation.metrics.log_accuracy import reference_errors
-from lirs_validation.metrics.map import false_occupied
-from lirs_validation.metrics.relative_pose_error import constraint_errors, read_constraints
+from lirs_validation.metrics.map import agreement, false_occupied
+from lirs_validation.metrics.trajectory import constraint_errors, read_constraints, reference_errors
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen.log import read_carmen
 from lirs_wct.geometry.pose import Pose2

@@ -33,7 +33,7 @@ from lirs_validation.logs.log_replay import check_log, inertial_readings, log_ma
 from lirs_validation.logs.map_log import odometry_accuracy, read_log, read_truth, truth_in_time
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.consistency import scan_consistency
-from lirs_validation.metrics.log_accuracy import trajectory_accuracy
+from lirs_validation.metrics.trajectory import trajectory_accuracy
 from lirs_validation.record.verdict import (
     AGREEING,
     LIMITS,

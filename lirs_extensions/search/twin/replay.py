@@ -28,8 +28,7 @@ from lirs_extensions.search.twin.fit import odometry_deviations
 from lirs_extensions.search.twin.surface import align, expected_beams, fit_surfaces, map_of
 from lirs_validation.logs.map_log import MappedLog, read_truth, run_mapping, truth_in_time
 from lirs_validation.map_config import MapConfig
-from lirs_validation.metrics.log_accuracy import trajectory_accuracy
-from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint
+from lirs_validation.metrics.trajectory import RelativePoseConstraint, trajectory_accuracy
 from lirs_wct import LaserScan, Pose2, SourceError, Trajectory, unknown_name
 from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.carmen.writer import write_log

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.map_log import resolve_source
-from lirs_validation.metrics.mesh import mesh_error
+from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
 from lirs_wct.geometry.heightfield import fewer_nodes
 from lirs_wct.ground import Ground, Terrain

@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from lirs_validation.analysis.recorded_run import export_run, recorded_config, true_pose_map
 from lirs_validation.analysis.result_folders import RunFolder, read_run
-from lirs_validation.analysis.score import find_time_offset, score
-from lirs_validation.metrics.agreement import agreement
-from lirs_validation.metrics.map import iou
+from lirs_validation.analysis.score import score
+from lirs_validation.metrics.alignment import find_time_offset
+from lirs_validation.metrics.map import agreement, iou
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.tum import read_tum, write_tum

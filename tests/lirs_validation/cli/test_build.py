@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from lirs_validation.cli.commands.info import STRIP, _slopes
-from lirs_validation.metrics.mesh import mesh_error
+from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.contact.parts import prisms
 from lirs_wct.files import MANIFEST

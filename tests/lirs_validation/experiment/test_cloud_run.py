@@ -16,7 +16,7 @@ from lirs_validation.drawing import FULL, error_picture
 from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings, check_sensors
 from lirs_validation.gui.session.finished_run import read_playback
-from lirs_validation.metrics.elevation import MOST, CloudSample, ElevationMap, read_elevation
+from lirs_validation.metrics.elevation import MAX_CLOUDS, CloudSample, ElevationMap, read_elevation
 from lirs_validation.record.provenance import damaged_files
 from lirs_validation.record.run_record import read_record, schema_error
 from lirs_validation.report.page import page, report_of
@@ -297,12 +297,12 @@ def test_however_long_the_drive_the_sample_is_spread_over_it(seconds: float) -> 
     for k in range(round(10 * seconds) + 1):
         sample.offer(k, cloud(k / 10))
     stamps = np.array([c.stamp for c in sample.clouds])
-    assert 1 <= len(stamps) <= MOST
+    assert 1 <= len(stamps) <= MAX_CLOUDS
     assert stamps[0] == 0
     assert seconds - stamps[-1] <= sample.period
     np.testing.assert_allclose(np.diff(stamps), sample.period, atol=1e-6)
     np.testing.assert_allclose(np.array(sample.scans) / 10, stamps, atol=1e-6)
-    assert len(stamps) > min(seconds, MOST / 2 - 1)
+    assert len(stamps) > min(seconds, MAX_CLOUDS / 2 - 1)
 
 
 def test_points_on_walkers_are_left_out() -> None:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lirs_validation.logs.map_log import read_reference, truth_in_time
-from lirs_validation.metrics.relative_pose_error import RelativePoseConstraint
+from lirs_validation.metrics.trajectory import RelativePoseConstraint
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.formats.tum import write_tum

@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from lirs_validation.metrics.agreement import (
+from lirs_validation.metrics.map import (
     Agreement,
     CellDistance,
     agreement,
     as_stored,
     cell_distance,
     contradicted,
+    iou,
     log_odds_at,
     nearest_occupied,
     sample_like,
+    unknown_share,
 )
-from lirs_validation.metrics.map import iou, unknown_share
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from lirs_validation.metrics.alignment import rms
-from lirs_validation.metrics.log_accuracy import (
+from lirs_validation.metrics.trajectory import (
     Accuracy,
+    ConstraintErrors,
     ReferenceErrors,
+    RelativePoseConstraint,
     reference_errors,
     trajectory_accuracy,
+    trajectory_errors,
 )
-from lirs_validation.metrics.relative_pose_error import ConstraintErrors, RelativePoseConstraint
-from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.geometry.pose import Pose2, Trajectory
 
 

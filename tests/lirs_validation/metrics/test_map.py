@@ -9,10 +9,18 @@ import pytest
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from lirs_validation.metrics.agreement import agreement, as_stored, cell_distance, map_ssim
 from lirs_validation.metrics.alignment import StartAlignment
-from lirs_validation.metrics.map import false_occupied, iou, map_scores, unknown_share
-from lirs_validation.metrics.near_obstacles import near_obstacle
+from lirs_validation.metrics.map import (
+    agreement,
+    as_stored,
+    cell_distance,
+    false_occupied,
+    iou,
+    map_scores,
+    map_ssim,
+    unknown_share,
+)
+from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.mesh import mesh_error
+from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.ground import MeshGround, Terrain

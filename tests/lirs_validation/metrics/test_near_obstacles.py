@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lirs_validation.metrics.near_obstacles import STEEP, near_obstacle
+from lirs_validation.metrics.world_geometry import STEEP, near_obstacle
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from lirs_validation.metrics.relative_pose_error import (
+from lirs_validation.metrics.trajectory import (
     RelativePoseConstraint,
     close_pairs,
     constraint_error_summary,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from lirs_validation.metrics.relative_pose_error import (
+from lirs_validation.metrics.trajectory import (
     motion_errors,
     pairs_by_path,
     pairs_by_time,

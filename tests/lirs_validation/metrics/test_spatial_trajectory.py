@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
-from lirs_validation.metrics.trajectory import spatial_alignment, spatial_errors, trajectory_errors
+from lirs_validation.metrics.alignment import spatial_alignment
+from lirs_validation.metrics.trajectory import spatial_errors, trajectory_errors
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 
 SEEDS = st.integers(0, 2**32 - 1)

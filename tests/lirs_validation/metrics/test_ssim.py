@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lirs_validation.metrics.agreement import as_picture, map_ssim, similarity
+from lirs_validation.metrics.map import as_picture, map_ssim, similarity
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 

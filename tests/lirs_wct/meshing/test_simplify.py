@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from lirs_validation.metrics.mesh import mesh_error
+from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights

@@ -1,4 +1,4 @@
-"""Points near an obstacle of the world's geometry: a steep face or a wall cell."""
+"""World geometry for metrics: points near obstacles, and the distance of mesh and surface."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from lirs_wct import HeightField, WallGrid
-from lirs_wct.arrays import BoolArray, FloatArray, njit
+from lirs_wct import HeightField, TriangleMesh, WallGrid, World
+from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.kernels import njit
+from lirs_wct.sources.rasterize import rasterize_heights
 
 STEEP = math.radians(45)
 """Faces steeper than this are obstacles, radians."""
+STRIP = 512
+"""Rows of nodes that are compared together: less memory than the whole."""
 
 
 def near_obstacle(
@@ -115,3 +119,18 @@ def _to_segment(x: float, y: float, ax: float, ay: float, bx: float, by: float) 
     t = ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy)
     t = min(1.0, max(0.0, t))
     return math.hypot(x - ax - t * dx, y - ay - t * dy)
+
+
+def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
+    """Return the largest vertical error of the world's mesh, or another, at the nodes, meters."""
+    surface = world.surface
+    chosen = world.mesh if mesh is None else mesh
+    (x, y), (dx, dy), (rows, cols) = surface.origin, surface.cell, surface.shape
+    largest = 0.0
+    for start in range(0, rows, STRIP):
+        z = surface.z[::-1][start : start + STRIP]
+        top = rasterize_heights(chosen, (x, y + start * dy, dx, dy), (len(z), cols))
+        top -= z
+        if np.isfinite(top).any():
+            largest = max(largest, float(np.nanmax(np.abs(top, out=top))))
+    return largest
