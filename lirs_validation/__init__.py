@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lirs_validation.analysis.result_folders import read_results
+    from lirs_validation.analysis.results import read_results
     from lirs_validation.config import RunConfig
     from lirs_validation.experiment.run import Run, validate
     from lirs_validation.gui.notebook import EmbeddedPage, show
@@ -38,7 +38,7 @@ _HOMES = {
     "RunConfig": "config",
     "RunRecord": "record.run_record",
     "read_record": "record.run_record",
-    "read_results": "analysis.result_folders",
+    "read_results": "analysis.results",
     "report_of": "report.page",
 }
 

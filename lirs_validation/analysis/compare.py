@@ -10,18 +10,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+import scipy  # its modules load on first use
 
-from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group
-from lirs_validation.analysis.statistics import Test, holm, paired_test
+from lirs_validation.analysis.groups import CONFIDENCE, FIELDS, RunGroup, by_group, repeats
 from lirs_validation.record.metric_catalog import Entry, Metric
 from lirs_validation.record.run_record import succeeded
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, unknown_name
 
+Test = Literal["t", "Wilcoxon", "sign", "none"]
 UNTESTED: tuple[Test, None, None, None] = ("none", None, None, None)
 LEVEL = 0.05
 """A difference is significant where its corrected p value is below this."""
+MIN_RANKED = 10
+"""Number of pairs from which on differences that are plainly not normal are ranked instead."""
+NOT_NORMAL = 0.01
+"""P value of Shapiro's and Wilk's test below which differences are plainly not normal."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,20 +36,20 @@ class Difference:
     """Difference of a group's metric between two results, b minus a, over common seeds.
 
     Attributes:
-        group: group of runs.
-        metric: compared metric; all values are in its unit.
-        a: mean in the first result.
-        b: mean in the second.
-        difference: mean of the paired differences.
-        low: lower end of its 95 % interval; None of one pair.
-        high: upper end.
-        pairs: number of seeds with the metric in both results.
-        seeds: number of seeds in which both runs succeeded, with the metric or without.
-        test: paired t; Wilcoxon's signed ranks where the differences are plainly not normal (the interval is
+        group: Group of runs.
+        metric: Compared metric; all values are in its unit.
+        a: Mean in the first result.
+        b: Mean in the second result.
+        difference: Mean of the paired differences.
+        low: Lower end of the 95 % interval; None of one pair.
+        high: Upper end of the 95 % interval; None of one pair.
+        pairs: Number of seeds with the metric in both results.
+        seeds: Number of seeds in which both runs succeeded, with the metric or without.
+        test: Paired t; Wilcoxon's signed ranks where the differences are plainly not normal (the interval is
             then bootstrapped); the sign test where all are the same; none of one pair, or
             where a metric is not tested.
-        p: two-sided p value of the test; None without a test.
-        p_corrected: p value after Holm's correction over all tests of the comparison.
+        p: Two-sided p value of the test; None without a test.
+        p_corrected: P value after Holm's correction over all tests of the comparison.
     """
 
     group: RunGroup
@@ -165,6 +172,35 @@ def _difference(
         test=test,
         p=p,
     )
+
+
+def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float | None]:
+    """Test paired differences (n,); return test, p value and 95 % interval of the mean."""
+    found = repeats(d.tolist())
+    if found is None or found.half_width is None:
+        return "none", None, None, None
+    low, high = found.mean - found.half_width, found.mean + found.half_width
+    if np.ptp(d) <= 1e-12 * max(1.0, float(np.abs(d).max())):
+        # Without spread there is no t test, only the common sign.
+        return "sign", 1.0 if abs(found.mean) <= 1e-12 else 2.0 ** (1 - len(d)), low, high
+    if len(d) >= MIN_RANKED and float(scipy.stats.shapiro(d).pvalue) < NOT_NORMAL:
+        interval = scipy.stats.bootstrap(
+            (d,), np.mean, confidence_level=CONFIDENCE, rng=np.random.default_rng(0)
+        ).confidence_interval
+        return "Wilcoxon", float(scipy.stats.wilcoxon(d).pvalue), float(interval.low), float(interval.high)
+    return "t", float(scipy.stats.ttest_1samp(d, 0.0).pvalue), low, high
+
+
+def holm(p: FloatArray) -> FloatArray:
+    """Correct p values (n,) after Holm.
+
+    The k-th smallest is multiplied by n - k + 1; the results never decrease.
+    """
+    order = np.argsort(p, kind="stable")
+    raised = p[order] * np.arange(len(p), 0, -1)
+    result = np.empty_like(p)
+    result[order] = np.minimum(np.maximum.accumulate(raised), 1.0)
+    return result
 
 
 def _open_fields(group: RunGroup, across: Sequence[str]) -> RunGroup:

@@ -1,11 +1,15 @@
-"""Groups of runs that differ only in their seed."""
+"""Groups of runs that differ only in their seed, and statistics of such repeats."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
+
+import numpy as np
+import scipy  # its modules load on first use
 
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RUN_AXES, RunConfig
@@ -16,6 +20,10 @@ from lirs_wct.option import declared, defaults
 FIELDS = ("world", *(name for name in RUN_AXES if name != "seed"), "seconds")
 """Fields of a group: the world's name, and the options of its runs."""
 DEFAULTS = defaults(RunConfig)
+ORIGINAL = "_original"
+"""End of the name of a method as published: `hector_original` beside `hector`."""
+CONFIDENCE = 0.95
+"""Share of the confidence intervals."""
 
 
 @dataclass(frozen=True, order=True)
@@ -23,7 +31,7 @@ class RunGroup:
     """World and options that the runs of a group share.
 
     Attributes:
-        values: one for each of FIELDS.
+        values: Value of each of FIELDS.
     """
 
     values: tuple[Any, ...]
@@ -86,3 +94,33 @@ def _own_lidar(robot: str) -> str:
         return make_robot(robot).lidar
     except ConfigError:
         return "the robot's own"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Repeats:
+    """Mean over repeats with its confidence interval.
+
+    Attributes:
+        mean: Mean of the values.
+        std: Standard deviation of the sample (n - 1); None of one value.
+        half_width: Half width of the mean's 95 % interval, from Student's t; None of one value.
+        count: Number of values.
+    """
+
+    mean: float
+    std: float | None
+    half_width: float | None
+    count: int
+
+
+def repeats(values: Sequence[float]) -> Repeats | None:
+    """Return mean, standard deviation and 95 % interval of repeats; None of no value."""
+    n = len(values)
+    if n == 0:
+        return None
+    mean = float(np.mean(values))
+    if n == 1:
+        return Repeats(mean=mean, std=None, half_width=None, count=1)
+    std = float(np.std(values, ddof=1))
+    reach = float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2, n - 1)) * std / math.sqrt(n)
+    return Repeats(mean=mean, std=std, half_width=reach, count=n)

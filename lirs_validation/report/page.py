@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from lirs_validation.analysis.groups import RunGroup, by_group, unusual_fields
-from lirs_validation.analysis.result_folders import ResultFolder, RunFolder
+from lirs_validation.analysis.results import ResultFolder, RunFolder
 from lirs_validation.record.metric_catalog import (
     WORSE,
     WORSE_MARK,

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.analysis.recorded_run import recorded_world_config
-from lirs_validation.analysis.result_folders import RunFolder
+from lirs_validation.analysis.results import RunFolder, recorded_world_config
 from lirs_validation.drawing import error_picture, shown_bounds
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, ElevationMap, read_elevation

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.analysis.recorded_run import recorded_config
+from lirs_validation.analysis.results import recorded_config
 from lirs_validation.config import WORLD_FLAGS, RunConfig
 from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.report.table import ReportTable

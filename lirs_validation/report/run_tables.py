@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from rich.console import RenderableType
 from rich.text import Text
 
-from lirs_validation.analysis.as_published import Planar, method_pairs
-from lirs_validation.analysis.groups import FIELDS, RunGroup, by_group, distinguishing_fields, unusual_fields
-from lirs_validation.analysis.statistics import repeats
+from lirs_validation.analysis.groups import (
+    FIELDS,
+    ORIGINAL,
+    RunGroup,
+    by_group,
+    distinguishing_fields,
+    repeats,
+    unusual_fields,
+)
 from lirs_validation.config import RUN_AXES
 from lirs_validation.record.metric_catalog import (
     ATE,
@@ -54,7 +60,7 @@ CAPTION = (
     "ATE [m], mean over the runs that finished, and verdicts of the runs (docs/results.md); those that were "
     f"not evaluated are not counted. {WORSE_MARK} {WORSE} in at least one run."
 )
-KINDS: tuple[Planar, ...] = ("as published", "without attitude")
+AS_PUBLISHED, WITHOUT_ATTITUDE = "as published", "without attitude"
 FACTS = {"world": "world.name", **{name: f"config.{name}" for name in RUN_AXES}, "status": "status"}
 """Columns before the metrics, and their keys in the record."""
 ALWAYS = ("world", "robot", "mapper", "seed", "status")
@@ -203,23 +209,34 @@ def _existing(metrics: Sequence[Metric], entries: Sequence[Entry]) -> tuple[Metr
 
 def method_tables(entries: Sequence[Entry]) -> tuple[ReportTable, ...]:
     """Return the tables of methods as published and of mappers without attitude."""
-    tables = (_method_table(kind, entries) for kind in KINDS)
+    tables = (_method_table(kind, entries) for kind in (AS_PUBLISHED, WITHOUT_ATTITUDE))
     return tuple(table for table in tables if table.rows)
 
 
-def _method_table(kind: Planar, entries: Sequence[Entry]) -> ReportTable:
-    pairs = method_pairs(entries, kind)
-    fields = [field for field in _fields(pair.group for pair in pairs) if field != "attitude"]
+def _method_table(kind: str, entries: Sequence[Entry]) -> ReportTable:
+    groups = by_group(entries)
+    aware = [group for group in groups if group["attitude"] == "imu"]
+    pairs = {group: runs for group in aware if (runs := _planar_runs(kind, group, groups))}
+    fields = [field for field in _fields(pairs) if field != "attitude"]
     rows = []
-    for pair in pairs:
-        cells: list[Content] = [*group_texts(pair.group, fields)]
-        for runs in (pair.planar, pair.aware):
+    for group, planar in pairs.items():
+        cells: list[Content] = [*group_texts(group, fields)]
+        for runs in (planar, groups[group]):
             cells += (over_runs(ERROR, [e for e in runs if succeeded(e)]), _verdict_counts(runs))
-        driven = {entry["seed"]: entry for entry in pair.runs if succeeded(entry)}
+        driven = {entry["seed"]: entry for entry in planar + groups[group] if succeeded(entry)}
         rows.append((*cells, over_runs(ODOMETRY_ERROR, list(driven.values()))))
     columns = (kind, f"verdicts {kind}", "with attitude", "verdicts with attitude", "odometry")
     title = f"{kind.capitalize()}, with attitude, odometry alone"
     return ReportTable(kind.replace(" ", "-"), title, CAPTION, (*fields, *columns), tuple(rows), len(fields))
+
+
+def _planar_runs(kind: str, group: RunGroup, groups: Mapping[RunGroup, list[Entry]]) -> list[Entry]:
+    """Return the planar runs beside a terrain-aware group; methods as published use no attitude."""
+    if kind == WITHOUT_ATTITUDE:
+        published = group["mapper"].endswith(ORIGINAL)
+        return [] if published else groups.get(group.replaced(attitude="none"), [])
+    original = group.replaced(mapper=group["mapper"] + ORIGINAL)
+    return groups.get(original) or groups.get(original.replaced(attitude="none"), [])
 
 
 def _verdict_counts(entries: Sequence[Entry]) -> str:

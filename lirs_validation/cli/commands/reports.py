@@ -116,7 +116,7 @@ def report(options: ReportOptions) -> None:
     Examples:
     lirs-wct report out/ -o report.html --tables report.md
     """
-    from lirs_validation.analysis.result_folders import read_results
+    from lirs_validation.analysis.results import read_results
     from lirs_validation.report.page import page, report_of
 
     results, output = options.results, options.output
@@ -148,7 +148,7 @@ def compare(options: CompareOptions) -> None:
     lirs-wct compare out/:mapper=hector out/:mapper=gmapping --across mapper
     """
     from lirs_validation.analysis.compare import compare as compared, only
-    from lirs_validation.analysis.result_folders import read_results
+    from lirs_validation.analysis.results import read_results
     from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
     from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
 
@@ -185,7 +185,7 @@ def score(options: ScoreOptions) -> None:
     Examples:
     lirs-wct score out/RUN --trajectory est.tum --map map.yaml -o score.json
     """
-    from lirs_validation.analysis.result_folders import read_run
+    from lirs_validation.analysis.results import read_run
     from lirs_validation.analysis.score import score as scored
     from lirs_validation.report.compare_tables import score_table, write_score
 
@@ -226,8 +226,8 @@ def export(options: ExportCommand) -> None:
 
 
 def _export_run(options: ExportCommand) -> Sequence[Path]:
-    from lirs_validation.analysis.recorded_run import export_run
-    from lirs_validation.analysis.result_folders import read_run
+    from lirs_validation.analysis.export import export_run
+    from lirs_validation.analysis.results import read_run
 
     run = Path(options.source)
     with err.status(f"exporting {run}"):

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from lirs_envs.robots.robot import make_robot
-from lirs_validation.analysis.recorded_run import recorded_truth, recorded_world_config
+from lirs_validation.analysis.results import recorded_truth, recorded_world_config
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.construction import Facts
 from lirs_validation.gui.session.playback import MapSnapshot, Playback

@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 
 from lirs_validation import resolve_source
-from lirs_validation.analysis.recorded_run import recorded_config
-from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.analysis.results import read_results, recorded_config
 from lirs_validation.report.page import report_of
 from lirs_validation.report.run_tables import results_table
 from lirs_validation.sweep.experiment import SlamExperiment

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import validate
-from lirs_validation.analysis.recorded_run import recorded_world_config
-from lirs_validation.analysis.result_folders import RunFolder, read_results, read_run
+from lirs_validation.analysis.results import RunFolder, read_results, read_run, recorded_world_config
 from lirs_validation.analysis.score import score
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import same_source, source_files

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.analysis.recorded_run import export_run, recorded_drive
-from lirs_validation.analysis.result_folders import RunFolder, read_results
+from lirs_validation.analysis.export import export_run, recorded_drive
+from lirs_validation.analysis.results import RunFolder, read_results
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.tum import read_tum
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lirs_validation.analysis.recorded_run import export_run, recorded_config, true_pose_map
-from lirs_validation.analysis.result_folders import RunFolder, read_run
+from lirs_validation.analysis.export import export_run
+from lirs_validation.analysis.results import RunFolder, read_run, recorded_config, true_pose_map
 from lirs_validation.analysis.score import score
 from lirs_validation.metrics.alignment import find_time_offset
 from lirs_validation.metrics.map import agreement, iou

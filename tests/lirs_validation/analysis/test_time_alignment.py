@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lirs_validation.analysis.result_folders import read_run
+from lirs_validation.analysis.results import read_run
 from lirs_validation.analysis.score import score
 from lirs_validation.metrics.alignment import find_time_offset, interpolate_poses
 from lirs_wct.errors import ConfigError, SourceError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import Run, validate
-from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.analysis.results import read_results
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing import FULL, error_picture
 from lirs_validation.experiment.mapper_loading import mapper_named, package_versions

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import map_log, validate
-from lirs_validation.analysis.result_folders import read_run
+from lirs_validation.analysis.results import read_run
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.record.provenance import damaged_files
 from lirs_validation.report.pictures import Painter

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_validation import resolve_source
-from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.analysis.results import read_results
 from lirs_validation.experiment.run import validate
 from lirs_validation.record.provenance import is_stale
 from lirs_wct import BuildOptions, World, build_world

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lirs_validation import map_log, validate
-from lirs_validation.analysis.recorded_run import export_run
-from lirs_validation.analysis.result_folders import read_run
+from lirs_validation.analysis.export import export_run
+from lirs_validation.analysis.results import read_run
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run as run_config
 from lirs_validation.logs.map_log import folder_name, read_log, run_mapping

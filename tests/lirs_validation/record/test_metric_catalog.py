@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation.analysis.compare import compare
-from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.analysis.results import read_results
 from lirs_validation.record import metric_catalog
 from lirs_validation.record.metric_catalog import (
     METRICS,

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import jsonschema
 import pytest
 
-from lirs_validation.analysis.result_folders import read_results, read_run
+from lirs_validation.analysis.results import read_results, read_run
 from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.config import RunConfig
 from lirs_validation.record.run_record import Status, record_schema, schema_error

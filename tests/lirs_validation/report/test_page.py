@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.analysis.groups import RunGroup, by_group
-from lirs_validation.analysis.result_folders import RunFolder, read_results
-from lirs_validation.analysis.statistics import repeats
+from lirs_validation.analysis.groups import RunGroup, by_group, repeats
+from lirs_validation.analysis.results import RunFolder, read_results
 from lirs_validation.record.metric_catalog import metrics_in, metrics_named, significant
 from lirs_validation.report import charts
 from lirs_validation.report.charts import INK

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lirs_validation.analysis.result_folders import read_results
+from lirs_validation.analysis.results import read_results
 from lirs_validation.report.page import page, report_of
 from tests.lirs_validation.records import saved
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from lirs_validation.analysis.as_published import method_pairs
 from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.report.run_tables import method_tables
 from lirs_validation.report.table import MetricSpread
@@ -35,13 +34,10 @@ def test_methods_are_paired_with_their_originals_world_by_world() -> None:
         *runs("my_slam:Slam_original", [0.3], "simple"),
         *runs("cartographer_original", [0.3]),
     ]
-    pairs = method_pairs(entries, "as published")
-    assert [(p.group["world"], p.group["mapper"], len(p.planar), len(p.aware)) for p in pairs] == [
-        ("medium", "hector", 5, 5),
-        ("simple", "my_slam:Slam", 1, 1),
-    ]
-    assert method_pairs(entries, "without attitude") == ()
     (table,) = method_tables(entries)
+    assert table.texts()[1] == [
+        "simple", "my_slam:Slam", "0.300‡", "loses its way (1 of 1)", "0.020", "works (1 of 1)", "0.200"
+    ]  # fmt: skip
     assert table.headings == (
         "world", "mapper", "as published", "verdicts as published", "with attitude", "verdicts with attitude",
         "odometry",
@@ -67,16 +63,13 @@ def test_mappers_are_paired_with_themselves_without_attitude() -> None:
         *runs("hector_original", [2.0] * 3, attitude="none"),
         *runs("hector", [0.1] * 3),
     ]
-    (pair,) = method_pairs(entries, "without attitude")
-    assert (pair.group["mapper"], len(pair.planar)) == ("my_slam:Slam", 3)
-    assert [(p.group["mapper"], len(p.planar)) for p in method_pairs(entries, "as published")] == [
-        ("hector", 3)
-    ]
     published, without = method_tables(entries)
     assert [published.key, without.key] == ["as-published", "without-attitude"]
-    assert without.texts()[0][3] == "loses its way (3 of 3)"
+    assert [row[1] for row in published.texts()] == ["hector"]
+    assert [row[1:4:2] for row in without.texts()] == [["my_slam:Slam", "loses its way (3 of 3)"]]
 
 
 def test_an_original_that_ran_without_attitude_alone_is_the_original_still() -> None:
     entries = [*runs("hector", [0.02]), *runs("hector_original", [2.0], attitude="none")]
-    assert [len(pair.planar) for pair in method_pairs(entries, "as published")] == [1]
+    (table,) = method_tables(entries)
+    assert len(table.rows) == 1

@@ -1,0 +1,268 @@
+"""Export of a recorded run: ROS bag, CSV, NumPy archive, CARMEN log or dataset of evalio."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+
+from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.robots.robot import make_robot
+from lirs_envs.sensing.inertial import STANDARD_GRAVITY, InertialNoise
+from lirs_validation.analysis.results import RunFolder, read_sensors, recorded_config
+from lirs_validation.experiment.recording import sensor_errors
+from lirs_validation.record.run_record import maps_clouds
+from lirs_wct import Pose2, Pose3, SourceError, unknown_name
+from lirs_wct.arrays import FloatArray
+from lirs_wct.files import atomic_write
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.drive_csv import IMU_HEADER, read_imu
+from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats.suffixes import Storage
+from lirs_wct.formats.tum import read_tum
+
+if TYPE_CHECKING:
+    from lirs_wct.formats.rosbag.writer import BagDrive
+
+POSE_HEADER = "stamp,x,y,z,qw,qx,qy,qz"
+MODULE = "lirs_wct_run"
+"""Name of the written module and of its data set."""
+POINTS, INERTIAL, TRUTH = "/points", "/imu/data_raw", "/ground_truth"
+TEXT = '''"""A run of LIRS-WCT as a data set of evalio.
+
+    export EVALIO_CUSTOM={module} PYTHONPATH=.
+    evalio run -d {module}/{sequence} -p genz -o results
+    evalio stats results
+
+Run all in this folder. The frame of the inertial unit and of the truth is base_link.
+"""
+
+from enum import auto
+from pathlib import Path
+
+import numpy as np
+from evalio.datasets.base import Dataset
+from evalio.datasets.loaders import (
+    LidarDensity, LidarFormatParams, LidarMajor, LidarPointStamp, LidarStamp, RosbagIter,
+)
+from evalio.types import SE3, SO3, ImuParams, LidarParams, Stamp, Trajectory
+from rosbags.highlevel import AnyReader
+
+BAG = (Path(__file__).resolve().parent / {bag!r}).resolve()
+
+
+class LirsWctRun(Dataset):
+    {sequence} = auto()
+
+    @property
+    def folder(self):
+        return BAG
+
+    def files(self):
+        return [BAG / "metadata.yaml"]
+
+    def data_iter(self):
+        layout = LidarFormatParams(
+            LidarStamp.Start, LidarPointStamp.Start, LidarMajor.Row, LidarDensity.AllPoints
+        )
+        return RosbagIter(BAG, {points!r}, {inertial!r}, self.lidar_params(), lidar_format=layout)
+
+    def ground_truth_raw(self):
+        stamps, poses = [], []
+        with AnyReader([BAG]) as reader:
+            topic = [c for c in reader.connections if c.topic == {truth!r}]
+            for connection, _, data in reader.messages(connections=topic):
+                message = reader.deserialize(data, connection.msgtype)
+                p, q, t = message.pose.position, message.pose.orientation, message.header.stamp
+                stamps.append(Stamp(sec=t.sec, nsec=t.nanosec))
+                poses.append(SE3(SO3(qx=q.x, qy=q.y, qz=q.z, qw=q.w), np.array([p.x, p.y, p.z])))
+        return Trajectory(stamps=stamps, poses=poses)
+
+    def imu_T_lidar(self):
+        return SE3(SO3(qx={q[1]!r}, qy={q[2]!r}, qz={q[3]!r}, qw={q[0]!r}), np.array({p!r}))
+
+    def imu_T_gt(self):
+        return SE3.identity()
+
+    def imu_params(self):
+        gravity = np.array([0, 0, -{gravity!r}])
+        return ImuParams(gyro={gyro!r}, accel={accel!r}, gravity=gravity, rate={rate!r})
+
+    def lidar_params(self):
+        return LidarParams(
+            num_rows={rows}, num_columns={columns}, min_range={near!r}, max_range={far!r}, rate={sweeps!r}
+        )
+
+    def quick_len(self):
+        return {clouds}
+'''
+
+
+def export_run(
+    run: RunFolder, out: Path, formats: tuple[str, ...], *, storage: Storage = "mcap", slam: bool = True
+) -> list[Path]:
+    """Export a run; return the written paths.
+
+    Args:
+        run: Recorded run.
+        out: Folder that receives a folder or file for each format.
+        formats: Names of formats: bag, csv, npz, carmen or evalio.
+        storage: Storage of the bag.
+        slam: Whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
+
+    Raises:
+        WctError: there is no such format, the run cannot be read, or out is not writable.
+    """
+    exporters: Mapping[str, Callable[[RunFolder, Path], Path]] = {
+        "bag": partial(_export_bag, storage=storage, slam=slam),
+        "csv": _export_csv,
+        "npz": _export_npz,
+        "carmen": _export_carmen,
+        "evalio": _export_evalio,
+    }
+    for name in formats:
+        if name not in exporters:
+            raise unknown_name("format", name, exporters)
+    return [exporters[name](run, out) for name in formats]
+
+
+def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
+    """Return a recorded drive in the map frame, that of the first base pose.
+
+    Ranges have the millimeter steps of `scans.clf.gz`; the estimates are the mapper's final ones.
+
+    Raises:
+        SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
+    """
+    from lirs_wct.formats.rosbag.messages import BagTick
+    from lirs_wct.formats.rosbag.writer import BagDrive
+
+    truth, log, imu = read_sensors(run.folder)
+    estimate = read_tum(run.folder / "estimate.tum")
+    T_map_world = truth.pose2(0).inverse()
+    robot = make_robot((config := recorded_config(run.entry)).robot)
+    range_min = make_lidar_preset(config.lidar or robot.lidar).range_min
+    in_map, estimate = truth.moved(T_map_world), estimate.moved(T_map_world)
+    estimates = [Pose2(*row) for row in estimate.planar_at(log.stamps).tolist()]
+    ticks = [
+        BagTick(
+            scan=replace(scan, T_base_laser=robot.T_base_laser, range_min=range_min),
+            odometry=log.odometry[k] or Pose2(),
+            imu=imu[k],
+            truth=Pose3.from_arrays(in_map.positions[k], in_map.quaternions[k]),
+            estimate=estimates[k] if slam else None,
+        )
+        for k, scan in enumerate(log.scans)
+    ]
+    mapped = slam and not maps_clouds(run.entry)
+    grid = read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None
+    return BagDrive(ticks=ticks, grid=grid, errors=sensor_errors(config))
+
+
+def _export_bag(run: RunFolder, out: Path, *, storage: Storage, slam: bool) -> Path:
+    from lirs_wct.formats.rosbag.writer import write_bag
+
+    write_bag(out / "bag", recorded_drive(run, slam=slam), storage)
+    return out / "bag"
+
+
+def _export_csv(run: RunFolder, out: Path) -> Path:
+    tables = _tables(run)
+    beams = ",".join(f"range_{k}" for k in range(len(tables["beams"])))
+    headers = {"scans": f"stamp,{beams}", "imu": IMU_HEADER, "beams": "angle"}
+    for name, table in tables.items():
+        with atomic_write(out / "csv" / f"{name}.csv") as path:
+            header = headers.get(name, POSE_HEADER)
+            np.savetxt(path, table, fmt="%.9g", delimiter=",", header=header, comments="")
+    return out / "csv"
+
+
+def _export_npz(run: RunFolder, out: Path) -> Path:
+    with atomic_write(out / "run.npz") as path:
+        np.savez_compressed(path, allow_pickle=False, **_tables(run))
+    return out / "run.npz"
+
+
+def _export_carmen(run: RunFolder, out: Path) -> Path:
+    target = out / "scans.clf.gz"
+    read_carmen(run.folder / "scans.clf.gz")
+    with atomic_write(target) as path:
+        shutil.copyfile(run.folder / "scans.clf.gz", path)
+    return target
+
+
+def _tables(run: RunFolder) -> dict[str, FloatArray]:
+    """Return the recorded data as tables, one row per scan; trajectories in the world frame."""
+    log = read_carmen(run.folder / "scans.clf.gz")
+    tables = {"scans": np.column_stack((log.stamps, np.array([scan.ranges for scan in log.scans])))}
+    tables["beams"] = log.scans[0].angles
+    for name in ("truth", "estimate", "odometry"):
+        t = read_tum(run.folder / f"{name}.tum")
+        tables[name] = np.column_stack((t.stamps, t.positions, t.quaternions))
+    rows = [
+        (r.stamp, r.roll, r.pitch, *r.angular_velocity, *r.linear_acceleration)
+        for r in read_imu(run.folder / "imu.csv.gz")
+    ]
+    return tables | {"imu": np.array(rows)}
+
+
+def _export_evalio(run: RunFolder, out: Path) -> Path:
+    """Write a dataset of a run's bag for evalio; return the path of its module.
+
+    The bag holds point clouds, their truth, and inertial readings.
+
+    Raises:
+        SourceError: the run holds no such bag.
+    """
+    config, (clouds, rate) = recorded_config(run.entry), _bag_counts(run.folder)
+    robot, folder = make_robot(config.robot), out / "evalio"
+    lidar, mount = make_lidar_preset(config.lidar or robot.lidar), robot.T_base_laser
+    noise = InertialNoise()
+    text = TEXT.format(
+        module=MODULE,
+        sequence=re.sub(r"\W", "_", run.folder.resolve().name.lower()),
+        bag=os.path.relpath(run.folder, folder),
+        points=POINTS,
+        inertial=INERTIAL,
+        truth=TRUTH,
+        p=mount.position.tolist(),
+        q=mount.quaternion.tolist(),
+        gyro=noise.rate_density,
+        accel=noise.acceleration_density,
+        gravity=STANDARD_GRAVITY,
+        rate=rate,
+        rows=lidar.rings,
+        columns=lidar.beams,
+        near=lidar.range_min,
+        far=lidar.range_max,
+        sweeps=1 / lidar.period,
+        clouds=clouds,
+    )
+    with atomic_write(folder / f"{MODULE}.py") as path:
+        path.write_text(text, encoding="utf-8")
+    return folder / f"{MODULE}.py"
+
+
+def _bag_counts(folder: Path) -> tuple[int, float]:
+    """Return the number of clouds and of inertial readings a second."""
+    try:
+        with AnyReader([folder]) as reader:
+            counts = {connection.topic: connection.msgcount for connection in reader.connections}
+            seconds = reader.duration * 1e-9
+    except Exception as error:  # the reader's own errors have no common base
+        raise SourceError(f"{folder}: holds no bag that can be read; lirs-wct record makes one") from error
+    lacking = [topic for topic in (POINTS, INERTIAL, TRUTH) if not counts.get(topic)]
+    if lacking:
+        raise SourceError(
+            f"{folder}: its bag has no {' and no '.join(lacking)}: record with a lidar with rings"
+        )
+    return counts[POINTS], float(math.floor(counts[INERTIAL] / seconds + 0.5))

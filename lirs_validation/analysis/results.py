@@ -1,0 +1,229 @@
+"""Finished results: folders of runs, and the config, poses and scans of one."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from lirs_envs.lidar.presets import make_lidar_preset
+from lirs_envs.robots.robot import make_robot
+from lirs_validation.collision.validation import CollisionVerdict
+from lirs_validation.config import RunConfig
+from lirs_validation.record.map_record import is_mapped_log
+from lirs_validation.record.metric_catalog import Entry
+from lirs_validation.record.provenance import with_recorded_source
+from lirs_validation.record.run_record import RECORD, read_whole_record
+from lirs_validation.sweep.experiment import MANIFEST, STATUS, read_verdict
+from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
+from lirs_wct.errors import reason_of
+from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.drive_csv import read_imu
+from lirs_wct.formats.laser_log import LaserLog
+from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.world_json import TEXTURE_OPTIONS
+from lirs_wct.option import Options
+from lirs_wct.sources.options import BuildOptions
+from slam_baselines.mapping.map_builder import KnownPoseMapper
+
+SAME_STAMP = 1e-4
+"""Largest difference between stamps of the same scan in two files, seconds."""
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """A run's folder and its record as nested dicts."""
+
+    folder: Path
+    entry: Entry
+
+
+@dataclass(frozen=True)
+class ResultFolder:
+    """Contents of a folder of results.
+
+    Attributes:
+        root: Folder of the results.
+        runs: Runs by name of their folders.
+        collisions: Verdicts of collision validations.
+        broken: Names of collision validations without a result, and why.
+        skipped: Names of folders that cannot be read, and why.
+        manifest: Content of `sweep.json`; None without one.
+    """
+
+    root: Path
+    runs: tuple[RunFolder, ...]
+    collisions: tuple[CollisionVerdict, ...] = ()
+    broken: tuple[tuple[str, str], ...] = ()
+    skipped: tuple[tuple[str, str], ...] = ()
+    manifest: Entry | None = None
+
+
+def read_run(folder: Path) -> RunFolder:
+    """Read a run's folder.
+
+    Raises:
+        SourceError: it holds no record, or one that is damaged or of another version.
+    """
+    return RunFolder(folder, read_whole_record(folder))
+
+
+def read_results(root: Path) -> ResultFolder:
+    """Read a run's folder, or a folder of such folders; unreadable ones are listed.
+
+    Raises:
+        SourceError: there is no such folder, or no record in it can be read.
+    """
+    if not root.is_dir():
+        raise SourceError(f"{root}: no such folder of results")
+    if (root / RECORD).exists():
+        return ResultFolder(root, (read_run(root),))
+    runs: list[RunFolder] = []
+    verdicts: list[CollisionVerdict] = []
+    broken: list[tuple[str, str]] = []
+    skipped: list[tuple[str, str]] = []
+    for folder in sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
+        try:
+            if is_mapped_log(folder):
+                continue  # a source of runs, and none itself
+            if (folder / RECORD).exists():
+                runs.append(read_run(folder))
+            elif (folder / STATUS).exists() and (reason := _failure(folder / STATUS)) is not None:
+                broken.append((folder.name, reason))
+            elif (folder / STATUS).exists():
+                verdicts.append(read_verdict(folder))
+        except SourceError as error:
+            skipped.append((folder.name, str(error).removeprefix(f"{folder}/")))
+    manifest = _manifest(root / MANIFEST, skipped)
+    if not runs and not verdicts:
+        named = "".join(f"; {name}: {reason}" for name, reason in skipped[:3])
+        raise SourceError(f"{root}: holds no readable record of a run (folders with a record.json){named}")
+    return ResultFolder(root, tuple(runs), tuple(verdicts), tuple(broken), tuple(skipped), manifest)
+
+
+def _failure(path: Path) -> str | None:
+    """Return the reason of a failed collision validation; None of a successful one."""
+    entry = _json(path)
+    status, reason = entry.get("status"), entry.get("reason")
+    if not isinstance(status, str) or not isinstance(reason, str):
+        raise SourceError(f"{path}: damaged: status and reason must be text")
+    return None if status == "ok" else reason or status
+
+
+def _manifest(path: Path, skipped: list[tuple[str, str]]) -> Entry | None:
+    if not path.exists():
+        return None
+    try:
+        entry = _json(path)
+        cells = entry.get("cells", [])
+        if not isinstance(cells, list) or not all(
+            isinstance(cell, dict) and isinstance(cell.get("name"), str) for cell in cells
+        ):
+            raise SourceError(f"{path}: damaged: cells must be a list of objects with a name")
+        return entry
+    except SourceError as error:
+        skipped.append((path.name, str(error)))
+        return None
+
+
+def _json(path: Path) -> Entry:
+    try:
+        entry = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path}: not readable, or damaged: {reason_of(error)}") from error
+    if not isinstance(entry, dict):
+        raise SourceError(f"{path}: damaged: an object is required, got {entry!r:.40}")
+    return entry
+
+
+def recorded_config(entry: Entry) -> RunConfig:
+    """Return the config of a record.
+
+    Raises:
+        SourceError: it has options that this version does not know.
+    """
+    run, build = dict(entry["config"]), dict(entry["config"]["build"])
+    del run["build"]
+    # Of version 1.0.0: options that never changed a run, and one that has another name.
+    run.pop("threads", None)
+    build.pop("log_mapper", None)
+    if (pixel := build.pop("pixel_size", None)) is not None:
+        build["resolution"] = pixel
+    if build.get("origin", "") is None:
+        del build["origin"]
+    unknown = [name for name in run if name not in _names(RunConfig)]
+    unknown += [name for name in build if name not in _names(BuildOptions)]
+    if unknown:
+        raise SourceError(f"{entry['name']}: options unknown to this version: {', '.join(sorted(unknown))}")
+    try:
+        for name, value in build.items():
+            if name == "start" and value is not None:
+                build[name] = Pose2(**{key: float(number) for key, number in value.items()})
+            elif name in TEXTURE_OPTIONS and value is not None:
+                build[name] = Path(value)
+            elif isinstance(value, list) and all(isinstance(part, int | float) for part in value):
+                build[name] = tuple(value)
+            elif not isinstance(value, int | float | str | None):
+                raise TypeError(f"{name} is {value!r}")
+        return RunConfig(**run, build=BuildOptions(**build))
+    except (ConfigError, TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+        reason = " ".join(str(error).split())
+        raise SourceError(f"{entry['name']}: damaged: an option cannot be used: {reason}") from error
+
+
+def _names(options: type[Options]) -> set[str]:
+    return {entry.name for entry in fields(options)}
+
+
+def recorded_world_config(entry: Entry) -> RunConfig:
+    """Return the config of a record with the path of the run's source.
+
+    Raises:
+        SourceError: it has options that this version does not know, or its source has changed.
+    """
+    return with_recorded_source(recorded_config(entry), entry["world"].get("files", ()))
+
+
+def recorded_truth(folder: Path) -> Trajectory:
+    """Return true base_link poses in the world frame; the first is the map frame.
+
+    Raises:
+        SourceError: missing, damaged or empty.
+    """
+    path = folder / "truth.tum"
+    truth = read_tum(path)
+    if len(truth) == 0:
+        raise SourceError(f"{path}: holds no pose")
+    return truth
+
+
+def read_sensors(folder: Path) -> tuple[Trajectory, LaserLog, tuple[Imu, ...]]:
+    """Return true poses, scans and inertial readings of a run, one of each a scan."""
+    truth, log = recorded_truth(folder), read_carmen(folder / "scans.clf.gz")
+    stamps, imu = log.stamps, read_imu(folder / "imu.csv.gz")
+    if not len(stamps) == len(truth) == len(imu) or np.abs(stamps - truth.stamps).max() > SAME_STAMP:
+        raise SourceError(
+            f"{folder}: not one drive: {len(stamps)} scans, {len(truth)} true poses, {len(imu)} IMU readings"
+        )
+    return truth, log, imu
+
+
+def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> OccupancyGrid:
+    """Return the map of the recorded scans at the true poses, world frame.
+
+    The log's messages hold only the planar part of the laser's mount; the robot gives all of it.
+
+    Raises:
+        SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
+    """
+    truth, log, imu = read_sensors(folder)
+    T_world_map, T_base_laser = truth.pose2(0), make_robot(config.robot).T_base_laser
+    range_min = make_lidar_preset(config.lidar or make_robot(config.robot).lidar).range_min
+    mapper = KnownPoseMapper(resolution=resolution)
+    for k, scan in enumerate(log.scans):
+        pose = Pose3.from_arrays(truth.positions[k], truth.quaternions[k])
+        mounted: LaserScan = replace(scan, T_base_laser=T_base_laser, range_min=range_min)
+        mapper.update(mounted, T_world_map.inverse() @ pose.to_pose2(), imu[k])
+    return mapper.map().moved(T_world_map)
