@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lirs_validation.cli.progress import err, manifest_of_command, out, run_sweep
+from lirs_validation.cli.progress import manifest_of_command, note, out, run_sweep, say
 from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 from lirs_wct.option import Options, argument, option, read_pairs
@@ -94,7 +94,7 @@ def _with_sources(tasks: Sequence[BenchTask], data: Path | None) -> list[BenchTa
             missing[str(error)] = task.place
     for reason, place in missing.items():
         count = sum(task.place == place for task in tasks)
-        err.print(f"skipped {count} tasks in {reason}", markup=False, highlight=False, soft_wrap=True)
+        note(f"skipped {count} tasks in {reason}")
     if not found:
         raise SourceError(f"none of the {len(tasks)} tasks can be run: their worlds' files are missing")
     return found
@@ -142,17 +142,17 @@ def _show(
     for result in results:
         if result.policy in policies:
             counted = f"{result.score.count} of {len(chosen)} {task} tasks of {tasks.name} ({split})"
-            out.print(score_line(result, counted), markup=False, highlight=False, soft_wrap=True)
+            say(score_line(result, counted))
     own = [result for policy in policies for result in results if result.policy == policy]
     for other in own[1:]:
-        out.print(difference_line(other, own[0]), markup=False, highlight=False, soft_wrap=True)
-    out.print(str(path), markup=False, highlight=False, soft_wrap=True)
+        say(difference_line(other, own[0]))
+    say(path)
 
 
 def _tell_failures(result: PolicyResult) -> None:
     failed = {name: entry for name, entry in result.episodes.items() if entry["status"] != "ok"}
     for name, entry in list(failed.items())[:FEW]:
         line = f"{result.policy.label} failed on {name}: {entry['reason']}"
-        err.print(line, markup=False, highlight=False, soft_wrap=True, style="red")
+        note(line, style="red")
     if len(failed) > FEW:
-        err.print(f"... and on {len(failed) - FEW} other tasks", highlight=False, style="red")
+        note(f"... and on {len(failed) - FEW} other tasks", style="red")

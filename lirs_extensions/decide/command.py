@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import common
-from lirs_validation.cli.progress import GATE_FAILED, err, out
+from lirs_validation.cli.progress import ExitCode, note, out, say
 from lirs_validation.cli.sources import World, map_logs, sources_argument
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_wct import ConfigError
@@ -78,11 +78,11 @@ def verdict(
     out.print(methods_table(answers))
     if any(answer.changed for answer in answers):
         out.print(changes_table(answers))
-    out.print(f"{page}", soft_wrap=True, highlight=False)
+    say(page)
     for answer in answers:
-        out.print(f"verdict: {answer.sentence}", soft_wrap=True, highlight=False, markup=False)
+        say(f"verdict: {answer.sentence}")
     if options.gate and any(answer.trial.decision != "works" for answer in answers):
-        raise Exit(GATE_FAILED)
+        raise Exit(ExitCode.GATE_FAILED)
 
 
 def _print_state(trial: Trial) -> None:
@@ -95,4 +95,4 @@ def _print_state(trial: Trial) -> None:
         text = f"forecast: none for {trial.name} (only for methods and sensors of the study)"
     else:
         text = f"forecast: {trial.name} works in {100 * trial.forecast:.0f} % of the drives"
-    err.print(text, soft_wrap=True, highlight=False, markup=False)
+    note(text)

@@ -18,7 +18,7 @@ from lirs_envs.lidar.presets import LIDARS, make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_extensions.decide.forecast import forecast
 from lirs_validation.analysis.groups import ORIGINAL
-from lirs_validation.cli.progress import err, run_with_progress
+from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.scenario import ScenarioCache
@@ -324,7 +324,7 @@ def run_trials(
             break
         sweep = Sweep(drives, out, listed=False, retry_failed=engine.retry_failed)
         done = [_with_results(trial, out, sweep, report) for trial in done]
-        with closing(run_with_progress(sweep, executor, err)) as outcomes:
+        with closing(run_with_progress(sweep, executor)) as outcomes:
             for _ in outcomes:
                 done = [_with_results(trial, out, sweep, report) for trial in done]
                 if time.monotonic() > deadline:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from lirs_extensions.live.options import LiveOptions
 from lirs_validation.cli.command import common
-from lirs_validation.cli.progress import err, out, progress_bar
+from lirs_validation.cli.progress import err, out, progress_bar, say
 from lirs_validation.cli.sources import OneSource, World, map_logs
 from lirs_validation.config import CLIENT, RUN_AXES, RunConfig
 from lirs_wct.errors import ConfigError
@@ -52,7 +52,7 @@ def live(
     given = {"seconds": SECONDS, "driver": CLIENT, "mapper": live.client, **given}
     config = RunConfig(source=source, build=build, **given)
     announce = partial(err.print, highlight=False, markup=False, soft_wrap=True)
-    with progress_bar(source, err) as progress:
+    with progress_bar(source) as progress:
         for result in drive_live(config, live, out=options.output, progress=progress, announce=announce):
             _show(result)
 
@@ -75,6 +75,6 @@ def _show(result: LiveRun) -> None:
     )
     if bridge.jitter:
         late = 1e3 * sorted(bridge.jitter)[int(0.99 * len(bridge.jitter))]
-        out.print(f"99 % of the scans came at most {late:.1f} ms late", highlight=False)
-    out.print(f"{run.folder}", soft_wrap=True, highlight=False)
-    out.print(f"verdict: {run.verdict}", soft_wrap=True, highlight=False, markup=False)
+        say(f"99 % of the scans came at most {late:.1f} ms late")
+    say(run.folder)
+    say(f"verdict: {run.verdict}")

@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 from lirs_extensions.search.options import FalsifyOptions, TuneOptions
 from lirs_validation.cli.command import common
-from lirs_validation.cli.commands.map import LogInOut
-from lirs_validation.cli.progress import err, out, progress_bar
+from lirs_validation.cli.commands.worlds import LogInOut
+from lirs_validation.cli.progress import note, progress_bar, say
 from lirs_validation.cli.sources import OneSource, World
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
@@ -65,7 +65,7 @@ def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
         require_cma()
     with process_pool(options.jobs) as pool:
         drives = CaseDrives(options, limits, output, pool)
-        found = search.falsify(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))
+        found = search.falsify(drives, note)
     page = write_results(output, drives, found, shlex.join(["lirs-wct", *sys.argv[1:]]))
     _show(page, *(output / f"case-{k}" for k in range(1, len(found) + 1)), *conclusion(drives, found))
 
@@ -73,7 +73,7 @@ def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
 def _show(*lines: object) -> None:
     """Print lines as they are."""
     for line in lines:
-        out.print(str(line), soft_wrap=True, highlight=False, markup=False)
+        say(line)
 
 
 @common(
@@ -101,7 +101,7 @@ def tune(
         require_cma()
     with process_pool(tuning.jobs) as pool:
         drives = search.TuneDrives(target, tuning, space, output, pool)
-        tuned = search.tune(drives, lambda line: err.print(line, highlight=False, soft_wrap=True))
+        tuned = search.tune(drives, note)
         found = search.compare(drives, tuned)
     paths = search.write_results(output, drives, tuned, found)
     table = search.parameters_table(drives, tuned).as_markdown().splitlines()
@@ -151,7 +151,7 @@ def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> N
     from lirs_extensions.search.twin.twin import run_twin
 
     config = MapConfig(log=options.log, **given)
-    with progress_bar(options.log, err) as progress:
+    with progress_bar(options.log) as progress:
         result, folder = run_twin(
             config,
             lidar=options.lidar,

@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 from lirs_validation.cli.command import Command, paragraphs, render
-from lirs_validation.cli.progress import BAD_INPUT, INTERRUPTED, RUN_FAILED, err
+from lirs_validation.cli.progress import ExitCode, note
 from lirs_validation.experiment.own_code import importable
 from lirs_validation.processes import is_interrupt, raise_interrupts
 from lirs_wct.errors import ConfigError, MapperError, WctError, did_you_mean
@@ -29,7 +29,7 @@ LONGEST = 900
 COMMANDS: Mapping[str, str] = {
     "verdict": "lirs_extensions.decide.command:verdict",
     "validate": "lirs_validation.cli.commands.validate:validate",
-    "map": "lirs_validation.cli.commands.map:map_log",
+    "map": "lirs_validation.cli.commands.worlds:map_log",
     "falsify": "lirs_extensions.search.commands:falsify",
     "tune": "lirs_extensions.search.commands:tune",
     "twin": "lirs_extensions.search.commands:twin",
@@ -39,14 +39,14 @@ COMMANDS: Mapping[str, str] = {
     "score": "lirs_validation.cli.commands.reports:score",
     "info": "lirs_validation.cli.commands.worlds:info",
     "gui": "lirs_validation.cli.commands.gui:gui",
-    "list": "lirs_validation.cli.commands.catalog:list_names",
+    "list": "lirs_validation.cli.commands.installation:list_names",
     "export": "lirs_validation.cli.commands.reports:export",
     "record": "lirs_validation.cli.commands.validate:record",
     "live": "lirs_extensions.live.command:live",
     "bench": "lirs_extensions.bench.command:bench",
-    "collide": "lirs_validation.cli.commands.collide:collide",
+    "collide": "lirs_validation.cli.commands.validate:collide",
     "convert": "lirs_validation.cli.commands.worlds:convert",
-    "doctor": "lirs_validation.cli.commands.doctor:doctor",
+    "doctor": "lirs_validation.cli.commands.installation:doctor",
 }
 """Module and function of each command, in order of use."""
 MOVED: Mapping[str, str] = {
@@ -108,16 +108,16 @@ def main() -> None:
         with importable(Path.cwd()):
             code = PROGRAM.main(prog_name="lirs-wct", standalone_mode=False)
     except MapperError as error:  # the input was good, its mapping failed
-        _fail(str(error), RUN_FAILED)
+        _fail(str(error), ExitCode.RUN_FAILED)
     except WctError as error:
         _fail(str(error))
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
-        sys.exit(BAD_INPUT)
+        sys.exit(ExitCode.BAD_INPUT)
     except click.ClickException as error:
         _fail(error.format_message())
     except (click.Abort, KeyboardInterrupt):
-        _fail("interrupted; nothing half-written was left", INTERRUPTED)
+        _fail("interrupted; nothing half-written was left", ExitCode.INTERRUPTED)
     except OSError as error:
         if error.errno not in DISK_FULL:
             raise
@@ -128,17 +128,17 @@ def main() -> None:
     except SystemError as error:
         if not is_interrupt(error):
             raise
-        _fail("interrupted; nothing half-written was left", INTERRUPTED)
+        _fail("interrupted; nothing half-written was left", ExitCode.INTERRUPTED)
     gc.freeze()  # nothing is left to collect; the end of the interpreter would look through all of it
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _fail(message: str, code: int = BAD_INPUT) -> None:
+def _fail(message: str, code: int = ExitCode.BAD_INPUT) -> None:
     if len(message) > LONGEST:
         message = f"{message[: LONGEST - 200]} ... {message[-200:]}"
-    err.print(f"lirs-wct: {message}", markup=False, highlight=False, soft_wrap=True, style="red")
+    note(f"lirs-wct: {message}", style="red")
     sys.exit(code)
 
 
 def _one_line(message: Warning | str, *_: Any, **__: Any) -> None:
-    err.print(f"lirs-wct: {message}", markup=False, highlight=False, soft_wrap=True, style="yellow")
+    note(f"lirs-wct: {message}", style="yellow")

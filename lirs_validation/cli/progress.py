@@ -1,4 +1,4 @@
-"""Consoles and bars of commands: results on stdout, progress and errors on stderr."""
+"""Output of commands: exit codes, results on stdout, progress and errors on stderr."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
+from enum import IntEnum
 from threading import Timer
 from typing import TYPE_CHECKING
 
@@ -31,15 +32,20 @@ if TYPE_CHECKING:
     from lirs_validation.sweep.experiment import Manifest, Outcome
     from lirs_validation.sweep.sweep import Sweep
 
-WIDE = 200
+
+class ExitCode(IntEnum):
+    """Exit codes of commands, beside 0 for success."""
+
+    BAD_INPUT = 2
+    RUN_FAILED = 3
+    GATE_FAILED = 4
+    INTERRUPTED = 130
+
+
+FILE_COLUMNS = 200
 """Columns of a file or a pipe, which have no width of their own unless COLUMNS says one."""
-
-out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else WIDE)
+out = Console(width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else FILE_COLUMNS)
 err = Console(stderr=True)
-
-RUN_FAILED, BAD_INPUT, GATE_FAILED, INTERRUPTED = 3, 2, 4, 130
-"""Exit codes, beside 0 for success."""
-
 
 STEPS = {
     "read": "reading",
@@ -54,12 +60,22 @@ STEPS = {
     "collide": "colliding",
 }
 """Steps as they are shown; any other stands as it is."""
-LONG = 3600.0
+SPEED_PERIOD = 3600.0
 """The time left is estimated from the last so many seconds: experiments take minutes, and differ."""
-SLOW = 2.0
+SLOW_COMPILATION = 2.0
 """Seconds of compilation after which a line explains it."""
-EVERY = 10.0
+LINE_PERIOD = 10.0
 """Seconds between two lines of progress where no terminal shows a bar."""
+
+
+def say(text: object) -> None:
+    """Print a line of results as it is."""
+    out.print(str(text), markup=False, highlight=False, soft_wrap=True)
+
+
+def note(text: object, style: str | None = None) -> None:
+    """Print a remark or an error as it is."""
+    err.print(str(text), markup=False, highlight=False, soft_wrap=True, style=style)
 
 
 def manifest_of_command(suite: str | None = None) -> Manifest:
@@ -81,9 +97,9 @@ def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> 
     executor = make_executor(engine)
     if sweep.kept:
         again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
-        err.print(f"kept {sweep.kept} of {len(sweep.experiments)} from before{again}", highlight=False)
+        note(f"kept {sweep.kept} of {len(sweep.experiments)} from before{again}")
     try:
-        for _ in run_with_progress(sweep, executor, err):
+        for _ in run_with_progress(sweep, executor):
             pass
     finally:
         show()
@@ -91,100 +107,85 @@ def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> 
         name, reason = next(iter(sweep.unwritten.items()))
         raise OutputError(f"{reason} ({len(sweep.unwritten)} not written, {name} among them; run it again)")
     if sweep.failed:
-        raise Exit(RUN_FAILED)
+        raise Exit(ExitCode.RUN_FAILED)
 
 
-class ProgressLines:
-    """Lines of progress in a log file; none in a terminal, which has the bar."""
+class ProgressNotes:
+    """Lines of progress where no terminal shows a bar, and one about a compilation that takes long."""
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console, self._clock = console, clock
-        self._due = clock() + EVERY
+        self._due = clock() + LINE_PERIOD
+        self._compilations: dict[str, Timer] = {}
+        self._explained = False
 
-    def note(self, work: str, share: float) -> None:
-        """Write a line if the last one is long ago."""
-        if self._console.is_terminal or self._clock() < self._due:
-            return
-        self._due = self._clock() + EVERY
-        self._console.print(f"{work}, {share:.0%}", highlight=False, markup=False, soft_wrap=True)
-
-
-class CompileNote:
-    """Line about a compilation that takes long, once per command."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._timers: dict[str, Timer] = {}
-        self._told = False
-
-    def observe(self, work: str, step: str) -> None:
-        """Take in the step of a piece of work."""
+    def observe(self, work: str, step: str, text: str, share: float) -> None:
+        """Take in the step of a piece of work; write its text if the last line is long ago."""
         if step != "compile":
             self.end(work)
-        elif work not in self._timers and not self._told:
-            self._timers[work] = Timer(SLOW, self._tell)
-            self._timers[work].daemon = True
-            self._timers[work].start()
+        elif work not in self._compilations and not self._explained:
+            self._compilations[work] = Timer(SLOW_COMPILATION, self._explain)
+            self._compilations[work].daemon = True
+            self._compilations[work].start()
+        if not self._console.is_terminal and self._clock() >= self._due:
+            self._due = self._clock() + LINE_PERIOD
+            self._console.print(f"{text}, {share:.0%}", highlight=False, markup=False, soft_wrap=True)
 
     def end(self, work: str) -> None:
         """End the compilation of a piece of work."""
-        if work in self._timers:
-            self._timers.pop(work).cancel()
+        if work in self._compilations:
+            self._compilations.pop(work).cancel()
 
     def close(self) -> None:
         """End all compilations."""
-        for work in tuple(self._timers):
+        for work in tuple(self._compilations):
             self.end(work)
 
-    def _tell(self) -> None:
-        if not self._told:
-            self._told = True
+    def _explain(self) -> None:
+        if not self._explained:
+            self._explained = True
             self._console.print("compiling kernels: slow the first time, then cached", highlight=False)
 
 
 @contextmanager
-def progress_bar(work: str, console: Console) -> Iterator[Progress]:
+def progress_bar(work: str, console: Console = err) -> Iterator[Progress]:
     """Show a bar with the time left while a piece of work goes on."""
-    lines, compilation = ProgressLines(console), CompileNote(console)
-    with _bar(console) as bar, closing(compilation):
+    with _bar(console) as bar, closing(ProgressNotes(console)) as notes:
         task = bar.add_task(work, total=None)
 
         def progress(step: str, share: float) -> None:
-            compilation.observe(work, step)
             description = f"{work}: {STEPS.get(step, step)}"
             bar.update(task, description=description, total=1.0, completed=share)
-            lines.note(description, share)
+            notes.observe(work, step, description, share)
 
         yield progress
 
 
-def run_with_progress(sweep: Sweep, executor: Executor, console: Console) -> Generator[Outcome]:
+def run_with_progress(sweep: Sweep, executor: Executor, console: Console = err) -> Generator[Outcome]:
     """Run a sweep's experiments under a bar with the time left for all of them.
 
     Raises:
         WctError: the only experiment cannot be run as it was asked for, or not be written.
     """
-    many = len(sweep.pending) > 1
     running: dict[str, float] = {}
-    done = 0
-    lines, compilation, total = ProgressLines(console), CompileNote(console), len(sweep.pending)
-    count = TextColumn("{task.fields[done]}/{task.total:.0f}" if many else "")
-    with _bar(console, count) as bar, closing(compilation):
-        task = bar.add_task("", total=float(len(sweep.pending)), done=0)
+    done, total = 0, len(sweep.pending)
+    count = TextColumn("{task.fields[done]}/{task.total:.0f}" if total > 1 else "")
+    with _bar(console, count) as bar, closing(ProgressNotes(console)) as notes:
+        task = bar.add_task("", total=float(total), done=0)
 
         def progress_of(name: str) -> Progress:
             def progress(step: str, share: float) -> None:
                 running[name] = share
-                compilation.observe(name, step)
                 description, completed = f"{name}: {STEPS.get(step, step)}", done + sum(running.values())
                 bar.update(task, description=description, completed=completed)
-                lines.note(f"{done}/{total} {description}" if many else description, completed / total)
+                text = f"{done}/{total} {description}" if total > 1 else description
+                notes.observe(name, step, text, completed / total)
 
             return progress
 
         for outcome in sweep.run(executor, progress_of):
             running.pop(outcome.experiment, None)
-            compilation.end(outcome.experiment)
+            notes.end(outcome.experiment)
             done += 1
             bar.update(task, completed=done + sum(running.values()), done=done)
             yield outcome
@@ -201,5 +202,5 @@ def _bar(console: Console, *columns: ProgressColumn) -> ProgressBar:
         console=console,
         transient=True,
         disable=not console.is_terminal,
-        speed_estimate_period=LONG,
+        speed_estimate_period=SPEED_PERIOD,
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from lirs_validation.cli.command import Few
-from lirs_validation.cli.progress import err, progress_bar
+from lirs_validation.cli.progress import note, progress_bar
 from lirs_validation.config import WORLD_FLAGS
 from lirs_wct.formats.suffixes import Storage
 from lirs_wct.option import Options, argument, option
@@ -77,7 +77,7 @@ def map_logs(
 def _map_log(log: str, options: BuildOptions, out: Path) -> str:
     from lirs_validation.logs.map_log import resolve_source
 
-    with progress_bar(log, err) as progress:
+    with progress_bar(log) as progress:
         path = resolve_source(log, options, out, progress)
-    err.print(f"{log}: its map is {path}", soft_wrap=True, highlight=False)
+    note(f"{log}: its map is {path}")
     return str(path)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from lirs_validation.cli.progress import out
+from lirs_validation.cli.progress import say
 from lirs_validation.cli.sources import SOURCE_HELP, complete_source
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options, argument, option, within
@@ -41,5 +41,5 @@ def gui(options: GuiOptions) -> None:
         find_source(options.source, BuildOptions())
     runs = options.runs if options.runs.is_dir() else None
     server = Server(options.source, runs=runs, host=options.host, port=options.port)
-    out.print(f"{server.address}: open it in a browser, Ctrl-C ends it", soft_wrap=True, highlight=False)
+    say(f"{server.address}: open it in a browser, Ctrl-C ends it")
     server.serve()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from rich.table import Table
@@ -12,99 +12,44 @@ from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.logs.preflight import Preflight
 from lirs_validation.metrics.scan_support import ScanSupport, scan_support
 from lirs_validation.metrics.world_geometry import mesh_error
-from lirs_wct import HeightField, World
+from lirs_wct import HeightField, WallGrid, World
 from lirs_wct.arrays import Float32Array
 
 CELLS, MAP_CELLS = 1000, 2000
 """Cells along the longer side, at most, of the grid on which drivable ground is counted: of a terrain, and of
 a laser map, whose walls are thin."""
-
-
 STRIP = 256
 """Rows of nodes whose slopes are computed together."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class WorldFacts:
-    """Figures of a world.
-
-    Attributes:
-        size: eastward and northward, meters.
-        nodes: rows and columns of the surface.
-        heights: lowest and highest ground, meters.
-        slopes: median and 95th percentile at the nodes, degrees.
-        drivable: percent of the ground where a robot's center may be, by robot.
-        walls: wall cells, cells, resolution in meters, height in meters; None without a laser map.
-        triangles: of the mesh that is written.
-        watertight: whether a reader of its STL finds it closed.
-        volume: enclosed, cubic meters.
-        support: walls in sight of a robot's planar scanner.
-        error: largest vertical distance of the mesh from the surface at its nodes, meters; None for the
-            walls of a laser map, which are exact.
-    """
-
-    size: tuple[float, float]
-    nodes: tuple[int, int]
-    heights: tuple[float, float]
-    slopes: tuple[float, float]
-    drivable: dict[str, float]
-    walls: tuple[int, int, float, float] | None
-    triangles: int
-    watertight: bool
-    volume: float
-    support: ScanSupport
-    error: float | None
-
-
-def world_facts(world: World, robot: str = "husky") -> WorldFacts:
-    """Measure a world, and the view of a robot's scanner.
+def facts_table(world: World, robot: str = "husky") -> Table:
+    """Return facts of a world, and of the view of a robot's scanner, as a table to print.
 
     Raises:
         ConfigError: there is no such robot.
     """
     surface, walls, mesh = world.surface, world.walls, world.file_mesh
+    (width, depth), (nodes_north, nodes_east) = surface.size, surface.shape
     median, p95 = np.percentile(_slopes(surface), (50, 95), overwrite_input=True).tolist()
-    return WorldFacts(
-        size=surface.size,
-        nodes=surface.shape,
-        heights=(float(surface.z.min()), float(surface.z.max())),
-        slopes=(median, p95),
-        drivable=_drivable(world),
-        walls=None
-        if walls is None
-        else (int(walls.solid.sum()), walls.solid.size, walls.resolution, walls.height),
-        triangles=len(mesh.faces),
-        watertight=mesh.is_watertight_as_written,
-        volume=mesh.volume,
-        support=scan_support(world, make_robot(robot)),
-        error=None if walls is not None else mesh_error(world, mesh),
-    )
-
-
-def facts_table(world: World, facts: WorldFacts) -> Table:
-    """Return the facts as a table to print."""
-    table = Table(title=f"{world.name}: {world.kind}, {world.scale}", show_header=False, title_justify="left")
+    support = scan_support(world, make_robot(robot))
+    place = () if world.place is None else (("place on earth", world.place.label()),)
+    of_map = () if walls is None else (("walls", _walls_text(walls)),)
     rows = [
-        ("size", f"{facts.size[0]:g} x {facts.size[1]:g} m"),
-        ("surface", f"{facts.nodes[1]} x {facts.nodes[0]} nodes, {_cells(world)} m apart"),
-        ("heights", f"{facts.heights[0]:.3f} to {facts.heights[1]:.3f} m"),
-        ("slopes", f"median {facts.slopes[0]:.1f} deg, 95 % below {facts.slopes[1]:.1f} deg"),
-        *(
-            (f"drivable, {robot}", _drivable_text(world, robot, share))
-            for robot, share in facts.drivable.items()
-        ),
-        (f"walls in sight, {facts.support.robot}", _support(facts.support)),
-        ("expectation", facts.support.expectation),
+        ("size", f"{width:g} x {depth:g} m"),
+        *place,
+        ("surface", f"{nodes_east} x {nodes_north} nodes, {_cells(world)} m apart"),
+        *of_map,
+        ("heights", f"{surface.z.min():.3f} to {surface.z.max():.3f} m"),
+        ("slopes", f"median {median:.1f} deg, 95 % below {p95:.1f} deg"),
+        *((f"drivable, {name}", _drivable_text(world, name, share)) for name, share in _drivable(world)),
+        (f"walls in sight, {support.robot}", _support(support)),
+        ("expectation", support.expectation),
         ("start poses", _starts(world)),
-        ("triangles", f"{facts.triangles}"),
-        ("watertight", f"{'yes' if facts.watertight else 'no'}, {facts.volume:.6g} m3"),
-        ("mesh error", _mesh_error(world, facts)),
+        ("triangles", f"{len(mesh.faces)}"),
+        ("watertight", f"{'yes' if mesh.is_watertight_as_written else 'no'}, {mesh.volume:.6g} m3"),
+        ("mesh error", "exact" if walls is not None else _mesh_error(world)),
     ]
-    if facts.walls is not None:
-        solid, cells, resolution, height = facts.walls
-        rows.insert(2, ("walls", f"{solid} of {cells} cells of {resolution:g} m, {height:g} m high"))
-    if world.place is not None:
-        rows.insert(1, ("place on earth", world.place.label()))
+    table = Table(title=f"{world.name}: {world.kind}, {world.scale}", show_header=False, title_justify="left")
     for row in rows:
         table.add_row(*row)
     return table
@@ -134,10 +79,13 @@ def _resolves(world: World, robot: str) -> bool:
     return world.sample_spacing is None or world.sample_spacing <= 2 * ROBOTS[robot].radius
 
 
-def _mesh_error(world: World, facts: WorldFacts) -> str:
-    if facts.error is None:
-        return "exact"
-    at_nodes = f"{facts.error:.6f} m at the nodes"
+def _walls_text(walls: WallGrid) -> str:
+    cells = f"{walls.solid.sum()} of {walls.solid.size} cells of {walls.resolution:g} m"
+    return f"{cells}, {walls.height:g} m high"
+
+
+def _mesh_error(world: World) -> str:
+    at_nodes = f"{mesh_error(world, world.file_mesh):.6f} m at the nodes"
     budget = world.file_options.max_error
     # Without a budget the mesh has every node and the height field's diagonals; a closed mesh stays itself.
     return f"{at_nodes}, at most {budget:.6f} m between them" if budget else at_nodes
@@ -178,9 +126,10 @@ def _slopes(surface: HeightField) -> Float32Array:
     return slopes
 
 
-def _drivable(world: World) -> dict[str, float]:
+def _drivable(world: World) -> list[tuple[str, float]]:
+    """Return percent of the ground where a robot's center may be, by robot."""
     cells = CELLS if world.walls is None else MAP_CELLS
     resolution = max(0.1, max(world.surface.size) / cells)
     limits = [(robot.radius, robot.max_slope) for robot in ROBOTS.values()]
     grids = world.traversable_by(limits, resolution)
-    return {name: 100 * float(grid.free.mean()) for name, grid in zip(ROBOTS, grids, strict=True)}
+    return [(name, 100 * float(grid.free.mean())) for name, grid in zip(ROBOTS, grids, strict=True)]

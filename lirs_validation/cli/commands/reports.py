@@ -11,7 +11,7 @@ from typing import Literal
 
 from click.exceptions import Exit
 
-from lirs_validation.cli.progress import RUN_FAILED, err, out
+from lirs_validation.cli.progress import ExitCode, err, note, out, say
 from lirs_validation.cli.sources import BagOptions
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options, argument, option, read_pairs
@@ -200,11 +200,11 @@ def score(options: ScoreOptions) -> None:
     out.print(score_table(result, recorded.entry))
     verdict = result.verdict(recorded.entry)
     write_score(options.output, result, verdict, options.trajectory, options.map)
-    out.print(f"{options.output}", soft_wrap=True, highlight=False)
+    say(options.output)
     if verdict is not None:
-        out.print(f"verdict: {verdict}", soft_wrap=True, highlight=False, markup=False)
+        say(f"verdict: {verdict}")
     if result.status != "ok":
-        raise Exit(RUN_FAILED)
+        raise Exit(ExitCode.RUN_FAILED)
 
 
 def export(options: ExportCommand) -> None:
@@ -222,7 +222,7 @@ def export(options: ExportCommand) -> None:
     robot = ROBOTS.get(options.source)
     paths = _export_run(options) if robot is None else [_write_urdf(options, robot_urdf(robot))]
     for path in paths:
-        out.print(f"{path}", soft_wrap=True, highlight=False)
+        say(path)
 
 
 def _export_run(options: ExportCommand) -> Sequence[Path]:
@@ -253,4 +253,4 @@ def _write(path: Path, text: str) -> None:
 
 def _print_skipped(skipped: tuple[tuple[str, str], ...]) -> None:
     for name, reason in skipped:
-        err.print(f"skipped {name}: {reason}", markup=False, highlight=False, soft_wrap=True, style="yellow")
+        note(f"skipped {name}: {reason}", style="yellow")

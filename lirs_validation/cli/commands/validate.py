@@ -1,8 +1,9 @@
-"""The commands `validate` and `record`: robots driven through worlds with SLAM running."""
+"""The commands `validate`, `record` and `collide`: robots driven through worlds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,15 +11,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import common
-from lirs_validation.cli.progress import GATE_FAILED, manifest_of_command, out, run_sweep
+from lirs_validation.cli.progress import (
+    ExitCode,
+    manifest_of_command,
+    note,
+    out,
+    progress_bar,
+    run_sweep,
+    say,
+)
 from lirs_validation.cli.sources import BagOptions, World, map_logs, sources_argument
-from lirs_validation.config import RUN_AXES, STAND, EngineOptions, RunConfig, run_name
+from lirs_validation.config import DRIVABLE, RUN_AXES, STAND, EngineOptions, RunConfig, run_name
 from lirs_validation.record.verdict import LIMITS, VerdictLimits
-from lirs_wct.errors import ConfigError, OutputError, SourceError
+from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 from lirs_wct.option import Options, option
 from lirs_wct.sources.source import BuildOptions
 
 if TYPE_CHECKING:
+    from lirs_validation.collision.validation import CollisionVerdict
     from lirs_validation.record.verdict import Verdict
     from lirs_validation.sweep.experiment import Experiment, SlamExperiment
     from lirs_validation.sweep.sweep import Sweep
@@ -68,6 +79,20 @@ class RecordOptions(BagOptions, SweepOptions):
     output: Path = option(Path("run"), "Folder of the bag; of several runs, for theirs.")
 
 
+@dataclass(frozen=True, kw_only=True)
+class CollideOptions(Options):
+    """Worlds, robots and drives of `collide`."""
+
+    sources: tuple[str, ...] = sources_argument()
+    robot: tuple[str, ...] = option(("husky", "jackal", "turtlebot2"), "Robots.", metavar="R,R,...")
+    terrain: tuple[ContactGeometry, ...] = option(
+        ("hfield",), "Contact geometry: hfield, mesh, prisms, convex.", metavar="T,T,..."
+    )
+    seconds: float = option(60.0, "Simulated seconds to drive each.", check=DRIVABLE)
+    seed: tuple[int, ...] = option((1,), "Seeds of the random drives.", metavar="N,N-M")
+    output: Path = option(Path("out"), "Folder for collisions.json and collisions.csv.")
+
+
 _DRIVE = ("robot", "mapper", "lidar", "seconds", "seed", "output", "driver", "attitude")
 
 
@@ -90,7 +115,7 @@ def validate(
     experiments = read_experiments(options, run, build)
     found = _run(experiments, engine, options.output, options.suite, limits=accepted[0])
     if options.gate and not all(verdict.kind in {"works", *accepted[1]} for verdict in found):
-        raise Exit(GATE_FAILED)
+        raise Exit(ExitCode.GATE_FAILED)
 
 
 @common(*_DRIVE, "actors", "size", "height", "storage", "sensors_only")
@@ -199,12 +224,74 @@ def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
         out.print(table)
     folders = [sweep.out / found.name for found in sweep.experiments if found.name in sweep.outcomes]
     for folder in folders if len(folders) <= FEW else [sweep.out]:
-        out.print(f"{folder}", soft_wrap=True, highlight=False)
+        say(folder)
     entries = [read_record(folder) for folder in folders if (folder / "record.json").exists()]
     runs = [entry for entry in entries if "mapper" in entry["config"]]
     rates = {f"{run['scans']['imu_rate']:g} Hz" for run in runs if run.get("scans", {}).get("imu_rate")}
     if rates:
-        out.print(f"inertial readings: {', '.join(sorted(rates))}", highlight=False)
+        say(f"inertial readings: {', '.join(sorted(rates))}")
     for line in verdict_lines(runs, limits):
-        out.print(line, soft_wrap=True, highlight=False, markup=False)
+        say(line)
     return [stored_verdict(entry, limits) for entry in runs]
+
+
+def collide(options: CollideOptions, build: World) -> None:
+    """Drive robots at random into obstacles and evaluate contacts: penetration, energy, slopes.
+
+    Examples:
+    lirs-wct collide simple advanced --robot husky,turtlebot2 --seconds 60 -o out/
+    """
+    from lirs_validation.collision.validation import write_verdicts
+    from lirs_validation.report.collision_tables import verdicts_table
+
+    sources, build = map_logs(options.sources, build, options.output)
+    verdicts: list[CollisionVerdict] = []
+    refused: list[WctError] = []
+    try:
+        for found in _check_collisions(options, sources, build):
+            if isinstance(found, WctError):
+                refused.append(found)
+            else:
+                verdicts.append(found)
+    finally:
+        if verdicts:
+            out.print(verdicts_table(verdicts))
+            for path in write_verdicts(options.output, verdicts):
+                say(path)
+    if not verdicts:
+        raise refused[0]
+    for error in refused:
+        note(f"left out: {error}", style="yellow")
+    if refused or not all(verdict.passed for verdict in verdicts):
+        raise Exit(ExitCode.RUN_FAILED)
+
+
+def _check_collisions(
+    options: CollideOptions, sources: tuple[str, ...], build: BuildOptions
+) -> Iterator[CollisionVerdict | WctError]:
+    """Yield the verdict on each robot, terrain and seed in each world."""
+    from lirs_envs.robots.robot import make_robot
+    from lirs_validation.collision.validation import check_collisions
+    from lirs_validation.experiment.scenario import build_scenario
+
+    robots = [make_robot(name) for name in options.robot]
+    checks = list(itertools.product(robots, options.terrain, options.seed))
+    steps = len(sources) * len(checks)
+    done = 0
+    with progress_bar("collide") as progress:
+        for source in sources:
+            progress(f"building {source}", done / steps)
+            config = RunConfig(source=source, seconds=options.seconds, build=build)
+            try:
+                world = build_scenario(config).world
+            except WctError as error:
+                yield error
+                done += len(checks)
+                continue
+            for who, where, seed in checks:
+                progress(f"{source}, {who.name} on {where}", done / steps)
+                try:
+                    yield check_collisions(world, who, terrain=where, seconds=options.seconds, seed=seed)
+                except WctError as error:
+                    yield error
+                done += 1

@@ -1,19 +1,26 @@
-"""Commands about worlds: `build`, `info`, `convert`."""
+"""Commands about sources: `build`, `info`, `map`, `convert`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from click.exceptions import Exit
 
 import lirs_wct
 from lirs_validation.cli.command import Few, common
-from lirs_validation.cli.progress import err, out, progress_bar
+from lirs_validation.cli.progress import ExitCode, err, out, progress_bar, say
 from lirs_validation.cli.sources import OneSource, map_logs
-from lirs_validation.map_config import LogOptions
+from lirs_validation.map_config import LogOptions, MapConfig
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
 from lirs_wct.option import Options, argument, option
 from lirs_wct.sources.source import BuildOptions
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from lirs_validation.record.map_record import MapRecord
 
 MESHES = {"dae", "stl", "obj", "glb", "usd"}
 """Mesh formats of `--to`."""
@@ -44,6 +51,14 @@ class InfoCommand(OneSource):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LogInOut(Options):
+    """Log and results of a command."""
+
+    log: str = argument("CARMEN log (.clf, .log, gzipped or not) or ROS bag.", "LOG")
+    output: Path = option(Path("out"), "Folder for the result's folder.")
+
+
+@dataclass(frozen=True, kw_only=True)
 class ConvertCommand(Options):
     """Meshes of `convert`."""
 
@@ -62,7 +77,7 @@ def build(options: BuildCommand, world_options: BuildOptions) -> None:
     from lirs_wct.export.package import write_package
 
     (source,), world_options = map_logs([options.source], world_options, options.output)
-    with progress_bar(source, err) as progress:
+    with progress_bar(source) as progress:
         progress("build", 0.0)
         world = lirs_wct.build_world(source, world_options)
         folder = write_package(
@@ -89,7 +104,7 @@ def info(
     lirs-wct info examples/data/office.clf.gz
     """
     from lirs_envs.robots.robot import make_robot
-    from lirs_validation.cli.commands.info import facts_table, preflight_table, world_facts
+    from lirs_validation.cli.commands.info import facts_table, preflight_table
     from lirs_wct.drawing.pictures import view_figure
     from lirs_wct.files import atomic_write
     from lirs_wct.sources.source import is_log
@@ -101,17 +116,39 @@ def info(
         with err.status(f"reading {source}"):
             found = check_log_file(source, **given)
         out.print(preflight_table(source, found))
-        out.print(f"{source}: {found.sentence}", soft_wrap=True, highlight=False, markup=False)
+        say(f"{source}: {found.sentence}")
         return
     make_robot(robot)
     with err.status(f"measuring {source}"):
         world = lirs_wct.build_world(source, build)
-        facts = world_facts(world, robot)
-    out.print(facts_table(world, facts))
+        facts = facts_table(world, robot)
+    out.print(facts)
     if output is not None:
         with atomic_write(output) as path:
             view_figure(world).savefig(path, format="png")
-        out.print(f"{output}", soft_wrap=True, highlight=False)
+        say(output)
+
+
+@common(
+    *("mapper", "output", "relations", "reference", "second", "resolution", "range_max", "fov"),
+    *("seed", "imu", "scan_topic", "odom_topic", "time"),
+)
+def map_log(options: LogInOut, given: Annotated[dict[str, Any], MapConfig]) -> None:
+    """Map a laser log: map.pgm and map.yaml for ROS, path, picture and accuracy.
+
+    Examples:
+    lirs-wct map examples/data/office.clf.gz --mapper gmapping -o out/
+    """
+    from lirs_validation.logs.map_log import run_mapping
+
+    config = MapConfig(log=options.log, **given)
+    with progress_bar(options.log) as progress:
+        mapped = run_mapping(config, out=options.output, progress=progress)
+    out.print(_figures_table(mapped.record))
+    say(mapped.folder)
+    say(f"verdict: {mapped.record.verdict}")
+    if mapped.record.status != "ok":
+        raise Exit(ExitCode.RUN_FAILED)
 
 
 def convert(options: ConvertCommand, rotation: RotationOptions) -> None:
@@ -128,23 +165,38 @@ def convert(options: ConvertCommand, rotation: RotationOptions) -> None:
     with err.status(f"converting {source}"):
         mesh = convert_mesh(source, target, rotation.rotate_x)
     closed = "watertight" if mesh.is_watertight else "not watertight"
-    out.print(f"{target}: {len(mesh.faces)} triangles, {closed}", soft_wrap=True, highlight=False)
+    say(f"{target}: {len(mesh.faces)} triangles, {closed}")
 
 
 def _say_what_was_built(world: lirs_wct.World, folder: Path, to: tuple[str, ...]) -> None:
     width, depth = world.surface.size
-    out.print(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
+    say(f"{folder}: {world.kind}, {width:g} x {depth:g} m, relief {world.surface.relief:.2f} m")
     budget = world.file_options.max_error
     if budget is not None and world.file_options != world.export_options and MESHES & {*to}:
         relief = world.surface.relief
         share = (
             f"{DEFAULT_SHARE:.1%} of the relief" if budget <= DEFAULT_SHARE * relief else "1e-6 of the side"
         )
-        out.print(
+        say(
             f"mesh files: {len(world.file_mesh.faces)} triangles within {1000 * budget:.3g} mm of the "
-            f"height field everywhere, {share}; --max-error 0 keeps all",
-            soft_wrap=True,
-            highlight=False,
+            f"height field everywhere, {share}; --max-error 0 keeps all"
         )
     if not world.spawn_poses:
-        out.print("start poses: none, no robot on wheels fits", highlight=False)
+        say("start poses: none, no robot on wheels fits")
+
+
+def _figures_table(record: MapRecord) -> Table:
+    """Return the metrics and repairs of a mapped log as a table to print."""
+    from rich.table import Table
+
+    from lirs_validation.record.map_record import map_lines, repair_lines
+    from lirs_validation.record.metric_catalog import WORSE
+
+    table = Table(title=record.config.log, show_header=False, title_justify="left")
+    for name, value in map_lines(record):
+        table.add_row(name, value, style="yellow" if value == WORSE else "")
+        if name == "status" and record.reason:
+            table.add_row("", record.reason, style="yellow")
+    for name, value in repair_lines(record):
+        table.add_row(name, value, style="yellow")
+    return table

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lirs_validation.cli.commands import doctor
+from lirs_validation.cli.commands import installation as doctor
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ NAMES = {"mappers": {*MAPPERS, *ALL_CLOUD_MAPPERS}, "robots": ROBOTS, "lidars": 
 def test_every_name_is_listed_and_has_data(
     kind: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("lirs_validation.cli.commands.catalog.out._width", 200)
+    monkeypatch.setattr("lirs_validation.cli.commands.installation.out._width", 200)
     assert run_command("list", kind) == 0
     words = {line.split()[0] for line in capsys.readouterr().out.splitlines() if line.strip()}
     assert set(NAMES[kind]) <= words

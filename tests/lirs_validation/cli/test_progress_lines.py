@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from lirs_validation.cli import progress as module
-from lirs_validation.cli.progress import EVERY, CompileNote, ProgressLines, progress_bar
+from lirs_validation.cli.progress import LINE_PERIOD, ProgressNotes, progress_bar
 
 
 class Clock:
@@ -20,23 +20,23 @@ class Clock:
 
 def test_a_line_every_ten_seconds() -> None:
     clock, file = Clock(), io.StringIO()
-    lines = ProgressLines(Console(file=file), clock)
+    notes = ProgressNotes(Console(file=file), clock)
     for second in range(35):
         clock.now = float(second)
-        lines.note("dunes: [building]", second / 35)
+        notes.observe("dunes", "build", "dunes: [building]", second / 35)
     assert file.getvalue().splitlines() == [f"dunes: [building], {k / 35:.0%}" for k in (10, 20, 30)]
 
 
 def test_a_terminal_gets_none() -> None:
     clock, file = Clock(), io.StringIO()
-    lines = ProgressLines(Console(file=file, force_terminal=True), clock)
-    clock.now = 2 * EVERY
-    lines.note("dunes", 0.5)
+    notes = ProgressNotes(Console(file=file, force_terminal=True), clock)
+    clock.now = 2 * LINE_PERIOD
+    notes.observe("dunes", "build", "dunes", 0.5)
     assert file.getvalue() == ""
 
 
 def test_a_bar_without_terminal_writes_lines(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "EVERY", 0.0)
+    monkeypatch.setattr(module, "LINE_PERIOD", 0.0)
     file = io.StringIO()
     with progress_bar("dunes", Console(file=file)) as progress:
         progress("drive", 0.25)
@@ -52,19 +52,19 @@ def wait_for(file: io.StringIO) -> str:
 
 
 def test_a_long_compilation_is_explained_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "SLOW", 0.05)
+    monkeypatch.setattr(module, "SLOW_COMPILATION", 0.05)
     file = io.StringIO()
-    note = CompileNote(Console(file=file))
+    notes = ProgressNotes(Console(file=file))
     for work in ("a", "b"):
-        note.observe(work, "compile")
+        notes.observe(work, "compile", work, 0.0)
     told = wait_for(file)
-    note.observe("c", "compile")
+    notes.observe("c", "compile", "c", 0.0)
     time.sleep(0.2)
     assert file.getvalue() == told == "compiling kernels: slow the first time, then cached\n"
 
 
 def test_a_short_compilation_is_not_mentioned(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "SLOW", 0.2)
+    monkeypatch.setattr(module, "SLOW_COMPILATION", 0.2)
     file = io.StringIO()
     with progress_bar("dunes", Console(file=file)) as progress:
         progress("compile", 0.0)

@@ -152,7 +152,7 @@ def test_a_given_interpreter_must_hold_the_systems_package(monkeypatch: pytest.M
 def test_the_list_shows_requirements_and_how_to_install(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("lirs_validation.cli.commands.catalog.out._width", 200)
+    monkeypatch.setattr("lirs_validation.cli.commands.installation.out._width", 200)
     monkeypatch.setattr("slam_baselines.mapper.find_spec", lambda package: None)
     assert run_command("list", "mappers") == 0
     rows = {line.split()[0]: line for line in capfd.readouterr().out.splitlines() if line.strip()}

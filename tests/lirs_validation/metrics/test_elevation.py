@@ -7,7 +7,7 @@ import pytest
 
 from lirs_validation.metrics.elevation import (
     CELL,
-    MOST,
+    MAX_CLOUDS,
     CloudSample,
     ElevationMap,
     elevation_map,
@@ -195,15 +195,15 @@ def test_a_narrow_or_short_path_is_not_aligned(bend: float, count: int, aligned:
 
 def test_a_sample_keeps_a_cloud_a_second_and_fewer_of_longer_drives() -> None:
     sample, point = CloudSample(), np.zeros((2, 3))
-    for k in range(2 * MOST):
+    for k in range(2 * MAX_CLOUDS):
         sample.offer(k, cloud(k / 2, point), walkers=np.array([True, False]))
-    assert sample.scans == list(range(0, 2 * MOST, 2))
+    assert sample.scans == list(range(0, 2 * MAX_CLOUDS, 2))
     assert sample.period == 1.0
-    assert [kept.stamp for kept in sample.clouds] == list(range(MOST))
+    assert [kept.stamp for kept in sample.clouds] == list(range(MAX_CLOUDS))
     assert {len(kept) for kept in sample.clouds} == {1}, "points on walkers are left out"
-    sample.offer(2 * MOST, cloud(float(MOST), point))
+    sample.offer(2 * MAX_CLOUDS, cloud(float(MAX_CLOUDS), point))
     assert sample.period == 2.0
-    assert [kept.stamp for kept in sample.clouds] == list(range(0, MOST + 1, 2))
-    assert sample.scans == list(range(0, 2 * MOST + 1, 4))
-    sample.offer(2 * MOST + 2, cloud(MOST + 1.0, point))
-    assert len(sample.clouds) == MOST // 2 + 1, "not due: one every two seconds now"
+    assert [kept.stamp for kept in sample.clouds] == list(range(0, MAX_CLOUDS + 1, 2))
+    assert sample.scans == list(range(0, 2 * MAX_CLOUDS + 1, 4))
+    sample.offer(2 * MAX_CLOUDS + 2, cloud(MAX_CLOUDS + 1.0, point))
+    assert len(sample.clouds) == MAX_CLOUDS // 2 + 1, "not due: one every two seconds now"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
-from lirs_validation.cli.commands.info import facts_table, world_facts
+from lirs_validation.cli.commands.info import facts_table
 from lirs_validation.gui.session.construction import built_facts
 from lirs_wct import World, write_package
 from lirs_wct.errors import ConfigError
@@ -122,7 +122,7 @@ def test_gazebo_and_info_are_told(folder: Path, tmp_path: Path) -> None:
     assert float(found["heading_deg"]) == pytest.approx(0, abs=1e-6)
     line = dict(built_facts(world))["place on earth"]
     assert re.fullmatch(r"EPSG:3857, 40\.7\d{5} N 74\.0\d{5} W, z = 0 at 680\.\d\d m", line)
-    table = facts_table(world, world_facts(world))
+    table = facts_table(world)
     assert ("place on earth", line) in set(zip(*(column.cells for column in table.columns), strict=True))
 
 
@@ -133,7 +133,7 @@ def test_info_promises_no_start_between_coarse_samples(folder: Path) -> None:
         (30.0, ", unknown whether {} can stand between the samples"),
     ):
         sampled = replace(world, ground=replace(world.ground, sample_spacing=spacing))
-        table = facts_table(sampled, world_facts(sampled))
+        table = facts_table(sampled)
         rows = dict(zip(*(column.cells for column in table.columns), strict=True))
         assert rows["start poses"] == f"{len(world.spawn_poses)}{text.format(world.spawn_for)}"
 
