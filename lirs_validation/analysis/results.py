@@ -25,8 +25,8 @@ from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.tum import read_tum
 from lirs_wct.formats.world_json import TEXTURE_OPTIONS
 from lirs_wct.option import Options
-from lirs_wct.sources.options import BuildOptions
-from slam_baselines.mapping.map_builder import KnownPoseMapper
+from lirs_wct.sources.source import BuildOptions
+from slam_baselines.map_builder import KnownPoseMapper
 
 SAME_STAMP = 1e-4
 """Largest difference between stamps of the same scan in two files, seconds."""

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from lirs_wct import HeightField, TriangleMesh, WallGrid, World
-from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.kernels import njit
-from lirs_wct.sources.rasterize import rasterize_heights
+from lirs_wct.arrays import BoolArray, FloatArray, njit
+from lirs_wct.geometry.mesh import rasterize_heights
 
 STEEP = math.radians(45)
 """Faces steeper than this are obstacles, radians."""

@@ -23,7 +23,7 @@ from lirs_validation.cli.progress import (
 from lirs_validation.cli.sources import BagOptions, World, map_logs, sources_argument
 from lirs_validation.config import DRIVABLE, RUN_AXES, STAND, EngineOptions, RunConfig, run_name
 from lirs_validation.record.verdict import LIMITS, VerdictLimits
-from lirs_wct.contact.contact_geometry import ContactGeometry
+from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 from lirs_wct.option import Options, option
 from lirs_wct.sources.source import BuildOptions
