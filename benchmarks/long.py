@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.loop import Drive
+from lirs_validation.experiment.drive import drive
 from lirs_validation.experiment.run import ReadyRun, prepare
 
 MINUTE = 60.0
@@ -37,21 +37,21 @@ def resident_mb() -> float:
 
 def measure(ready: ReadyRun) -> dict[str, Any]:
     """Drive to the end and return the figures."""
-    drive = Drive(ready.simulation, ready.driver, ready.mapper, ready.seconds)
+    log = ready.log()
     readings = [(0.0, time.process_time(), resident_mb())]
-    for driven in drive:
+    for driven in drive(ready.simulation, ready.driver, ready.mapper, log, ready.seconds):
         if driven >= len(readings) * MINUTE - 1e-9:
             readings.append((driven, time.process_time(), resident_mb()))
     at, cpu, memory = np.array(readings).T
     speed = np.diff(cpu) / np.diff(at)
     settled = at >= END * MINUTE
     line = np.polyfit(at[settled] / 3600, memory[settled], 1)
-    stamps = np.array([scan.stamp for scan in drive.log.scans])
+    stamps = np.array([scan.stamp for scan in log.scans])
     exact = np.arange(len(stamps)) * ready.simulation.period
     first, last = float(np.median(speed[:END])), float(np.median(speed[-END:]))
     return {
         "simulated": float(at[-1]),
-        "status": f"{drive.log.status}: {drive.log.reason}" if drive.log.reason else drive.log.status,
+        "status": f"{log.status}: {log.reason}" if log.reason else log.status,
         "cpu_seconds": float(cpu[-1] - cpu[0]),
         "mb_at_start": float(memory[0]),
         "mb_at_end": float(memory[-1]),

@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.run import Run, drive_and_conclude, prepare
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct.option import read_numbers
@@ -66,7 +66,7 @@ def levelled_ate(run: Run) -> float | None:
     for seen, truth in zip(log.observations, log.truth, strict=True):
         imu = None if seen.imu is None else replace(seen.imu, roll=truth.roll, pitch=truth.pitch)
         answers.append(mapper.update(seen.scan, seen.odometry, imu))
-    again = replace(log, estimates=answers, final=mapper.trajectory())
+    again = replace(log, estimates=answers, final_trajectory=mapper.trajectory())
     path, estimate, _ = again.trajectories()
     return trajectory_errors(path, estimate).ate_rmse if len(estimate) > 1 else None
 

@@ -22,7 +22,7 @@ from lirs_envs.env import RobotEnv
 from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.robot import make_robot
 from lirs_extensions.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, set_entry, task_set
-from lirs_validation.driving.choice import MARGIN
+from lirs_validation.driving.choice import CLEARANCE
 from lirs_wct.errors import SimulationError, SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
@@ -163,7 +163,7 @@ def can_begin(env: RobotEnv, task: BenchTask) -> bool:
 def roomy_areas(world: World, robot: str) -> tuple[OccupancyGrid, np.ndarray]:
     """Return the grid on which the upper bound plans, and the numbers of its areas; 0 = not free."""
     figures = make_robot(robot)
-    grid = world.traversable(clearance=figures.radius + MARGIN, max_slope=figures.max_slope)
+    grid = world.traversable(clearance=figures.radius + CLEARANCE, max_slope=figures.max_slope)
     _, areas = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
     return grid, areas
 

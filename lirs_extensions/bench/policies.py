@@ -24,14 +24,13 @@ from lirs_envs.pretrained import Pretrained
 from lirs_envs.tasks.site import SEEN_CELL
 from lirs_extensions.bench import UPPER_BOUND
 from lirs_extensions.bench.tasks import TASKS, BenchTask
-from lirs_validation.driving.choice import MARGIN
-from lirs_validation.driving.driver import Driver, Frame
-from lirs_validation.driving.free_ground import FreeGround
+from lirs_validation.driving.choice import CLEARANCE
+from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.frontier_route import FrontierRoute, GoalRoute
-from lirs_validation.driving.path_driver import DriverConfig, Path as DrivenPath, PathDriver, driver_config
-from lirs_validation.driving.paths import penalize_behind
-from lirs_validation.driving.waypoint_route import WaypointRoute
-from lirs_validation.experiment.own_code import make_own, own_class, own_source_file
+from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
+from lirs_validation.driving.paths import Path as DrivenPath, penalize_behind
+from lirs_validation.driving.routes import FreeGround, WaypointRoute
+from lirs_validation.experiment.loading import make_own, own_class, own_source_file
 from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, unknown_name
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.formats.waypoints import RoutePoint
@@ -40,7 +39,7 @@ from slam_baselines.mapper import make_mapper
 
 MAPPER = "hector"
 """SLAM method whose map the explorer plans on."""
-MARGINS = (MARGIN, 0.1, 0.05, 0.0)
+MARGINS = (CLEARANCE, 0.1, 0.05, 0.0)
 """Clearances beyond the robot's radius, meters; a plan takes the largest with a path to the goal."""
 VIEW = 4.0
 """Half side of the square in which unseen ground counts for a place, meters."""
@@ -59,7 +58,7 @@ class DrivenPolicy(ABC):
         self._time = 0.0
 
     @abstractmethod
-    def driver(self) -> Driver:
+    def driver(self) -> PathDriver:
         """Return the driver of the episode that begins."""
 
     @abstractmethod
@@ -83,14 +82,14 @@ class DrivenPolicy(ABC):
 class Explorer(DrivenPolicy):
     """Frontier exploration, or drive to a goal, on a mapper's map by the mapper's pose."""
 
-    def driver(self) -> Driver:
+    def driver(self) -> PathDriver:
         """Return the explorer with a new mapper."""
         robot = self.context.robot
         self._mapper = make_mapper(MAPPER, seed=self.context.seed)
         self._pose, self._stamp = Pose2(), -math.inf
         pace = driver_config(robot)
         kind = FrontierRoute if self._env.view.goal is None else GoalRoute
-        self._route = kind(self._mapper.map, robot.radius, robot.radius + MARGIN, pace)
+        self._route = kind(self._mapper.map, robot.radius, robot.radius + CLEARANCE, pace)
         return PathDriver(self._route, Pose2(), pace)
 
     def pose(self, observation: Mapping[str, Any]) -> Pose2:
@@ -114,7 +113,7 @@ class OnTrueMap(DrivenPolicy):
         """Return the true pose."""
         return self._env.view.T_world_base.to_pose2()
 
-    def driver(self) -> Driver:
+    def driver(self) -> PathDriver:
         """Return a driver to the goal, or to unseen ground."""
         view, pace = self._env.view, driver_config(self.context.robot)
         start, surface = view.T_world_base.to_pose2(), view.world.surface

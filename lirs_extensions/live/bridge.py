@@ -16,9 +16,12 @@ from lirs_envs.simulation import Simulation
 from lirs_extensions.live.client import Client
 from lirs_extensions.live.middleware import Middleware
 from lirs_extensions.live.options import LiveOptions
+from lirs_validation.config import RunConfig
 from lirs_validation.driving.driver import Driver, Frame
-from lirs_validation.experiment.loop import planar
-from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
+from lirs_validation.experiment.cost import Cost
+from lirs_validation.experiment.drive import planar
+from lirs_validation.experiment.mapper_under_test import Estimate, LocalMapper, SensorReadings
+from lirs_validation.experiment.recording import bag_tick
 from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
 from lirs_wct.formats.rosbag.messages import (
     MAP_TOPIC,
@@ -28,7 +31,7 @@ from lirs_wct.formats.rosbag.messages import (
     nanoseconds,
     occupancy_grid,
 )
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import CloudMapper, Mapper, MapperStats
 
 MAP_PERIOD = 2.0
 """Simulated seconds between two maps of our mapper."""
@@ -163,28 +166,21 @@ class Bridge:
         T_world_base = self._simulation.T_world_base
         if self._T_map_world is None:
             self._T_map_world = Pose3.from_pose2(self._T_map_start @ T_world_base.to_pose2().inverse())
-        return BagTick(
-            scan=observation.scan,
-            odometry=observation.odometry,
-            imu=observation.imu,
-            truth=self._T_map_world @ T_world_base,
-            estimate=estimate,
-            cloud=observation.cloud,
-            inertial=observation.inertial,
-            odometry_track=observation.odometry_track,
-        )
+        return bag_tick(observation, self._T_map_world @ T_world_base, estimate)
 
 
-class ClientMapper(MapperUnderTest):
-    """The client as the mapper of a drive, by its transforms and its /map."""
+class ClientMapper:
+    """The client as the mapper of a drive, by its transforms and its /map (see `MapperUnderTest`)."""
+
+    requires_odometry, reads_inertial = False, True
 
     def __init__(self, bridge: Bridge, name: str, *, reads_clouds: bool, T_start_map: Pose2) -> None:
-        self.name, self.reads_clouds, self.requires_odometry = name, reads_clouds, False
-        self.reads_inertial, self.reads_odometry = True, False
+        self.name, self.reads_clouds = name, reads_clouds
         self._bridge, self._T_start_map = bridge, T_start_map
 
-    def observe(self, observation: Observation) -> Estimate:  # type: ignore[override]
+    def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Exchange a scan with the client; return its pose estimate."""
+        assert isinstance(observation, Observation)
         begun = time.perf_counter()
         self._bridge.exchange(observation)
         pose = Pose3.from_pose2(self._T_start_map) @ self._bridge.client.estimate(observation.odometry)
@@ -214,31 +210,28 @@ class ClientMapper(MapperUnderTest):
         """Scans and answers of the client."""
         return self._bridge.stats
 
-    @property
-    def lost(self) -> bool:
-        """False: a client does not tell."""
-        return False
+    def cost(self) -> Cost:
+        """Return nothing: the client's cost is unknown."""
+        return Cost(0.0, 0)
 
-    def restart(self) -> None:
-        """Do nothing: a client is not ours to restart."""
+    def close(self) -> None:
+        """Do nothing: the client is not ours."""
 
 
-class PublishedMapper(MapperUnderTest):
+class PublishedMapper(LocalMapper):
     """One of our mappers, whose frame `map` and map the client gets."""
 
-    def __init__(self, bridge: Bridge, mapper: MapperUnderTest) -> None:
-        self._bridge, self._ours = bridge, mapper
-        self.name, self.reads_clouds, self.requires_odometry = mapper.name, False, mapper.requires_odometry
-        self.reads_inertial, self.reads_odometry = mapper.reads_inertial, mapper.reads_odometry
-        self.map, self.trajectory, self.close = mapper.map, mapper.trajectory, mapper.close  # type: ignore[method-assign]
-        self._next_map = 0.0
+    def __init__(self, bridge: Bridge, mapper: Mapper | CloudMapper, config: RunConfig) -> None:
+        super().__init__(mapper, config.mapper, config.attitude)
+        self._bridge, self._next_map = bridge, 0.0
 
-    def observe(self, observation: Observation) -> Estimate:  # type: ignore[override]
+    def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Map a scan, then exchange it with the client."""
-        estimate = self._ours.observe(observation)
+        assert isinstance(observation, Observation)
+        estimate = super().observe(observation)
         stamp = observation.scan.stamp
         if stamp >= self._next_map:
-            self._bridge.publish_map(stamp, self._ours.map())
+            self._bridge.publish_map(stamp, self.map())
             self._next_map = stamp + MAP_PERIOD
         self._bridge.exchange(observation, planar(estimate.pose))
         return estimate
@@ -246,18 +239,9 @@ class PublishedMapper(MapperUnderTest):
     @property
     def stats(self) -> MapperStats:
         """Statistics of our mapper, and the client's answers among its counts."""
-        client, ours = self._bridge.stats, self._ours.stats
+        client, ours = self._bridge.stats, super().stats
         answers = {"scans answered": client.used, **client.counts}
         return replace(ours, counts={**ours.counts, **answers})
-
-    @property
-    def lost(self) -> bool:
-        """Whether our mapper does not know its place."""
-        return self._ours.lost
-
-    def restart(self) -> None:
-        """Make a new mapper."""
-        self._ours.restart()
 
 
 class ClientDriver:
@@ -288,11 +272,8 @@ class ClientDriver:
             return "the client asked for a new start"
         return "" if self._driver is None else self._driver.finished
 
-    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
-        """Pass scan and odometry on to our driver."""
-        if self._driver is not None:
-            self._driver.sense(scan, odometry)
-
-    def command(self, pose: Pose2, time: float) -> Twist:
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
         """Return the command for the next tick."""
-        return self._client.command(time) if self._driver is None else self._driver.command(pose, time)
+        if self._driver is None:
+            return self._client.command(time)
+        return self._driver.command(pose, time, scan, odometry)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.placement import can_stand
-from lirs_envs.robots.robot import Robot, Twist, make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation import Simulation
 from lirs_extensions.live.bridge import Bridge, ClientDriver, ClientMapper, PublishedMapper
 from lirs_extensions.live.client import Client
@@ -25,11 +25,10 @@ from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, make_driver, start_pose
 from lirs_validation.driving.driver import StandingDriver
 from lirs_validation.experiment.cost import compile_timer
-from lirs_validation.experiment.mapper_loading import warm_up_mapper
-from lirs_validation.experiment.mapper_process import needs_process, start_mapper
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest
+from lirs_validation.experiment.loading import mapper_named
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest, needs_process
 from lirs_validation.experiment.recording import sensor_errors
-from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude
+from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude, warm_up
 from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.files import check_writable
@@ -80,24 +79,14 @@ def live(
     scenario = build_scenario(config)
     start = start_pose(scenario.world, robot, config)
     progress("compile", 0.0)
-    compile_seconds = _warm_up(scenario, robot, start)
+    with compile_timer() as compile_seconds:
+        simulation = scenario.simulation(robot, inertial=True)
+        warm_up(config, simulation, start)
     middleware = open_middleware(options, _topics(config, options))
     with closing(middleware):
         _await_client(middleware, options, announce)
-        yield from _Session(scenario, robot, middleware, options, start, compile_seconds).drives(
-            out, progress
-        )
-
-
-def _warm_up(scenario: Scenario, robot: Robot, start: Pose2) -> float:
-    """Compile the kernels of a drive; return the seconds it took."""
-    with compile_timer() as seconds:
-        simulation = scenario.simulation(robot, inertial=True)
-        simulation.reset(start)
-        simulation.advance(Twist())
-        if scenario.config.mapper in MAPPERS:
-            warm_up_mapper(scenario.config.mapper)
-        return seconds()
+        session = _Session(scenario, simulation, middleware, options, start, compile_seconds())
+        yield from session.drives(out, progress)
 
 
 @dataclass(frozen=True)
@@ -106,7 +95,7 @@ class _Session:
 
     Attributes:
         scenario: World and options of the drives.
-        robot: Robot that drives.
+        simulation: Robot in its world, for all drives.
         middleware: Connection to the client.
         options: Options of the connection.
         first: Start pose of the first drive, world frame; the client's map frame begins there.
@@ -114,7 +103,7 @@ class _Session:
     """
 
     scenario: Scenario
-    robot: Robot
+    simulation: Simulation
     middleware: Middleware
     options: LiveOptions
     first: Pose2
@@ -132,42 +121,38 @@ class _Session:
             with _ended_by_interrupt(bridge.client):
                 run = drive_and_conclude(ready, out, progress, name if count == 1 else f"{name}-{count}")
             yield LiveRun(run, bridge)
-            left -= len(run.log.walls) * ready.simulation.period
-            if bridge.client.ended or not bridge.client.reset or left < ready.simulation.period:
+            left -= len(run.log.tick_seconds) * self.simulation.period
+            if bridge.client.ended or not bridge.client.reset or left < self.simulation.period:
                 return
             T_map_start = self._requested(bridge.client.start)
 
     def _ready(self, T_map_start: Pose2, seconds: float) -> tuple[ReadyRun, Bridge]:
-        config, scenario = self.scenario.config, self.scenario
-        simulation = scenario.simulation(self.robot, inertial=True)
+        config, scenario, simulation = self.scenario.config, self.scenario, self.simulation
         bridge = Bridge(self.middleware, self.options, simulation, sensor_errors(config), T_map_start)
-        mapper = self._mapper(bridge, simulation, T_map_start)
+        mapper: MapperUnderTest
+        if config.mapper == self.options.client:
+            clouds, T_start_map = simulation.preset.rings > 1, T_map_start.inverse()
+            mapper = ClientMapper(bridge, config.mapper, reads_clouds=clouds, T_start_map=T_start_map)
+        else:
+            ours = mapper_named(config.mapper, config.seed, config.parameters)
+            mapper = PublishedMapper(bridge, ours, config)
         own = None
         if config.driver != CLIENT:
-            own = make_driver(scenario.world, self.robot, config, mapper.map)
+            own = make_driver(scenario.world, simulation.robot, config, mapper.map)
             own = StandingDriver(own, config.stand) if config.stand else own
         start = self.first @ T_map_start if own is None else own.start
         driver = ClientDriver(start, bridge.client, own)
         return ReadyRun(scenario, simulation, driver, mapper, seconds, self.compile_seconds), bridge
-
-    def _mapper(self, bridge: Bridge, simulation: Simulation, T_map_start: Pose2) -> MapperUnderTest:
-        config = self.scenario.config
-        if config.mapper == self.options.client:
-            clouds = simulation.preset.rings > 1
-            return ClientMapper(bridge, config.mapper, reads_clouds=clouds, T_start_map=T_map_start.inverse())
-        return PublishedMapper(bridge, start_mapper(config))
 
     def _requested(self, T_map_start: Pose2 | None) -> Pose2:
         """Return the requested start, map frame; the first one if the robot cannot stand there."""
         if T_map_start is None:
             return Pose2()
         start = self.first @ T_map_start
-        if can_stand(self.scenario.world, self.robot, start):
+        if can_stand(self.scenario.world, self.simulation.robot, start):
             return T_map_start
-        where = f"({T_map_start.x:.2f}, {T_map_start.y:.2f})"
-        warnings.warn(
-            f"/initialpose: {self.robot.name} cannot stand at {where}; starts at (0, 0)", stacklevel=2
-        )
+        name, where = self.simulation.robot.name, f"({T_map_start.x:.2f}, {T_map_start.y:.2f})"
+        warnings.warn(f"/initialpose: {name} cannot stand at {where}; starts at (0, 0)", stacklevel=2)
         return Pose2()
 
 

@@ -1,4 +1,4 @@
-"""The driver that a config names, set down in its world."""
+"""The driver that a config names, set down in its world; drivers that follow no path: replay, policy."""
 
 from __future__ import annotations
 
@@ -9,28 +9,31 @@ from pathlib import Path
 
 import numpy as np
 
+from lirs_envs.episodes.observations import make_finite
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.placement import can_stand
-from lirs_envs.policies import PolicyContext
+from lirs_envs.policies import Policy, PolicyContext
 from lirs_envs.pretrained import Pretrained
-from lirs_envs.robots.robot import ROBOTS, Robot
+from lirs_envs.robots.robot import ROBOTS, Robot, Twist, clip, make_robot
 from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
-from lirs_validation.driving.coverage import TourRoute
-from lirs_validation.driving.driver import Driver, ReversingDriver
+from lirs_validation.driving.driver import Driver, Frame, ReversingDriver
 from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
 from lirs_validation.driving.paths import area_round
-from lirs_validation.driving.policy_driver import PolicyDriver
-from lirs_validation.driving.replay import COMMANDS, read_replay, replay
-from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
-from lirs_wct import ConfigError, OccupancyGrid, Pose2, World
+from lirs_validation.driving.routes import TourRoute, WaypointRoute, check_waypoints
+from lirs_validation.record.run_record import read_record
+from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, SourceError, World
+from lirs_wct.arrays import FloatArray
+from lirs_wct.formats.drive_csv import Commands, read_commands
 from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
 from lirs_wct.sources.source import read_point
 
-MARGIN = 0.15
+CLEARANCE = 0.15
 """Meters that a plan keeps beyond the robot's radius."""
 PLAN_STREAM = 2
-"""Which of the seed's random streams the tour is drawn from; the simulation has others."""
+"""Random stream of the seed for the tour; the simulation has others."""
+COMMANDS = "commands.csv"
+"""File of the driver's commands in a run's folder."""
 
 
 def make_driver(
@@ -46,45 +49,54 @@ def make_driver(
         ConfigError: the robot fits nowhere in this world, or a replay is of another world, robot or lidar.
         SourceError: waypoints or recorded commands cannot be used.
     """
-    kind, argument = driver_parts(config.driver)
+    kind, argument = _automatic(config)
     if kind == "replay":
         return replay(Path(argument), config, world.name)
     if kind == PRETRAINED:
         return _policy_driver(world, robot, config, argument)
-    driver = _path_driver(world, robot, config, mapper_map)
+    if kind == TOUR:
+        driver = plan_tour(world, robot, config)
+    elif kind in ("waypoints", "goal"):
+        driver = _waypoint_driver(world, robot, config)
+    else:
+        pace, start = _pace(robot, config), start_pose(world, robot, config)
+        route = FrontierRoute(mapper_map, robot.radius, robot.radius + CLEARANCE, pace)
+        driver = PathDriver(route, start, pace)
     return ReversingDriver(driver, config.reversing) if config.reversing else driver
 
 
-def _path_driver(
-    world: World, robot: Robot, config: RunConfig, mapper_map: Callable[[], OccupancyGrid]
-) -> PathDriver:
-    """Return the config's driver along paths, always forwards."""
-    kind, path = _automatic(config)
-    if kind == TOUR:
-        return plan_tour(world, robot, config)
-    free, pace = _drivable(world, robot), _pace(robot, config)
-    waypoints: tuple[RoutePoint, ...] = ()
+def plan_tour(world: World, robot: Robot, config: RunConfig) -> PathDriver:
+    """Return the driver of the seed's tour over the drivable ground.
+
+    Raises:
+        ConfigError: the robot fits nowhere in this world.
+    """
+    free, pace = drivable_ground(world, robot), _pace(robot, config)
+    start = start_pose(world, robot, config, free)
+    rng = np.random.default_rng((config.seed, PLAN_STREAM))
+    return PathDriver(TourRoute(free, start, rng, config.seconds, pace, world.surface), start, pace)
+
+
+def _waypoint_driver(world: World, robot: Robot, config: RunConfig) -> PathDriver:
+    """Return the driver through the waypoints of a file, or to a goal."""
+    kind, argument = driver_parts(config.driver)
+    free, pace = drivable_ground(world, robot), _pace(robot, config)
     if kind == "waypoints":
-        waypoints = read_waypoints(Path(path))
+        named, waypoints = Path(argument), read_waypoints(Path(argument))
         first, second = waypoints[:2]
         ahead = math.atan2(second.y - first.y, second.x - first.x)
         start = Pose2(first.x, first.y, ahead if first.yaw is None else first.yaw)
     else:
-        start = _start(world, free, robot, config)
-    if kind == "goal":
-        waypoints = RoutePoint(start.x, start.y), _goal(config.driver)
-    if waypoints:
-        named = Path(path if kind == "waypoints" else config.driver)
-        _check_reachable(named, waypoints, free, world, robot)
-        return PathDriver(WaypointRoute(waypoints[1:], free, pace, world.surface), start, pace)
-    route = FrontierRoute(mapper_map, robot.radius, robot.radius + MARGIN, pace)
-    return PathDriver(route, start, pace)
+        start = start_pose(world, robot, config, free)
+        named, waypoints = Path(config.driver), (RoutePoint(start.x, start.y), _goal(config.driver))
+    _check_reachable(named, waypoints, free, world, robot)
+    return PathDriver(WaypointRoute(waypoints[1:], free, pace, world.surface), start, pace)
 
 
 def _policy_driver(world: World, robot: Robot, config: RunConfig, goal: str) -> PolicyDriver:
     """Return the driver of the policy that ships, to a goal or to seeded places one after the other."""
-    free = _drivable(world, robot)
-    start = _start(world, free, robot, config)
+    free = drivable_ground(world, robot)
+    start = start_pose(world, robot, config, free)
     lidar = make_lidar_preset(config.lidar or robot.lidar)
     policy = Pretrained(PolicyContext(robot=robot, lidar=lidar, period=lidar.period, seed=config.seed))
     if goal:
@@ -97,49 +109,6 @@ def _policy_driver(world: World, robot: Robot, config: RunConfig, goal: str) -> 
     return PolicyDriver(policy, robot, start, goals, (config.speed, config.turn_rate))
 
 
-def _check_reachable(
-    named: Path, waypoints: tuple[RoutePoint, ...], free: OccupancyGrid, world: World, robot: Robot
-) -> None:
-    check_waypoints(named, waypoints, free, robot.name, lambda place: _cause(world, robot, place)[0])
-
-
-def plan_tour(world: World, robot: Robot, config: RunConfig) -> PathDriver:
-    """Return the driver of the seed's tour over the drivable ground.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world.
-    """
-    free, pace = _drivable(world, robot), _pace(robot, config)
-    start = _start(world, free, robot, config)
-    rng = np.random.default_rng((config.seed, PLAN_STREAM))
-    return PathDriver(TourRoute(free, start, rng, config.seconds, pace, world.surface), start, pace)
-
-
-def start_pose(world: World, robot: Robot, config: RunConfig) -> Pose2:
-    """Return the requested start, or else the seed's spawn pose, world frame.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world, or cannot drive from the requested start.
-    """
-    return _start(world, _drivable(world, robot), robot, config)
-
-
-def _pace(robot: Robot, config: RunConfig) -> DriverConfig:
-    """Return the driver's speeds for a robot, with the factors of the config."""
-    usual = driver_config(robot)
-    pursuit = replace(
-        usual.pursuit,
-        speed=config.speed * usual.pursuit.speed,
-        turn_rate=config.turn_rate * usual.pursuit.turn_rate,
-    )
-    return replace(usual, pursuit=pursuit, patience=usual.patience / min(config.speed, config.turn_rate, 1.0))
-
-
-def _drivable(world: World, robot: Robot) -> OccupancyGrid:
-    """Return the grid whose free cells a plan may use."""
-    return world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
-
-
 def check_driver(config: RunConfig) -> None:
     """Look at the file that a driver needs before the world is built.
 
@@ -148,15 +117,15 @@ def check_driver(config: RunConfig) -> None:
             backwards.
         SourceError: waypoints or recorded commands cannot be read.
     """
-    kind, path = _automatic(config)
-    if kind == "goal" or (kind == PRETRAINED and path):
+    kind, argument = _automatic(config)
+    if kind == "goal" or (kind == PRETRAINED and argument):
         _goal(config.driver)
     if kind == PRETRAINED and config.reversing:
         raise ConfigError(f"driver {PRETRAINED}: reversing must be 0, got {config.reversing:g}")
     if kind == "waypoints":
-        read_waypoints(Path(path))
+        read_waypoints(Path(argument))
     if kind == "replay":
-        read_replay(Path(path), config.robot)
+        _read_replay(Path(argument), config.robot)
 
 
 def driver_files(config: RunConfig) -> list[Path]:
@@ -165,12 +134,65 @@ def driver_files(config: RunConfig) -> list[Path]:
     return {"waypoints": [Path(path)], "replay": [Path(path) / COMMANDS]}.get(kind, [])
 
 
+def start_pose(world: World, robot: Robot, config: RunConfig, free: OccupancyGrid | None = None) -> Pose2:
+    """Return the requested start, or else the seed's spawn pose, world frame.
+
+    Args:
+        world: World of the run.
+        robot: Robot of the run.
+        config: Config with the seed.
+        free: Drivable ground, if it is known.
+
+    Raises:
+        ConfigError: the robot fits nowhere in this world, or cannot drive from the requested start.
+    """
+    free = drivable_ground(world, robot) if free is None else free
+    if world.start is None:
+        starts = [start for start in world.starts(free) if can_stand(world, robot, start)]
+        if not starts:
+            raise no_room(config.source, world, robot, CLEARANCE)
+        return starts[(config.seed - 1) % len(starts)]
+    x, y = world.start.x, world.start.y
+    if not free.free_at(x, y):
+        cause, nearest = _refusal(world, robot, (x, y))
+        if nearest is None:
+            raise no_room(config.source, world, robot, CLEARANCE)
+        raise ConfigError(
+            f"{config.source}: {robot.name} cannot drive from {x:g},{y:g} (--start): {cause}; "
+            f"nearest place: {nearest}"
+        )
+    return world.start
+
+
+def drivable_ground(world: World, robot: Robot) -> OccupancyGrid:
+    """Return the grid whose free cells a plan may use."""
+    return world.traversable(clearance=robot.radius + CLEARANCE, max_slope=robot.max_slope)
+
+
+def _pace(robot: Robot, config: RunConfig) -> DriverConfig:
+    """Return the driver's speeds for a robot, with the factors of the config."""
+    default = driver_config(robot)
+    pursuit = replace(
+        default.pursuit,
+        speed=config.speed * default.pursuit.speed,
+        turn_rate=config.turn_rate * default.pursuit.turn_rate,
+    )
+    slowest = min(config.speed, config.turn_rate, 1.0)
+    return replace(default, pursuit=pursuit, patience=default.patience / slowest)
+
+
+def _check_reachable(
+    named: Path, waypoints: tuple[RoutePoint, ...], free: OccupancyGrid, world: World, robot: Robot
+) -> None:
+    check_waypoints(named, waypoints, free, robot.name, lambda place: _refusal(world, robot, place)[0])
+
+
 def _automatic(config: RunConfig) -> tuple[str, str]:
-    """Return kind and path of a driver that drives by itself."""
-    kind, path = driver_parts(config.driver)
+    """Return kind and argument of a driver that drives by itself."""
+    kind, argument = driver_parts(config.driver)
     if kind in (MANUAL, CLIENT):
         raise ConfigError(f"driver {kind}: a person or client drove; replay:RUN drives the same again")
-    return kind, path
+    return kind, argument
 
 
 def _goal(driver: str) -> RoutePoint:
@@ -182,47 +204,131 @@ def _goal(driver: str) -> RoutePoint:
     return RoutePoint(x, y)
 
 
-def _start(world: World, free: OccupancyGrid, robot: Robot, config: RunConfig) -> Pose2:
-    """Return the requested start, or else the seed's spawn pose."""
-    if world.start is not None:
-        if not free.free_at(world.start.x, world.start.y):
-            cause, nearest = _cause(world, robot, (world.start.x, world.start.y))
-            if nearest is None:
-                raise no_room(config.source, world, robot, MARGIN)
-            raise ConfigError(
-                f"{config.source}: {robot.name} cannot drive from {world.start.x:g},{world.start.y:g} "
-                f"(--start): {cause}; nearest place: {nearest}"
-            )
-        return world.start
-    starts = [start for start in world.starts(free) if can_stand(world, robot, start)]
-    if not starts:
-        raise no_room(config.source, world, robot, MARGIN)
-    return starts[(config.seed - 1) % len(starts)]
+def _refusal(world: World, robot: Robot, place: tuple[float, float]) -> tuple[str, str | None]:
+    """Return the reason why a place is unreachable, and the nearest reachable `x,y`."""
+    return world.refusal(place, clearance=robot.radius + CLEARANCE, max_slope=robot.max_slope)
 
 
-def _cause(world: World, robot: Robot, place: tuple[float, float]) -> tuple[str, str | None]:
-    """Return why a place is unreachable, and the nearest reachable `x,y`."""
-    return world.refusal(place, clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
+MAX_CELLS = 500
+"""Cells along the longer side of the grid on which room is looked for."""
 
 
-CELLS = 500
-"""Cells along the longer side, at most, of the grid on which room is looked for."""
-
-
-def no_room(source: str, world: World, robot: Robot, margin: float) -> ConfigError:
+def no_room(source: str, world: World, robot: Robot, clearance: float) -> ConfigError:
     """Return the error for a world without space for a robot, with robots that fit."""
-    needed = (
-        f"{source}: no place for {robot.name}: it needs {2 * (robot.radius + margin):.1f} m of free "
-        f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg"
-    )
-    others = [name for name, other in ROBOTS.items() if _fits(world, other, margin)]
+
+    def fits(other: Robot) -> bool:
+        reach, resolution = other.radius + clearance, max(0.1, max(world.surface.size) / MAX_CELLS)
+        free = world.traversable(clearance=reach, max_slope=other.max_slope, resolution=resolution)
+        return bool(world.driven(free).free.any())
+
+    others = [name for name, other in ROBOTS.items() if fits(other)]
     hint = f"{', '.join(others)} would fit" if others else "no other robot fits"
-    return ConfigError(f"{needed}; {hint}")
-
-
-def _fits(world: World, robot: Robot, margin: float) -> bool:
-    resolution = max(0.1, max(world.surface.size) / CELLS)
-    free = world.traversable(
-        clearance=robot.radius + margin, max_slope=robot.max_slope, resolution=resolution
+    return ConfigError(
+        f"{source}: no place for {robot.name}: it needs {2 * (robot.radius + clearance):.1f} m of free "
+        f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg; {hint}"
     )
-    return bool(world.driven(free).free.any())
+
+
+class ReplayDriver:
+    """Driver that repeats a run's commands, whatever comes of them (see `Driver`)."""
+
+    frame: Frame = "world"
+    stuck = False
+
+    def __init__(self, commands: Commands, period: float, name: str) -> None:
+        self.start, self.finished = commands.start, ""
+        self._rows, self._period, self._name = commands.rows, period, name
+
+    def command(self, pose: Pose2, time: float, *_: object) -> Twist:
+        """Return the command that was given at this time; at rest after the last one."""
+        tick = round(time / self._period)
+        if tick + 1 >= len(self._rows):
+            self.finished = f"the commands of {self._name} end"
+        return Twist(*self._rows[tick, 1:].tolist()) if tick < len(self._rows) else Twist()
+
+
+def replay(folder: Path, config: RunConfig, world: str) -> ReplayDriver:
+    """Return the driver that repeats a run; other mappers and options then drive the same path.
+
+    Raises:
+        SourceError: the folder holds no run, or none whose commands were recorded.
+        ConfigError: the run was one in another world, of another robot, or of a lidar with another period.
+    """
+    commands = _read_replay(folder, config.robot)
+    named = str(read_record(folder)["world"]["name"])
+    if named != world:
+        raise ConfigError(f"{folder}: drives through {named!r}, this run is in {world!r}: the same is needed")
+    period = make_lidar_preset(config.lidar or make_robot(config.robot).lidar).period
+    stamps = commands.rows[:, 0]
+    if len(stamps) and np.abs(stamps - period * np.arange(len(stamps))).max() > period / 4:
+        apart = stamps[-1] / max(1, len(stamps) - 1)
+        raise ConfigError(
+            f"{folder}: commands are {apart:g} s apart, this run's lidar scans each {period:g} s: "
+            "the same lidar is needed"
+        )
+    return ReplayDriver(commands, period, folder.name)
+
+
+def _read_replay(folder: Path, robot: str) -> Commands:
+    """Read the commands of a finished run of a robot."""
+    recorded = read_record(folder)["config"]["robot"]
+    if recorded != robot:
+        raise ConfigError(f"{folder}: drives {recorded!r}, this run {robot!r}: the same robot is needed")
+    path = folder / COMMANDS
+    if not path.exists():
+        raise SourceError(f"{path}: no such file: runs that came to nothing have none, nor have older ones")
+    return read_commands(path)
+
+
+REACHED = 0.5
+"""Distance at which a goal counts as reached, meters."""
+STEP, PATIENCE = 0.5, 30.0
+"""The policy gives up after PATIENCE seconds within STEP meters of a place."""
+
+
+class PolicyDriver:
+    """Driver that lets a policy drive to goals one after the other (see `Driver`).
+
+    As in the environments, the policy sees distance and bearing of the goal from the true pose.
+
+    Args:
+        policy: Policy that reads the observations `scan`, `goal` and `odometry`.
+        robot: Robot with its limits.
+        start: Start pose of the robot, world frame.
+        goals: (n, 2) places in their order, world frame, meters; at least one.
+        factors: Factors of the policy's speed and turn rate.
+    """
+
+    frame: Frame = "world"
+
+    def __init__(
+        self, policy: Policy, robot: Robot, start: Pose2, goals: FloatArray, factors: tuple[float, float]
+    ) -> None:
+        self.start, self.stuck, self.finished = start, False, ""
+        self._policy, self._robot, self._factors = policy, robot, factors
+        self._goals = goals.tolist()
+        self._place, self._moved_at = start, 0.0
+        policy.reset({})
+
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
+        """Return the policy's command; at rest after the last goal, and after it gave up."""
+        if not self.finished and self._polar(pose)[0] < REACHED:
+            self._goals.pop(0)
+            self.finished = "" if self._goals else "the last goal is reached"
+            self._policy.reset({})
+        if math.hypot(pose.x - self._place.x, pose.y - self._place.y) > STEP:
+            self._place, self._moved_at = pose, time
+        self.stuck = not self.finished and time - self._moved_at > PATIENCE
+        if self.finished or self.stuck:
+            return Twist()
+        ranges = scan.ranges[None].copy()
+        make_finite(ranges, np.float32(scan.range_max))
+        seen = {"scan": ranges[0], "goal": self._polar(pose), "odometry": odometry.as_array()}
+        v, omega = (self._policy.act(seen)[:2] * self._factors).tolist()
+        return Twist(clip(v, 1.0) * self._robot.max_speed, clip(omega, 1.0) * self._robot.max_turn_rate)
+
+    def _polar(self, pose: Pose2) -> tuple[float, float]:
+        """Return distance and bearing of the present goal."""
+        x, y = self._goals[0]
+        dx, dy = x - pose.x, y - pose.y
+        return math.hypot(dx, dy), math.remainder(math.atan2(dy, dx) - pose.yaw, math.tau)

@@ -9,7 +9,7 @@ from lirs_envs.robots.robot import Twist
 from lirs_wct.geometry import LaserScan, Pose2
 
 Frame = Literal["world", "map"]
-"""Which poses a driver is given: `T_world_base`, the truth, or `T_map_base`, the mapper's latest answer."""
+"""Frame of a driver's poses: `T_world_base`, the truth, or `T_map_base`, the mapper's latest answer."""
 
 
 class Driver(Protocol):
@@ -17,7 +17,7 @@ class Driver(Protocol):
 
     @property
     def start(self) -> Pose2:
-        """Pose in the world frame where the robot is set down."""
+        """Start pose of the robot, world frame."""
         ...
 
     @property
@@ -32,18 +32,17 @@ class Driver(Protocol):
 
     @property
     def finished(self) -> str:
-        """Why nothing is left to drive; empty while there is."""
+        """Reason why nothing is left to drive; empty while there is."""
         ...
 
-    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
-        """Receive the scan and `T_odom_base` that the next command follows."""
-
-    def command(self, pose: Pose2, time: float) -> Twist:
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
         """Return the command for the next tick.
 
         Args:
-            pose: of the robot, in the driver's frame.
-            time: seconds since the start.
+            pose: Pose of the robot, in the driver's frame.
+            time: Seconds since the start.
+            scan: Latest scan.
+            odometry: `T_odom_base` at the scan.
         """
         ...
 
@@ -74,10 +73,6 @@ class WrappedDriver:
         """Reason for the end of the drive; empty before the end."""
         return self._driver.finished
 
-    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
-        """Pass scan and odometry on."""
-        self._driver.sense(scan, odometry)
-
 
 class StandingDriver(WrappedDriver):
     """Driver that hands over to another one after some simulated seconds at rest."""
@@ -86,12 +81,12 @@ class StandingDriver(WrappedDriver):
         super().__init__(driver)
         self._seconds = seconds
 
-    def command(self, pose: Pose2, time: float) -> Twist:
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
         """Return no motion at first, then the driver's command (see `Driver.command`)."""
         # Half a microsecond: sums of periods are not exact.
         if time < self._seconds - 5e-7:
             return Twist()
-        return self._driver.command(pose, time - self._seconds)
+        return self._driver.command(pose, time - self._seconds, scan, odometry)
 
 
 CYCLE = 20.0
@@ -106,9 +101,9 @@ class ReversingDriver(WrappedDriver):
         super().__init__(driver)
         self._share = share
 
-    def command(self, pose: Pose2, time: float) -> Twist:
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
         """Return the driver's command, or the reversed one for a robot that faces backwards."""
         if time % CYCLE < (1.0 - self._share) * CYCLE:
-            return self._driver.command(pose, time)
-        wanted = self._driver.command(pose @ BACK, time)
+            return self._driver.command(pose, time, scan, odometry)
+        wanted = self._driver.command(pose @ BACK, time, scan, odometry)
         return Twist(-wanted.v, wanted.omega)

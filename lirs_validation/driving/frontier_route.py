@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 
 from lirs_validation.driving.driver import Frame
-from lirs_validation.driving.path_driver import DriverConfig, Path, speed_profile
+from lirs_validation.driving.path_driver import DriverConfig
 from lirs_validation.driving.paths import (
     ARC,
     STRAIGHT,
     TURN,
+    Path,
     cells_ahead,
     nearest,
     path_weight,
@@ -27,6 +28,7 @@ from lirs_validation.driving.paths import (
     room_at,
     room_in,
     smooth_path,
+    speed_profile,
 )
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.geometry import OccupancyGrid, Pose2
@@ -328,6 +330,15 @@ class FrontierRoute:
         at = tuple(cells.T)
         row, col = cells[np.lexsort((reach.cost[at], left[at]))[0]].tolist()
         return reach.path((row, col))
+
+
+def warm_up_explorer() -> None:
+    """Compile the kernels of an explorer: plan straight ahead, and to a frontier."""
+    seen = np.full((120, 120), np.nan, np.float32)
+    seen[20:100, 20:100] = -5.0
+    route = FrontierRoute(lambda: OccupancyGrid(seen, 0.1), 0.2, 0.3, DriverConfig())
+    for x in (3.0, 3.0 + STRAIGHT):
+        route.path(Pose2(x, 6.0), 0.0, None)
 
 
 GOAL_ARC = 0.6

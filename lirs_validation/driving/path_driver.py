@@ -9,91 +9,12 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-import numpy as np
-
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_validation.driving.driver import Frame
-from lirs_validation.driving.paths import SPACING, arc_length, curvature
+from lirs_validation.driving.paths import SPACING, Path, PursuitConfig
 from lirs_wct.arrays import FloatArray
 from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import LaserScan, Pose2, wrap_angle
-
-
-@dataclass(frozen=True, kw_only=True)
-class PursuitConfig(Checked, of="a pursuit"):
-    """Speed limits and pursuit parameters.
-
-    Attributes:
-        speed: on straight level ground, m/s.
-        turn_rate: largest, rad/s.
-        acceleration: along the path, speeding up and braking, m/s^2.
-        lookahead: distance of the pursued point when slow, meters; it grows with the speed.
-        lookahead_time: seconds of travel added to it.
-        turn_in_place: heading error above which the robot stops and turns, radians.
-        careful_room: room to blocked cells below which it drives slower, meters.
-        careful_speed: share of the speed where there is no room or the ground is steep.
-        steep: slope along the path above which the speed falls, radians; lowest at twice the slope.
-    """
-
-    speed: float = limited(0.8, "(0, inf]")
-    turn_rate: float = limited(1.2, "(0, inf]")
-    acceleration: float = limited(0.6, "(0, inf]")
-    lookahead: float = limited(0.35, "(0, inf]")
-    lookahead_time: float = limited(0.5, "(0, inf]")
-    turn_in_place: float = limited(1.0, "(0, inf]")
-    careful_room: float = limited(0.3, "(0, inf]")
-    careful_speed: float = limited(0.6, "(0, inf]")
-    steep: float = limited(math.radians(8), "(0, inf]")
-
-
-def speed_profile(
-    points: FloatArray, room: FloatArray, config: PursuitConfig, height: FloatArray | None = None
-) -> FloatArray:
-    """Return (n,) m/s along a path: slow in bends, narrow places and on slopes.
-
-    Args:
-        points: (n, 2) meters, evenly spaced.
-        room: (n,) meters to the nearest blocked cell.
-        config: limits.
-        height: (n,) meters of the ground, where slopes matter.
-    """
-    bend = curvature(points)
-    speed = np.minimum(config.speed, 0.7 * config.turn_rate / np.maximum(bend, 1e-6))
-    care = np.clip(room / config.careful_room, 0.0, 1.0)
-    if height is not None and len(points) > 1:
-        slope = np.abs(np.arctan2(np.gradient(height), np.maximum(np.gradient(arc_length(points)), 1e-6)))
-        care = np.minimum(care, np.clip(2.0 - slope / config.steep, 0.0, 1.0))
-    speed = np.minimum(speed, config.speed * (config.careful_speed + (1 - config.careful_speed) * care))
-    speed = np.maximum(speed, 0.15 * config.speed)
-    return _limit_acceleration(speed, config.acceleration)
-
-
-def _limit_acceleration(speed: FloatArray, acceleration: float) -> FloatArray:
-    """Limit acceleration and braking along a path, which ends at rest."""
-    squared = np.square(speed).tolist()
-    gain = 2 * acceleration * SPACING
-    squared[-1] = min(squared[-1], gain)
-    for k in range(1, len(squared)):
-        squared[k] = min(squared[k], squared[k - 1] + gain)
-    for k in range(len(squared) - 2, -1, -1):
-        squared[k] = min(squared[k], squared[k + 1] + gain)
-    profile: FloatArray = np.sqrt(squared)
-    return profile
-
-
-@dataclass(frozen=True)
-class Path:
-    """A path to drive.
-
-    Attributes:
-        points: (n, 2) meters, about 0.1 m apart, in the driver's frame.
-        speed: (n,) m/s.
-        yaw: where to face at its end; None = as it comes.
-    """
-
-    points: FloatArray
-    speed: FloatArray
-    yaw: float | None = None
+from lirs_wct.geometry import Pose2, wrap_angle
 
 
 class Pursuit:
@@ -165,7 +86,7 @@ class Pursuit:
         return last
 
 
-DriverState = Literal["driving", "turning", "backing off", "waiting", "stuck", "finished"]
+DriverState = Literal["driving", "turning", "backing off", "waiting"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,14 +94,14 @@ class DriverConfig(Checked, of="a driver"):
     """Parameters of a path driver.
 
     Attributes:
-        pursuit: how a path is followed.
-        patience: seconds without progress before it backs off.
-        step: meters along the path that count as progress; a path's end is reached within them.
-        back_off: seconds that it drives backwards.
-        back_speed: m/s while doing so.
-        tries: how often in a row it backs off before it gives up.
-        off_path: distance from the path at which it replans, meters.
-        facing: heading error that is left after a turn to a wanted yaw, radians.
+        pursuit: Parameters of the path following.
+        patience: Seconds without progress before it backs off.
+        step: Meters along the path that count as progress; a path's end is reached within them.
+        back_off: Seconds that it drives backwards.
+        back_speed: Speed while backing off, m/s.
+        tries: Times in a row that it backs off before it gives up.
+        off_path: Distance from the path at which it replans, meters.
+        facing: Heading error that is left after a turn to a wanted yaw, radians.
     """
 
     pursuit: PursuitConfig = field(default_factory=PursuitConfig)
@@ -194,14 +115,17 @@ class DriverConfig(Checked, of="a driver"):
 
 
 class Route(Protocol):
-    """Interface of a route: the source of a driver's paths."""
+    """Interface of a route: the source of a driver's paths.
+
+    Attributes:
+        frame: Frame of the poses and the paths.
+        refresh: Seconds after which a valid path is planned again; inf = never.
+        ends: Reason for the end of the drive once no path is left; empty = there may be one later.
+    """
 
     frame: Frame
-    """Of the poses and the paths."""
     refresh: float
-    """Seconds after which a valid path is planned again; inf = never."""
     ends: str
-    """Why the drive is over once no path is left; empty = there may be one later."""
 
     def path(self, pose: Pose2, time: float, undriven: float | None) -> Path | None:
         """Return the path from a pose; None if there is none.
@@ -209,9 +133,9 @@ class Route(Protocol):
         `ends` says whether there may be one later.
 
         Args:
-            pose: of the robot.
-            time: seconds since the start.
-            undriven: meters of the path before that are left; None = this is the first one.
+            pose: Pose of the robot.
+            time: Seconds since the start.
+            undriven: Rest of the former path, meters; None = this is the first one.
         """
         ...
 
@@ -221,10 +145,16 @@ class Route(Protocol):
 
 
 class PathDriver:
-    """Follows the paths of a route."""
+    """Follower of the paths of a route (see `Driver`).
+
+    Attributes:
+        state: Present activity.
+        config: Parameters.
+    """
 
     def __init__(self, route: Route, start: Pose2, config: DriverConfig) -> None:
         self.start, self.frame = start, route.frame
+        self.stuck, self.finished = False, ""
         self.state: DriverState = "waiting"
         self.config = config
         self._route = route
@@ -235,24 +165,11 @@ class PathDriver:
             self._follow(start, 0.0, None)
 
     @property
-    def stuck(self) -> bool:
-        """Whether it gave up."""
-        return self.state == "stuck"
-
-    @property
-    def finished(self) -> str:
-        """Why nothing is left to drive; empty while there is."""
-        return self._route.ends if self.state == "finished" else ""
-
-    @property
     def path(self) -> FloatArray:
         """(n, 2) points of the present path, meters."""
         return self._path.points
 
-    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
-        """Ignore scan and odometry; the route knows the ground."""
-
-    def command(self, pose: Pose2, time: float) -> Twist:
+    def command(self, pose: Pose2, time: float, *_: object) -> Twist:
         """Return the command for the next tick: wheels that start with a jerk would spin."""
         wanted = self._choose_command(pose, time)
         gain = self.config.pursuit.acceleration * max(0.0, time - self._commanded_at)
@@ -261,8 +178,8 @@ class PathDriver:
         return Twist(self._v, wanted.omega)
 
     def _choose_command(self, pose: Pose2, time: float) -> Twist:
-        if self.state in ("stuck", "finished"):
-            return Twist(0.0, 0.0)
+        if self.stuck or self.finished:
+            return Twist()
         if self.state == "backing off":
             if time < self._back_until:
                 return self._backwards()
@@ -270,8 +187,8 @@ class PathDriver:
         elif time - self._planned_at >= self._route.refresh:
             self._refresh(pose, time)
         if self.state == "waiting":
-            self.state = "stuck" if time - self._moved_at > self.config.patience else "waiting"
-            return Twist(0.0, 0.0)
+            self.stuck = not self.finished and time - self._moved_at > self.config.patience
+            return Twist()
         if self.state == "turning":
             return self._turn(pose, time)
         return self._pursue(pose, time)
@@ -284,7 +201,7 @@ class PathDriver:
                 self.state, self._moved_at = "turning", time
                 return self._turn(pose, time)
             self._replan(pose, time)
-            return Twist(0.0, 0.0) if self.state != "driving" else self._pursuit.twist(pose)
+            return self._pursuit.twist(pose) if self.state == "driving" else Twist()
         if self._pursuit.progress >= self._mark + self.config.step:
             self._mark, self._moved_at = self._pursuit.progress, time
             self._failures = 0 if self._mark > 10 * self.config.step else self._failures
@@ -300,7 +217,7 @@ class PathDriver:
         error = wrap_angle((self._path.yaw or 0.0) - pose.yaw)
         if abs(error) <= self.config.facing or time - self._moved_at > self.config.patience:
             self._replan(pose, time)
-            return Twist(0.0, 0.0)
+            return Twist()
         limit = self.config.pursuit.turn_rate
         return Twist(0.0, max(-limit, min(limit, 2.0 * error)))
 
@@ -308,8 +225,8 @@ class PathDriver:
         """Back off and avoid the place ahead; give up after too many tries."""
         self._failures += 1
         if self._failures > self.config.tries:
-            self.state = "stuck"
-            return Twist(0.0, 0.0)
+            self.stuck = True
+            return Twist()
         self.state = "backing off"
         self._back_until = time + self.config.back_off
         ahead = pose @ Pose2(0.7, 0.0, 0.0)
@@ -339,7 +256,7 @@ class PathDriver:
         self._planned_at = time
         path = self._route.path(pose, time, undriven)
         if path is None:
-            self.state = "finished" if self._route.ends else "waiting"
+            self.state, self.finished = "waiting", self._route.ends
             return
         if self.state == "waiting":
             self._mark, self._moved_at = 0.0, time
@@ -348,18 +265,18 @@ class PathDriver:
 
 
 SPEED_SHARE, TURN_SHARE, ACCELERATION_SHARE = 0.8, 0.6, 0.2
-"""Of the robot's largest; the rest is left to its own control."""
+"""Shares of the robot's limits; the rest is left to its own control."""
 
 
 def driver_config(robot: Robot) -> DriverConfig:
-    """Return the driver's usual speeds, less where the robot is slower, and patience to match."""
-    usual, driver = PursuitConfig(), DriverConfig()
+    """Return the driver's default speeds, less where the robot is slower, and patience to match."""
+    default, driver = PursuitConfig(), DriverConfig()
     pursuit = PursuitConfig(
-        speed=min(usual.speed, SPEED_SHARE * robot.max_speed),
-        turn_rate=min(usual.turn_rate, TURN_SHARE * robot.max_turn_rate),
-        acceleration=min(usual.acceleration, ACCELERATION_SHARE * robot.max_acceleration),
+        speed=min(default.speed, SPEED_SHARE * robot.max_speed),
+        turn_rate=min(default.turn_rate, TURN_SHARE * robot.max_turn_rate),
+        acceleration=min(default.acceleration, ACCELERATION_SHARE * robot.max_acceleration),
     )
-    slower = usual.speed / pursuit.speed
+    slower = default.speed / pursuit.speed
     return DriverConfig(
         pursuit=pursuit,
         patience=driver.patience * slower,

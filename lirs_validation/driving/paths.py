@@ -1,13 +1,15 @@
-"""Paths over grid cells: clearance, driving costs, cell search, smoothing."""
+"""Paths over grid cells: clearance, driving costs, cell search, smoothing, speeds."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
+from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid, Pose2
 
@@ -186,3 +188,80 @@ def _pull(points: FloatArray, room: FloatArray, keep: float, first: int) -> Floa
             if room[r, c] > 0 and room[r, c] >= min(old, keep):
                 p[k, 0], p[k, 1] = x, y
     return p
+
+
+@dataclass(frozen=True, kw_only=True)
+class PursuitConfig(Checked, of="a pursuit"):
+    """Speed limits and pursuit parameters.
+
+    Attributes:
+        speed: Speed on straight level ground, m/s.
+        turn_rate: Largest turn rate, rad/s.
+        acceleration: Acceleration along the path, speeding up and braking, m/s^2.
+        lookahead: Distance of the pursued point when slow, meters; it grows with the speed.
+        lookahead_time: Seconds of travel added to the lookahead.
+        turn_in_place: Heading error above which the robot stops and turns, radians.
+        careful_room: Distance to blocked cells below which it drives slower, meters.
+        careful_speed: Share of the speed where there is no room or the ground is steep.
+        steep: Slope along the path above which the speed falls, radians; lowest at twice the slope.
+    """
+
+    speed: float = limited(0.8, "(0, inf]")
+    turn_rate: float = limited(1.2, "(0, inf]")
+    acceleration: float = limited(0.6, "(0, inf]")
+    lookahead: float = limited(0.35, "(0, inf]")
+    lookahead_time: float = limited(0.5, "(0, inf]")
+    turn_in_place: float = limited(1.0, "(0, inf]")
+    careful_room: float = limited(0.3, "(0, inf]")
+    careful_speed: float = limited(0.6, "(0, inf]")
+    steep: float = limited(math.radians(8), "(0, inf]")
+
+
+def speed_profile(
+    points: FloatArray, room: FloatArray, config: PursuitConfig, height: FloatArray | None = None
+) -> FloatArray:
+    """Return (n,) m/s along a path: slow in bends, narrow places and on slopes.
+
+    Args:
+        points: (n, 2) meters, evenly spaced.
+        room: (n,) meters to the nearest blocked cell.
+        config: limits.
+        height: (n,) meters of the ground, where slopes matter.
+    """
+    bend = curvature(points)
+    speed = np.minimum(config.speed, 0.7 * config.turn_rate / np.maximum(bend, 1e-6))
+    care = np.clip(room / config.careful_room, 0.0, 1.0)
+    if height is not None and len(points) > 1:
+        slope = np.abs(np.arctan2(np.gradient(height), np.maximum(np.gradient(arc_length(points)), 1e-6)))
+        care = np.minimum(care, np.clip(2.0 - slope / config.steep, 0.0, 1.0))
+    speed = np.minimum(speed, config.speed * (config.careful_speed + (1 - config.careful_speed) * care))
+    speed = np.maximum(speed, 0.15 * config.speed)
+    return _limit_acceleration(speed, config.acceleration)
+
+
+def _limit_acceleration(speed: FloatArray, acceleration: float) -> FloatArray:
+    """Limit acceleration and braking along a path, which ends at rest."""
+    squared = np.square(speed).tolist()
+    gain = 2 * acceleration * SPACING
+    squared[-1] = min(squared[-1], gain)
+    for k in range(1, len(squared)):
+        squared[k] = min(squared[k], squared[k - 1] + gain)
+    for k in range(len(squared) - 2, -1, -1):
+        squared[k] = min(squared[k], squared[k + 1] + gain)
+    profile: FloatArray = np.sqrt(squared)
+    return profile
+
+
+@dataclass(frozen=True)
+class Path:
+    """A path to drive.
+
+    Attributes:
+        points: (n, 2) meters, about 0.1 m apart, in the driver's frame.
+        speed: (n,) m/s.
+        yaw: Heading at its end, radians; None = as it comes.
+    """
+
+    points: FloatArray
+    speed: FloatArray
+    yaw: float | None = None

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
 from lirs_envs.simulation import Simulation
-from lirs_validation.experiment.cost import real_time_factor
-from lirs_validation.experiment.drive_log import DriveLog
-from lirs_validation.experiment.mapper_loading import RESOLUTION, package_versions
+from lirs_validation.experiment.drive import DriveLog
+from lirs_validation.experiment.loading import RESOLUTION, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics.alignment import StartAlignment, associated, scan_coverage, start_alignment
@@ -19,9 +19,10 @@ from lirs_validation.metrics.map import MapScores, map_scores
 from lirs_validation.metrics.scan_support import observed_support
 from lirs_validation.metrics.trajectory import spatial_errors, trajectory_errors
 from lirs_validation.record.provenance import versions
-from lirs_validation.record.run_record import SUCCEEDED, RunRecord, Status
-from lirs_validation.record.verdict import Verdict, incompleteness, judge
+from lirs_validation.record.run_record import SUCCEEDED, RunRecord
+from lirs_validation.record.verdict import incompleteness
 from lirs_wct import OccupancyGrid, SimulationError, World
+from lirs_wct.arrays import FloatArray
 from slam_baselines.map_builder import KnownPoseMapper
 
 REPLAYED = 10.0
@@ -35,11 +36,11 @@ class Maps:
     """Maps of a run in the world frame, and their comparison.
 
     Attributes:
-        built: moved by the true start pose; None of a mapper of point clouds.
-        true_pose: made at the true poses.
-        scores: metrics of the comparison.
-        alignment: alignment of the built map's trajectory; None where there is none.
-        elevation: made of point clouds; None of a planar mapper, and in a world with overhangs.
+        built: Map of the mapper, moved by the true start pose; None for a mapper of point clouds.
+        true_pose: Map made at the true poses.
+        scores: Metrics of the comparison.
+        alignment: Alignment of the mapper's trajectory; None where there is none.
+        elevation: Elevation maps of point clouds; None for planar mappers, and in worlds with overhangs.
     """
 
     built: OccupancyGrid | None
@@ -67,53 +68,42 @@ def evaluate(
     replayed: bool = True,
 ) -> RunRecord:
     """Return the record of a finished drive; `cost` holds its time, memory and seconds of compilation."""
-    stats = mapper.stats
+    stats, config = mapper.stats, scenario.config
+    record = evaluate_drive(scenario, simulation, log, maps.scores)
+    # A mapper with a queue may drop scans; 0 received scans means that it does not count them.
+    dropped = max(0, len(log.scans) - stats.received) if stats.received else 0
+    return replace(
+        record,
+        rtf=evaluate_rtf(log, simulation, replayed=replayed) | {"compile_seconds": cost["compile_seconds"]},
+        collisions=asdict(simulation.collisions),
+        scans=record.scans | {"imu_rate": simulation.imu_rate},
+        mapper=asdict(stats),
+        cost=cost | {"scans_dropped": dropped},
+        versions=versions() | package_versions(config.mapper, config.mapper_python),
+    )
+
+
+def evaluate_drive(
+    scenario: Scenario, simulation: Simulation, log: DriveLog, map_scores: dict[str, Any]
+) -> RunRecord:
+    """Return the part of the record that a verdict reads, of a drive that may go on.
+
+    A successful drive becomes `incomplete` if the trajectory leaves out scans.
+    """
     trajectory = evaluate_trajectory(log, simulation)
-    status, reason = evaluate_status(log, trajectory["scan_coverage"])
+    status, reason = log.status, log.reason
+    lacking = incompleteness(trajectory["scan_coverage"])
+    if status in SUCCEEDED and lacking is not None:
+        status, reason = "incomplete", lacking
     return RunRecord(
         config=scenario.config,
         world=evaluate_world(scenario, simulation),
         status=status,
         reason=reason,
-        rtf=evaluate_rtf(log, simulation, replayed=replayed) | {"compile_seconds": cost["compile_seconds"]},
         trajectory=trajectory,
-        map=maps.scores,
-        collisions=asdict(simulation.collisions),
-        scans=evaluate_scans(scenario.world, log) | {"imu_rate": simulation.imu_rate},
-        mapper=asdict(stats),
-        cost=cost | {"scans_dropped": log.scans_dropped(stats.received)},
-        versions=versions() | package_versions(scenario.config.mapper, scenario.config.mapper_python),
+        map=map_scores,
+        scans=evaluate_scans(scenario.world, log),
     )
-
-
-def verdict_so_far(
-    scenario: Scenario, simulation: Simulation, log: DriveLog, map_scores: dict[str, Any]
-) -> Verdict:
-    """Return the verdict on a drive that may go on; a missing metric of the map does not count."""
-    trajectory = evaluate_trajectory(log, simulation)
-    status, reason = evaluate_status(log, trajectory["scan_coverage"])
-    return judge(
-        {
-            "config": asdict(scenario.config),
-            "world": evaluate_world(scenario, simulation),
-            "status": status,
-            "reason": reason,
-            "trajectory": trajectory,
-            "map": map_scores,
-            "scans": evaluate_scans(scenario.world, log),
-        }
-    )
-
-
-def evaluate_status(log: DriveLog, coverage: float) -> tuple[Status, str]:
-    """Return a run's final status and reason.
-
-    A successful drive becomes `incomplete` if the trajectory leaves out scans.
-    """
-    lacking = incompleteness(coverage)
-    if log.status not in SUCCEEDED or lacking is None:
-        return log.status, log.reason
-    return "incomplete", lacking
 
 
 def evaluate_maps(world: World, log: DriveLog, mapper: MapperUnderTest) -> Maps:
@@ -125,16 +115,15 @@ def evaluate_maps(world: World, log: DriveLog, mapper: MapperUnderTest) -> Maps:
     truth, estimate = log.trajectories()[:2]
     alignment = start_alignment(truth, estimate)
     if mapper.reads_clouds:
-        elevation, found = evaluate_elevation(world, log.clouds, truth, estimate)
+        elevation, scores = evaluate_elevation(world, log.clouds, truth, estimate)
         no_scores = dict.fromkeys(field.name for field in fields(MapScores))
-        return Maps(None, true_pose_map(log, RESOLUTION), no_scores | asdict(found), alignment, elevation)
-    T_world_map = log.truth[0].to_pose2()
+        return Maps(None, true_pose_map(log, RESOLUTION), no_scores | asdict(scores), alignment, elevation)
     built = mapper.map()
-    true_pose, built = true_pose_map(log, built.resolution), built.moved(T_world_map)
-    scores = map_scores(
+    true_pose, built = true_pose_map(log, built.resolution), built.moved(log.truth[0].to_pose2())
+    planar_scores = map_scores(
         built, true_pose, surface=world.surface, walls=world.walls, truth=world.truth, alignment=alignment
     )
-    return Maps(built, true_pose, asdict(scores), alignment)
+    return Maps(built, true_pose, asdict(planar_scores), alignment)
 
 
 def true_pose_map(log: DriveLog, resolution: float) -> OccupancyGrid:
@@ -174,29 +163,35 @@ def evaluate_trajectory(log: DriveLog, simulation: Simulation) -> dict[str, Any]
 
 def evaluate_rtf(log: DriveLog, simulation: Simulation, *, replayed: bool = True) -> dict[str, Any]:
     """Return the real-time factor of a drive, its spread over simulated seconds and its parts."""
-    period = simulation.period
-    factor = real_time_factor(log.walls, period)
-    series = factor.pop("series")
+    period, wall_seconds = simulation.period, sum(log.tick_seconds)
+    driven, timing = len(log.tick_seconds) * period, simulation.timing
+    series = 1.0 / per_second(log.tick_seconds, period)
+    spent = {"physics": timing.physics, "sensors": timing.sensors, "mapper": log.mapper_seconds}
+    parts = {name: sum(seconds) / driven for name, seconds in spent.items()}
     return {
-        **factor,
-        "parts": _parts(log, simulation),
+        "mean": driven / wall_seconds,
+        "std": float(np.std(series)),
+        "min": float(series.min()),
+        "parts": parts | {"rest": wall_seconds / driven - sum(parts.values())},
         "physics_reference": reference_rtf(simulation) if replayed and not log.concurrent else None,
-        "simulated_seconds": len(log.walls) * period,
-        "wall_seconds": sum(log.walls),
+        "simulated_seconds": driven,
+        "wall_seconds": wall_seconds,
         "timestep": simulation.body.timestep,
         "load_average": log.load,
         "concurrent": log.concurrent,
         "extrapolated": log.status == "wall limit",
-        "series": series,
+        "series": series.tolist(),
     }
 
 
-def _parts(log: DriveLog, simulation: Simulation) -> dict[str, float]:
-    """Return wall seconds per simulated second of each part, which add up to the whole."""
-    timing, driven = simulation.timing, len(log.walls) * simulation.period
-    spent = {"physics": timing.physics, "sensors": timing.sensors, "mapper": log.mapper_seconds}
-    parts = {name: sum(seconds) / driven for name, seconds in spent.items()}
-    return parts | {"rest": sum(log.walls) / driven - sum(parts.values())}
+def per_second(tick_seconds: Sequence[float], period: float) -> FloatArray:
+    """Return (n,) mean wall seconds per simulated second, over each whole second.
+
+    A last part of a second counts by its share.
+    """
+    ticks = max(1, round(1.0 / period))
+    whole = [tick_seconds[i : i + ticks] for i in range(0, len(tick_seconds), ticks)]
+    return np.array([sum(part) / (len(part) * period) for part in whole], dtype=np.float64)
 
 
 def reference_rtf(simulation: Simulation) -> float | None:
@@ -210,15 +205,6 @@ def reference_rtf(simulation: Simulation) -> float | None:
         return None
 
 
-def evaluate_contact(simulation: Simulation) -> dict[str, Any]:
-    """Return the contact terrain and its error or number of parts."""
-    terrain = {"terrain": simulation.config.contact_geometry}
-    if simulation.config.contact_geometry in ("hfield", "mesh"):
-        return terrain | asdict(simulation.contact)
-    model = simulation.body.model
-    return terrain | {"parts": sum(model.geom(g).name.startswith("ground") for g in range(model.ngeom))}
-
-
 def evaluate_scans(world: World, log: DriveLog) -> dict[str, Any]:
     """Count returns and wall hits of a planar mapper's scans; empty for point clouds."""
     if log.spatial:
@@ -230,7 +216,13 @@ def evaluate_scans(world: World, log: DriveLog) -> dict[str, Any]:
 
 def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]:
     """Describe the world and its contact terrain."""
-    world, surface = scenario.world, scenario.world.surface
+    world, surface, terrain = scenario.world, scenario.world.surface, simulation.config.contact_geometry
+    contact: dict[str, Any] = {"terrain": terrain}
+    if terrain in ("hfield", "mesh"):
+        contact |= asdict(simulation.contact)
+    else:
+        model = simulation.body.model
+        contact["parts"] = sum(model.geom(g).name.startswith("ground") for g in range(model.ngeom))
     return {
         "name": world.name,
         "kind": world.kind,
@@ -244,5 +236,5 @@ def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]
         "sample_spacing": world.sample_spacing,
         "robot_length": 2 * simulation.config.robot.radius,
         "files": [asdict(file) for file in scenario.files],
-        "contact": evaluate_contact(simulation),
+        "contact": contact,
     }

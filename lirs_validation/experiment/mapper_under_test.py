@@ -1,21 +1,28 @@
-"""Mapper of a run or a log, isolated: read-only inputs, exceptions become MapperError."""
+"""Mapper of a run or a log, isolated: in this process, or foreign code in a process of its own.
+
+Its inputs are read-only copies, its answers are checked, and its failures become `MapperError`.
+"""
 
 from __future__ import annotations
 
 import math
 import re
+import subprocess
 import time
-from collections.abc import Callable
+import traceback
 from copy import deepcopy
 from dataclasses import FrozenInstanceError, dataclass
+from multiprocessing.connection import Connection
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 
 import numpy as np
 
 from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
-from lirs_validation.experiment.cost import Cost
-from lirs_validation.processes import is_interrupt
+from lirs_validation.experiment.cost import Cost, CostMeter
+from lirs_validation.experiment.loading import interpreter_of, mapper_named
+from lirs_validation.processes import ChildProcess, is_interrupt
 from lirs_wct import (
     ConfigError,
     Imu,
@@ -30,6 +37,7 @@ from lirs_wct import (
     WctError,
 )
 from slam_baselines.mapper import (
+    CLOUD_MAPPERS,
     CloudMapper,
     Mapper,
     MapperStats,
@@ -41,11 +49,12 @@ from slam_baselines.mapper import (
 
 if TYPE_CHECKING:  # mapping a log does not load the simulator
     from lirs_envs.sensing.sensors import Observation
+    from lirs_validation.map_config import MapConfig
 
 READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
 """Matches messages of NumPy and Numba about a write into a read-only array."""
-METHODS = ("map", "trajectory")
-"""Parts of a mapper that are methods; `stats` and `lost` are properties."""
+PATIENCE = 1.0
+"""Seconds that a mapper at work is given to tidy up before its process is killed."""
 T = TypeVar("T")
 
 
@@ -54,11 +63,11 @@ class SensorReadings:
     """Sensor readings at one stamp of a log.
 
     Attributes:
-        scan: planar scan; None for a mapper of point clouds.
+        scan: Planar scan; None for a mapper of point clouds.
         odometry: `T_odom_base`; None without odometry.
-        imu: inertial reading; None without one.
-        cloud: point cloud; None for a planar mapper.
-        inertial: readings near 200 Hz since the last stamp; None for a mapper that does not take them.
+        imu: Inertial reading; None without one.
+        cloud: Point cloud; None for a planar mapper.
+        inertial: Readings near 200 Hz since the last stamp; None for a mapper that does not take them.
     """
 
     scan: LaserScan | None = None
@@ -74,8 +83,8 @@ class Estimate:
 
     Attributes:
         pose: `T_map_base`, in the plane or in space.
-        lost: whether the mapper does not know its place.
-        seconds: wall-clock time of its update.
+        lost: Whether the mapper does not know its place.
+        seconds: Wall-clock time of its update.
     """
 
     pose: Pose2 | Pose3
@@ -83,37 +92,20 @@ class Estimate:
     seconds: float
 
 
-class MapperUnderTest:
-    """A planar or cloud mapper in this process.
-
-    Its inputs are copies, so that a mapper that makes them writable again changes nothing else. Its answers
-    are checked, and its failures become `MapperError`. Without attitude, the mapper gets no inertial reading:
-    a reading without roll and pitch would still hold the direction of gravity.
+class MapperUnderTest(Protocol):
+    """Interface of a mapper of a run or a log.
 
     Attributes:
-        name: name in messages.
-        reads_clouds: whether it reads point clouds.
-        requires_odometry: whether it needs odometry.
-        reads_inertial: whether it takes all inertial readings.
-        reads_odometry: whether it takes the odometry, if it reads point clouds.
-        in_process: whether it has a process of its own.
-
-    Args:
-        make: function that creates the mapper.
-        attitude: `imu`, or `none` for a mapper without inertial readings.
+        name: Name in messages.
+        reads_clouds: Whether it reads point clouds.
+        requires_odometry: Whether it needs odometry.
+        reads_inertial: Whether it takes all inertial readings.
     """
 
-    in_process = False
-
-    def __init__(
-        self, make: Callable[[], Mapper | CloudMapper], name: str, attitude: Attitude = "imu"
-    ) -> None:
-        self.name, self._make, self._attitude = name, make, attitude
-        self._mapper: Any = make()
-        self.reads_clouds = reads_clouds(self._mapper)
-        self.requires_odometry = requires_odometry(self._mapper)
-        self.reads_inertial = reads_inertial(self._mapper)
-        self.reads_odometry = reads_odometry(self._mapper)
+    name: str
+    reads_clouds: bool
+    requires_odometry: bool
+    reads_inertial: bool
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Give the mapper an observation; return its estimate.
@@ -122,25 +114,7 @@ class MapperUnderTest:
             ConfigError: it reads point clouds or all inertial readings, and there are none.
             MapperError: it fails, writes into its inputs, or returns no finite pose of its kind.
         """
-        begun = time.perf_counter()
-        sensed = observation.cloud if self.reads_clouds else observation.scan
-        if sensed is None:
-            raise ConfigError("a mapper of point clouds needs a lidar with rings")
-        if self.reads_inertial and observation.inertial is None:
-            raise ConfigError(f"mapper {self.name!r} needs inertial readings near 200 Hz: there are none")
-        imu = imu_copy(observation.imu) if self._attitude == "imu" else None
-        try:
-            if isinstance(sensed, PointCloud):
-                further: list[Any] = [deepcopy(observation.inertial)] if self.reads_inertial else []
-                further += [pose_copy(observation.odometry)] if self.reads_odometry else []
-                pose = self._mapper.update(cloud_copy(sensed), imu, *further)
-            else:
-                pose = self._mapper.update(scan_copy(sensed), pose_copy(observation.odometry), imu)
-        except BaseException as error:
-            mapper_failure(self.name, "update()", error, f" for the scan at {sensed.stamp:.3f} s")
-        check_pose(pose, Pose3 if self.reads_clouds else Pose2, sensed.stamp)
-        seconds = time.perf_counter() - begun
-        return Estimate(pose, self.lost, seconds)
+        ...
 
     def map(self) -> OccupancyGrid:
         """Return the mapper's map.
@@ -149,9 +123,7 @@ class MapperUnderTest:
             ConfigError: it is a mapper of point clouds.
             MapperError: it fails, or returns no occupancy grid.
         """
-        if self.reads_clouds:
-            raise ConfigError("a mapper of point clouds has no occupancy map")
-        return _require_kind(self._ask("map"), OccupancyGrid, "map() must return an OccupancyGrid")
+        ...
 
     def trajectory(self) -> Trajectory:
         """Return the mapper's trajectory.
@@ -159,62 +131,115 @@ class MapperUnderTest:
         Raises:
             MapperError: it fails, or returns no finite trajectory.
         """
-        found = _require_kind(self._ask("trajectory"), Trajectory, "trajectory() must return a Trajectory")
-        wrong = ~(np.isfinite(found.positions).all(axis=1) & np.isfinite(found.quaternions).all(axis=1))
-        if wrong.any():
-            raise MapperError(f"trajectory() is not finite at {found.stamps[wrong.argmax()]:.3f} s")
-        return found
+        ...
 
     @property
     def stats(self) -> MapperStats:
         """Statistics of the mapper."""
-        return _require_kind(self._ask("stats"), MapperStats, "stats must be a MapperStats")
-
-    @property
-    def lost(self) -> bool:
-        """Whether the mapper does not know its place."""
-        return bool(self._ask("lost"))
-
-    def restart(self) -> None:
-        """Make a new mapper."""
-        self._mapper = self._make()
+        ...
 
     def cost(self) -> Cost:
-        """Return the mapper's cost in addition to this process's, since `restart`."""
-        return Cost(0.0, 0)
+        """Return the mapper's cost in addition to this process's."""
+        ...
 
     def close(self) -> None:
         """Release the mapper's resources."""
 
-    def _ask(self, part: str) -> Any:
-        """Return the result of a method or the value of a property of the mapper."""
-        try:
-            value = getattr(self._mapper, part)
-            return value() if part in METHODS else value
-        except BaseException as error:
-            mapper_failure(self.name, f"{part}()" if part in METHODS else part, error)
 
+class LocalMapper:
+    """A planar or cloud mapper in this process (see `MapperUnderTest`).
 
-def mapper_failure(name: str, part: str, error: BaseException, where: str = "") -> NoReturn:
-    """Raise the error for a mapper's failure.
-
-    A Ctrl-C and our own errors stay unchanged.
+    Without attitude, the mapper gets no inertial reading: a reading without roll and pitch would still hold
+    the direction of gravity.
     """
-    if is_interrupt(error):
-        raise KeyboardInterrupt from error
-    if isinstance(error, WctError):
-        raise error
-    kind = ": ".join(filter(None, (type(error).__name__, str(error))))
-    if isinstance(error, FrozenInstanceError) or READ_ONLY.search(str(error)):
-        raise MapperError(
-            f"mapper {name!r}: {part} writes into what it was given{where} ({kind}); "
-            "what it is given is read-only, change a copy"
-        ) from error
-    raise MapperError(f"mapper {name!r}: {part} failed{where}: {kind}") from error
+
+    def __init__(self, mapper: Mapper | CloudMapper, name: str, attitude: Attitude = "imu") -> None:
+        self.name, self._attitude = name, attitude
+        self._mapper: Any = mapper
+        self.reads_clouds = reads_clouds(mapper)
+        self.requires_odometry = requires_odometry(mapper)
+        self.reads_inertial = reads_inertial(mapper)
+        self._reads_odometry = reads_odometry(mapper)
+
+    def observe(self, observation: Observation | SensorReadings) -> Estimate:
+        """Give the mapper copies of an observation; return its estimate."""
+        begun = time.perf_counter()
+        sensed = observation.cloud if self.reads_clouds else observation.scan
+        if sensed is None:
+            raise ConfigError("a mapper of point clouds needs a lidar with rings")
+        if self.reads_inertial and observation.inertial is None:
+            raise ConfigError(f"mapper {self.name!r} needs inertial readings near 200 Hz: there are none")
+        imu = _imu_copy(observation.imu) if self._attitude == "imu" else None
+        try:
+            if isinstance(sensed, PointCloud):
+                further: list[Any] = [deepcopy(observation.inertial)] if self.reads_inertial else []
+                further += [_pose_copy(observation.odometry)] if self._reads_odometry else []
+                pose = self._mapper.update(_cloud_copy(sensed), imu, *further)
+            else:
+                pose = self._mapper.update(_scan_copy(sensed), _pose_copy(observation.odometry), imu)
+        except BaseException as error:
+            self._raise_failure("update()", error, f" for the scan at {sensed.stamp:.3f} s")
+        check_pose(pose, Pose3 if self.reads_clouds else Pose2, sensed.stamp)
+        seconds = time.perf_counter() - begun
+        try:
+            lost = bool(self._mapper.lost)
+        except BaseException as error:
+            self._raise_failure("lost", error)
+        return Estimate(pose, lost, seconds)
+
+    def map(self) -> OccupancyGrid:
+        """Return the mapper's map."""
+        if self.reads_clouds:
+            raise ConfigError("a mapper of point clouds has no occupancy map")
+        return self._ask("map()", OccupancyGrid, "map() must return an OccupancyGrid")
+
+    def trajectory(self) -> Trajectory:
+        """Return the mapper's trajectory."""
+        trajectory = self._ask("trajectory()", Trajectory, "trajectory() must return a Trajectory")
+        finite = np.isfinite(np.column_stack((trajectory.positions, trajectory.quaternions))).all(axis=1)
+        if not finite.all():
+            raise MapperError(f"trajectory() is not finite at {trajectory.stamps[finite.argmin()]:.3f} s")
+        return trajectory
+
+    @property
+    def stats(self) -> MapperStats:
+        """Statistics of the mapper."""
+        return self._ask("stats", MapperStats, "stats must be a MapperStats")
+
+    def cost(self) -> Cost:
+        """Return nothing: this process's cost is the mapper's."""
+        return Cost(0.0, 0)
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to release."""
+
+    def _ask(self, part: str, kind: type[T], required: str) -> T:
+        """Return the result of a method, or the value of a property, of a required type."""
+        try:
+            value = getattr(self._mapper, part.removesuffix("()"))
+            value = value() if part.endswith("()") else value
+        except BaseException as error:
+            self._raise_failure(part, error)
+        if not isinstance(value, kind):
+            raise MapperError(f"{required}, got {type(value).__name__}")
+        return value
+
+    def _raise_failure(self, part: str, error: BaseException, where: str = "") -> NoReturn:
+        """Raise the error for a failure; a Ctrl-C and our own errors stay unchanged."""
+        if is_interrupt(error):
+            raise KeyboardInterrupt from error
+        if isinstance(error, WctError):
+            raise error
+        kind = ": ".join(filter(None, (type(error).__name__, str(error))))
+        if isinstance(error, FrozenInstanceError) or READ_ONLY.search(str(error)):
+            raise MapperError(
+                f"mapper {self.name!r}: {part} writes into what it was given{where} ({kind}); "
+                "what it is given is read-only, change a copy"
+            ) from error
+        raise MapperError(f"mapper {self.name!r}: {part} failed{where}: {kind}") from error
 
 
-def scan_copy(scan: LaserScan) -> LaserScan:
-    """Return a read-only copy of a scan and its mount."""
+def _scan_copy(scan: LaserScan) -> LaserScan:
     ranges = scan.ranges.copy()
     ranges.flags.writeable = False
     s, p = scan, scan.T_base_laser  # dataclasses.replace takes twice as long
@@ -223,8 +248,7 @@ def scan_copy(scan: LaserScan) -> LaserScan:
     return LaserScan(ranges, *limits, s.stamp, mount, s.time_increment)
 
 
-def cloud_copy(cloud: PointCloud) -> PointCloud:
-    """Return a read-only copy of a cloud and its mount."""
+def _cloud_copy(cloud: PointCloud) -> PointCloud:
     copy = deepcopy(cloud)
     for array in (copy.xyz, copy.ring, copy.time, copy.intensity, copy.column):
         if array is not None:
@@ -232,18 +256,16 @@ def cloud_copy(cloud: PointCloud) -> PointCloud:
     return copy
 
 
-def pose_copy(pose: Pose2 | None) -> Pose2 | None:
-    """Return a copy of a pose."""
+def _pose_copy(pose: Pose2 | None) -> Pose2 | None:
     return None if pose is None else Pose2(pose.x, pose.y, pose.yaw)
 
 
-def imu_copy(imu: Imu | None) -> Imu | None:
-    """Return a copy of an inertial reading, whose vectors are immutable."""
-    i = imu
+def _imu_copy(imu: Imu | None) -> Imu | None:
+    i = imu  # its vectors are immutable
     return i and Imu(i.roll, i.pitch, i.angular_velocity, i.linear_acceleration, i.stamp)
 
 
-_VALUES = {kind: attrgetter(*kind.__match_args__) for kind in (Pose2, Pose3)}
+_NUMBERS = {kind: attrgetter(*kind.__match_args__) for kind in (Pose2, Pose3)}
 """Functions that return the numbers of a pose."""
 
 
@@ -257,19 +279,8 @@ def check_pose(pose: object, kind: type[Pose2 | Pose3], stamp: float) -> None:
         raise MapperError(
             f"update() must return a {kind.__name__}, got {type(pose).__name__} for the scan at {stamp:.3f} s"
         )
-    if not all(map(math.isfinite, _VALUES[kind](pose))):
+    if not all(map(math.isfinite, _NUMBERS[kind](pose))):
         raise MapperError(f"update() must return a finite pose, got {pose} for the scan at {stamp:.3f} s")
-
-
-def _require_kind(value: object, kind: type[T], required: str) -> T:
-    """Return a value of a required type.
-
-    Raises:
-        MapperError: it is of another type.
-    """
-    if not isinstance(value, kind):
-        raise MapperError(f"{required}, got {type(value).__name__}")
-    return value
 
 
 def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
@@ -280,7 +291,7 @@ def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
     Raises:
         ConfigError: a mapper of point clouds has a planar lidar, or a driver that needs an occupancy map.
     """
-    # Who maps a log does not load the simulator.
+    # Mapping a log does not load the simulator.
     from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
     from lirs_envs.robots.robot import make_robot
 
@@ -297,3 +308,139 @@ def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
             f"driver frontier plans on the mapper's occupancy map, and {config.mapper} has none; "
             f"legal: {', '.join(name for name in DRIVERS if name != 'frontier')}"
         )
+
+
+def needs_process(mapper: str) -> bool:
+    """Whether a mapper is foreign code: `module:name`, or an adapter of a compiled system."""
+    return ":" in mapper or mapper in CLOUD_MAPPERS
+
+
+def start_mapper(config: RunConfig) -> MapperUnderTest:
+    """Return the mapper of a run, in its own process if it is foreign code.
+
+    Raises:
+        ConfigError: the mapper cannot be made.
+        MapperError: the process cannot be started.
+    """
+    if needs_process(config.mapper):
+        return MapperProcess(config)
+    mapper = mapper_named(config.mapper, config.seed, config.parameters)
+    return LocalMapper(mapper, config.mapper, config.attitude)
+
+
+class MapperProcess:
+    """A mapper in another process, which ends with this object (see `MapperUnderTest`).
+
+    Args:
+        config: Mapper, seed and attitude of a run or of a log's map.
+
+    Raises:
+        ConfigError: the mapper cannot be made.
+        MapperError: the process cannot be started, or ended.
+    """
+
+    def __init__(self, config: RunConfig | MapConfig) -> None:
+        self.name = config.mapper
+        third_party = config.mapper in CLOUD_MAPPERS
+        self._errors = TemporaryFile() if third_party else None  # noqa: SIM115 (it outlives this method)
+        outputs = {"stdout": subprocess.DEVNULL, "stderr": self._errors} if third_party else {}
+        try:
+            python = interpreter_of(config.mapper, config.mapper_python)
+            self._child = ChildProcess(f"{__name__}:serve_mapper", PATIENCE, python, **outputs)
+        except OSError as error:
+            raise MapperError(f"mapper {config.mapper!r}: its process cannot be started ({error})") from error
+        try:
+            abilities = self._request("make", config.mapper, config.seed, config.parameters, config.attitude)
+        except BaseException:
+            self.close()  # a traceback may keep this object for long
+            raise
+        self.reads_clouds, self.requires_odometry, self.reads_inertial = abilities
+
+    def observe(self, observation: Observation | SensorReadings) -> Estimate:
+        """Send the mapper an observation; wait for its estimate."""
+        o = observation
+        scan, cloud = (None, o.cloud) if self.reads_clouds else (o.scan, None)
+        inertial = o.inertial if self.reads_inertial else None
+        estimate: Estimate = self._request(
+            "observe", SensorReadings(scan, o.odometry, o.imu, cloud, inertial)
+        )
+        return estimate
+
+    def map(self) -> OccupancyGrid:
+        """Return the mapper's map."""
+        grid: OccupancyGrid = self._request("map")
+        return grid
+
+    def trajectory(self) -> Trajectory:
+        """Return the mapper's trajectory."""
+        trajectory: Trajectory = self._request("trajectory")
+        return trajectory
+
+    @property
+    def stats(self) -> MapperStats:
+        """Statistics of the mapper."""
+        stats: MapperStats = self._request("stats")
+        return stats
+
+    def cost(self) -> Cost:
+        """Return the cost of the process since its first scan."""
+        cost: Cost = self._request("cost")
+        return cost
+
+    def close(self) -> None:
+        """End the process; a mapper that is at work is interrupted."""
+        self._child.end()
+
+    def _request(self, part: str, *arguments: Any) -> Any:
+        try:
+            self._child.pipe.send((part, *arguments))
+            value, error = self._child.pipe.recv()
+        except (EOFError, OSError):
+            self._raise_end()
+        if error is not None:
+            raise error
+        return value
+
+    def _raise_end(self) -> NoReturn:
+        """Raise the error of a process that has ended, with the last line that it wrote."""
+        how = self._child.cause_of_death()
+        memory = "; the system may have lacked memory" if how.endswith("SIGKILL") else ""
+        last = ""
+        if self._errors is not None:
+            self._errors.seek(0)
+            lines = self._errors.read().decode(errors="replace").split("\n")
+            last = next((f": {line.strip()}" for line in reversed(lines) if line.strip()), "")
+        raise MapperError(f"mapper {self.name!r}: its process ended ({how}{memory}){last}")
+
+
+def serve_mapper(pipe: Connection) -> None:
+    """Make the mapper of the first message; return the parts that further messages name."""
+    mapper: LocalMapper | None = None
+    meter: CostMeter | None = None
+    while True:
+        part, *arguments = pipe.recv()
+        value: object = None
+        failure: Exception | None = None
+        try:
+            if mapper is None:
+                name, seed, parameters, attitude = arguments
+                mapper = LocalMapper(mapper_named(name, seed, parameters), name, attitude)
+                value = mapper.reads_clouds, mapper.requires_odometry, mapper.reads_inertial
+            elif part == "cost":
+                value = (meter or CostMeter()).cost()
+            else:
+                meter = meter or CostMeter()
+                member = getattr(mapper, part)
+                value = member(*arguments) if callable(member) else member
+        except Exception as error:
+            failure = _sendable(error)
+        pipe.send((value, failure))
+
+
+def _sendable(error: Exception) -> Exception:
+    """Return a serializable error, with a note of its origin."""
+    note = f"In the mapper's process:\n{''.join(traceback.format_exception(error))}"
+    if type(error).__module__ != WctError.__module__:
+        error = MapperError(str(error))
+    error.add_note(note)
+    return error

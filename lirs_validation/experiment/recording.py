@@ -17,24 +17,24 @@ from lirs_validation.experiment.scenario import sensor_noise
 from lirs_validation.record.run_record import BAG
 from lirs_wct import OccupancyGrid, OutputError, Pose2, Pose3
 from lirs_wct.files import remove_orphans
+from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
 
 if TYPE_CHECKING:
-    from lirs_wct.formats.rosbag.messages import SensorErrors
     from lirs_wct.formats.rosbag.writer import BagWriter
 
 PREFIX = ".recording-"
 
 
 class Recording:
-    """The bag of a drive, or none.
+    """The bag of a drive.
 
     Args:
-        writer: writer of the bag; None = nothing is recorded.
-        folder: folder of the writer's files.
-        slam: whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
+        writer: Writer of the bag.
+        folder: Folder of the writer's files.
+        slam: Whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
     """
 
-    def __init__(self, writer: BagWriter | None = None, folder: Path = Path(), *, slam: bool = True) -> None:
+    def __init__(self, writer: BagWriter, folder: Path, *, slam: bool = True) -> None:
         self._writer, self._folder, self._slam = writer, folder, slam
         self._T_map_world: Pose3 | None = None
 
@@ -44,23 +44,10 @@ class Recording:
         Raises:
             OutputError: it cannot be written.
         """
-        if self._writer is None:
-            return
-        from lirs_wct.formats.rosbag.messages import BagTick
-
         if self._T_map_world is None:
             self._T_map_world = Pose3.from_pose2(T_world_base.to_pose2().inverse())
-        tick = BagTick(
-            scan=observation.scan,
-            odometry=observation.odometry,
-            imu=observation.imu,
-            truth=self._T_map_world @ T_world_base,
-            estimate=T_map_base if self._slam else None,
-            cloud=observation.cloud,
-            inertial=observation.inertial,
-            odometry_track=observation.odometry_track,
-        )
-        self._writer.add(tick)
+        estimate = T_map_base if self._slam else None
+        self._writer.add(bag_tick(observation, self._T_map_world @ T_world_base, estimate))
 
     def finish(self, grid: OccupancyGrid | None) -> Sequence[Path]:
         """Write the map (map frame) if any, close the bag, return its files.
@@ -68,16 +55,26 @@ class Recording:
         Raises:
             OutputError: they cannot be written.
         """
-        if self._writer is None:
-            return ()
         self._writer.close(grid if self._slam else None)
         return sorted(self._folder.iterdir())
 
 
+def bag_tick(observation: Observation, T_map_truth: Pose3, T_map_base: Pose2 | None) -> BagTick:
+    """Return the messages' values of an observation, the true pose and the mapper's pose."""
+    return BagTick(
+        scan=observation.scan,
+        odometry=observation.odometry,
+        imu=observation.imu,
+        truth=T_map_truth,
+        estimate=T_map_base,
+        cloud=observation.cloud,
+        inertial=observation.inertial,
+        odometry_track=observation.odometry_track,
+    )
+
+
 def sensor_errors(config: RunConfig) -> SensorErrors:
     """Return the standard deviations of a run's sensors, for the covariances of its bag."""
-    from lirs_wct.formats.rosbag.messages import SensorErrors
-
     noise = sensor_noise(config)
     imu, wheels = noise.imu, noise.odometry
     return SensorErrors(
@@ -92,32 +89,28 @@ def sensor_errors(config: RunConfig) -> SensorErrors:
 
 
 @contextmanager
-def recording(config: RunConfig, out: Path | None, period: float) -> Iterator[Recording]:
-    """Record a drive's bag as configured.
-
-    Its files are deleted afterwards, unless they were moved.
+def recording(config: RunConfig, out: Path, period: float) -> Iterator[Recording]:
+    """Record a drive's bag of the config's storage; its files are deleted unless they were moved.
 
     Args:
-        config: run configuration.
-        out: folder that is to receive the run's folder; None = nothing is recorded.
-        period: time from scan to scan, seconds.
+        config: Run configuration with a bag.
+        out: Folder that is to receive the run's folder.
+        period: Time from scan to scan, seconds.
 
     Raises:
         OutputError: the bag cannot be written.
     """
-    if config.bag is None or out is None:
-        yield Recording()
-        return
     from lirs_wct.formats.rosbag.writer import BagWriter
 
+    assert config.bag is not None
     try:
         out.mkdir(parents=True, exist_ok=True)
         remove_orphans(out, PREFIX)
         temporary = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-", dir=out, ignore_cleanup_errors=True)
     except OSError as error:
         raise OutputError(f"{out}: cannot be written: {error.strerror or error}") from error
-    with temporary as made:
-        folder = Path(made) / BAG
+    with temporary as path:
+        folder = Path(path) / BAG
         writer = BagWriter(folder, config.bag, period, sensor_errors(config))
         try:
             yield Recording(writer, folder, slam=not config.sensors_only)

@@ -4,39 +4,29 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
-from contextlib import ExitStack, closing
-from dataclasses import asdict, dataclass, replace
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext, suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lirs_envs.robots.robot import make_robot
+from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
-from lirs_validation.config import STAND, RunConfig, driver_parts
-from lirs_validation.driving.choice import make_driver
+from lirs_validation.config import FRONTIER, STAND, RunConfig
+from lirs_validation.driving.choice import COMMANDS, check_driver, make_driver
 from lirs_validation.driving.driver import Driver, StandingDriver
-from lirs_validation.driving.replay import COMMANDS
+from lirs_validation.driving.frontier_route import warm_up_explorer
 from lirs_validation.experiment.cost import CostMeter, compile_timer, is_shared, load_average
-from lirs_validation.experiment.drive_log import DriveLog
-from lirs_validation.experiment.evaluation import (
-    Maps,
-    evaluate,
-    evaluate_maps,
-    evaluate_scans,
-    evaluate_status,
-    evaluate_trajectory,
-)
-from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_loading import warm_up_mapper
-from lirs_validation.experiment.mapper_process import start_mapper
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors
+from lirs_validation.experiment.drive import DriveLog, drive
+from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_drive, evaluate_maps
+from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors, start_mapper
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, write_elevation
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
-from lirs_wct import BuildOptions, ConfigError, SimulationError, World
+from lirs_wct import BuildOptions, ConfigError, Pose2, SimulationError, World
 from lirs_wct.files import atomic_folder, check_writable
 from lirs_wct.formats.carmen.writer import write_log
 from lirs_wct.formats.drive_csv import Commands, write_commands, write_imu
@@ -44,16 +34,14 @@ from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.tum import write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
+from slam_baselines.mapper import MAPPERS
+from slam_baselines.warm_up import warm_up as warm_up_mapper
+
+_WARM: set[str] = set()
+"""Mappers whose kernels this process has compiled."""
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.canvas import Drawing
-
-WARM_UP = 2.0
-"""Simulated seconds of the drive."""
-BRIEF = 0.2
-"""The same where MuJoCo's rays meet its height field: there a scan alone may take seconds."""
-_WARM: set[tuple[str | None, ...]] = set()
-"""Kinds of drives that this process has warmed up."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +69,7 @@ class Run:
         """
         record, log, maps = self.record, self.log, self.maps
         truth, estimate, odometry = log.trajectories()
-        period = record.rtf["simulated_seconds"] / len(log.walls)
+        period = record.rtf["simulated_seconds"] / len(log.tick_seconds)
         with atomic_folder(folder) as temporary:
             if maps.built is not None:
                 write_map(temporary / "map", maps.built)
@@ -175,15 +163,14 @@ def run(
     if config.bag is not None and out is None:
         raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
     check_writable(out)
-    return drive_and_conclude(
-        prepare(config, progress, scenarios), out, progress, name, concurrent=concurrent, brief=brief
-    )
+    ready = prepare(config, progress, scenarios)
+    return drive_and_conclude(ready, out, progress, name, concurrent=concurrent, brief=brief)
 
 
 def run_unwritten(
     config: RunConfig, *, maps: bool = False, scenarios: ScenarioCache | None = None
-) -> dict[str, Any]:
-    """Drive; return `status`, `reason`, `trajectory`, `scans` and `map` of a record, sooner than `run`.
+) -> RunRecord:
+    """Drive; return the part of a record that a verdict reads, sooner than `run`.
 
     Without `maps` they are not compared, and `map` is empty.
 
@@ -191,15 +178,13 @@ def run_unwritten(
         WctError: see `validate`; the mapper failed, or nothing was driven.
     """
     ready = prepare(config, scenarios=scenarios)
-    world = ready.scenario.world
     with closing(ready.mapper):
-        log = drive(ready.simulation, ready.driver, ready.mapper, ready.seconds)
-        log.final = ready.mapper.trajectory()
-        scores = evaluate_maps(world, log, ready.mapper).scores if maps else {}
-    trajectory = evaluate_trajectory(log, ready.simulation)
-    status, reason = evaluate_status(log, trajectory["scan_coverage"])
-    found = {"status": status, "reason": reason, "trajectory": trajectory, "map": scores}
-    return found | {"scans": evaluate_scans(world, log)}
+        log = ready.log()
+        for _ in drive(ready.simulation, ready.driver, ready.mapper, log, ready.seconds):
+            pass
+        log.final_trajectory = ready.mapper.trajectory()
+        scores = evaluate_maps(ready.scenario.world, log, ready.mapper).scores if maps else {}
+    return evaluate_drive(ready.scenario, ready.simulation, log, scores)
 
 
 @dataclass(frozen=True)
@@ -207,8 +192,12 @@ class ReadyRun:
     """Everything that a drive needs, its kernels compiled.
 
     Attributes:
-        seconds: simulated time of the drive, standing included.
-        compile_seconds: wall seconds that the compiler took.
+        scenario: Config and its world.
+        simulation: Robot in its world.
+        driver: Source of the commands.
+        mapper: Mapper under test.
+        seconds: Simulated time of the drive, standing included.
+        compile_seconds: Wall seconds that the compiler took.
     """
 
     scenario: Scenario
@@ -218,9 +207,59 @@ class ReadyRun:
     seconds: float
     compile_seconds: float
 
+    def log(self) -> DriveLog:
+        """Return an empty log of the drive."""
+        return DriveLog(self.driver.start, self.mapper.reads_clouds)
+
     def cost(self, meter: CostMeter) -> dict[str, Any]:
         """Return the cost of the drive so far: `cpu_seconds`, `peak_memory`."""
         return asdict(meter.cost() + self.mapper.cost())
+
+
+def prepare(
+    config: RunConfig, progress: Progress = no_progress, scenarios: ScenarioCache | None = None
+) -> ReadyRun:
+    """Make a run's mapper, world, driver and simulation, and compile.
+
+    Raises:
+        WctError: the source, a name or an option cannot be used.
+    """
+    robot = make_robot(config.robot)
+    with ExitStack() as on_failure:
+        mapper = start_mapper(config)
+        on_failure.callback(mapper.close)
+        check_sensors(mapper, config)
+        check_driver(config)
+        progress("build", 0.0)
+        scenario = (scenarios or ScenarioCache()).scenario(config)
+        with compile_timer() as compile_seconds:
+            progress("plan", 0.0)
+            driver = make_driver(scenario.world, robot, config, mapper.map)
+            stand = config.stand
+            if stand is None:
+                stand = STAND if mapper.reads_inertial else 0.0
+            driver = StandingDriver(driver, stand) if stand else driver
+            progress("compile", 0.0)
+            inertial = config.bag is not None or mapper.reads_inertial
+            simulation = scenario.simulation(robot, inertial=inertial)
+            warm_up(config, simulation, driver.start)
+        on_failure.pop_all()
+    return ReadyRun(scenario, simulation, driver, mapper, config.seconds + stand, compile_seconds())
+
+
+def warm_up(config: RunConfig, simulation: Simulation, start: Pose2) -> None:
+    """Compile the kernels of simulation, explorer and mapper; one of your own compiles in its first scans.
+
+    The simulation is advanced by one scan, and is reset when the drive begins.
+    """
+    simulation.reset(start)
+    with suppress(SimulationError):  # the drive reports it
+        simulation.advance(Twist())
+    if config.driver == FRONTIER:
+        warm_up_explorer()
+    if config.mapper in MAPPERS and config.mapper not in _WARM:
+        warm_up_mapper(config.mapper)
+        _WARM.add(config.mapper)
 
 
 def drive_and_conclude(
@@ -237,74 +276,30 @@ def drive_and_conclude(
     Raises:
         WctError: the mapper failed, nothing was driven, or results cannot be written.
     """
-    config = ready.scenario.config
-    with recording(config, out, ready.simulation.period) as recorded, closing(ready.mapper):
+    config, simulation, log = ready.scenario.config, ready.simulation, ready.log()
+    bag: AbstractContextManager[Recording | None] = nullcontext()
+    if config.bag is not None and out is not None:
+        bag = recording(config, out, simulation.period)
+    with bag as recorder, closing(ready.mapper):
         meter = CostMeter()
-        log = drive(
-            ready.simulation,
+        ticks = drive(
+            simulation,
             ready.driver,
             ready.mapper,
+            log,
             ready.seconds,
-            progress,
             wall_limit=config.wall_limit,
-            recorder=recorded.add,
+            recorder=None if recorder is None else recorder.add,
         )
+        shown = 1.0
+        for driven in ticks:
+            if driven >= shown:
+                progress("drive", driven / ready.seconds)
+                shown += 1.0
         cost = ready.cost(meter)
         log.load = load_average()
         log.concurrent = concurrent or is_shared(log.load)
-        return conclude(ready, log, cost, out, progress, name, recorded, brief=brief)
-
-
-def prepare(
-    config: RunConfig, progress: Progress = no_progress, scenarios: ScenarioCache | None = None
-) -> ReadyRun:
-    """Build the world of a config, plan its drive, compile.
-
-    Raises:
-        WctError: the source, a name or an option cannot be used.
-    """
-    robot = make_robot(config.robot)
-    with ExitStack() as started:
-        mapper = start_mapper(config)
-        started.callback(mapper.close)
-        check_sensors(mapper, config)
-        progress("build", 0.0)
-        scenario = (scenarios or ScenarioCache()).scenario(config)
-        with compile_timer() as compile_seconds:
-            progress("plan", 0.0)
-            driver = make_driver(scenario.world, robot, config, mapper.map)
-            stand = config.stand
-            if stand is None:
-                stand = STAND if mapper.reads_inertial else 0.0
-            driver = StandingDriver(driver, stand) if stand else driver
-            progress("compile", 0.0)
-            inertial = config.bag is not None or mapper.reads_inertial
-            simulation = scenario.simulation(robot, inertial=inertial)
-            warm_up(scenario, simulation, mapper)
-        started.pop_all()
-    return ReadyRun(scenario, simulation, driver, mapper, config.seconds + stand, compile_seconds())
-
-
-def warm_up(scenario: Scenario, simulation: Simulation, mapper: MapperUnderTest) -> None:
-    """Compile every kernel by a short throw-away drive; restart the mapper.
-
-    A kind of drive is warmed up once per process, and again if the mapper has a new process.
-    """
-    c = scenario.config
-    driven = driver_parts(c.driver)[0]
-    where = (scenario.world.kind, c.terrain, c.rays, "walkers" if c.actors else "")
-    kind = (*where, c.robot, c.lidar, c.mapper, c.attitude, driven)
-    if not mapper.in_process:
-        if kind in _WARM:
-            return
-        warm_up_mapper(c.mapper)
-    slow = c.rays == "mujoco" and c.terrain == "hfield"
-    config = replace(c, seconds=BRIEF if slow else WARM_UP)
-    driver = make_driver(scenario.world, simulation.robot, config, mapper.map)
-    drive(simulation, driver, mapper, config.seconds)
-    mapper.restart()
-    if not mapper.in_process:
-        _WARM.add(kind)
+        return conclude(ready, log, cost, out, progress, name, recorder, brief=brief)
 
 
 def conclude(
@@ -314,21 +309,21 @@ def conclude(
     out: Path | None = None,
     progress: Progress = no_progress,
     name: str | None = None,
-    recorded: Recording = Recording(),  # noqa: B008  it holds nothing
+    recorder: Recording | None = None,
     *,
     brief: bool = False,
 ) -> Run:
     """Evaluate a drive that has ended, and write its folder (see `run`).
 
-    `cost` holds `cpu_seconds` and `peak_memory` of the drive, `recorded` its bag.
+    `cost` holds `cpu_seconds` and `peak_memory` of the drive, `recorder` its bag.
 
     Raises:
         SimulationError: not a single scan was driven.
     """
     scenario, mapper = ready.scenario, ready.mapper
-    if not log.walls:
+    if not log.tick_seconds:
         raise SimulationError(f"{scenario.config.source}: nothing was driven: {log.reason}")
-    log.final = mapper.trajectory()
+    log.final_trajectory = mapper.trajectory()
     progress("evaluate", 1.0)
     maps = evaluate_maps(scenario.world, log, mapper)
     cost = cost | {"compile_seconds": ready.compile_seconds}
@@ -336,6 +331,6 @@ def conclude(
     run = Run(record, log, maps, scenario.world, None if out is None else out / (name or record.name))
     if run.folder is not None:
         T_map_world = log.truth[0].to_pose2().inverse()
-        bag = recorded.finish(None if maps.built is None else maps.built.moved(T_map_world))
-        run.write(run.folder, bag, drawn=not brief)
+        built = None if maps.built is None else maps.built.moved(T_map_world)
+        run.write(run.folder, () if recorder is None else recorder.finish(built), drawn=not brief)
     return run

@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lirs_validation.experiment.mapper_process import MapperProcess, needs_process
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings
+from lirs_validation.experiment.mapper_under_test import (
+    LocalMapper,
+    MapperProcess,
+    MapperUnderTest,
+    SensorReadings,
+    needs_process,
+)
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import MAX_GAP, associated
 from lirs_validation.record.verdict import LostRule
@@ -70,7 +74,7 @@ def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
 
 def _start(config: MapConfig) -> MapperUnderTest:
     if not needs_process(config.mapper):
-        return MapperUnderTest(partial(_make, config), config.mapper, config.attitude)
+        return LocalMapper(_make(config), config.mapper, config.attitude)
     if config.resolution is not None and config.mapper not in ALL_CLOUD_MAPPERS:
         raise ConfigError(f"resolution can be given for {', '.join(MAPPERS)} only")
     return MapperProcess(config)

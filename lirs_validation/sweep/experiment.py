@@ -17,9 +17,8 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import FRONTIER, TOUR, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
-from lirs_validation.experiment.mapper_loading import interpreter_of, package_versions, source_file
-from lirs_validation.experiment.mapper_process import start_mapper
-from lirs_validation.experiment.mapper_under_test import check_sensors
+from lirs_validation.experiment.loading import interpreter_of, own_source_file, package_versions
+from lirs_validation.experiment.mapper_under_test import check_sensors, start_mapper
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
@@ -312,7 +311,7 @@ class SlamExperiment(Experiment):
 
     def inputs(self) -> list[Path | None]:
         """Return the files of world, mapper and driver."""
-        return [*world_files(self.config), source_file(self.config.mapper), *driver_files(self.config)]
+        return [*world_files(self.config), own_source_file(self.config.mapper), *driver_files(self.config)]
 
     def is_result(self, folder: Path, entry: Mapping[str, Any]) -> bool:
         """Whether config, source, bag, packages and wall limit are those of the record."""

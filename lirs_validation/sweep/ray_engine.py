@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.own_code import importable
+from lirs_validation.experiment.loading import importable
 from lirs_validation.experiment.scenario import Scenario, build_scenario
 from lirs_validation.sweep.engines import ExperimentJob, Processes, ProgressOf
 from lirs_validation.sweep.experiment import Experiment, Outcome, outcome_of

@@ -1,6 +1,5 @@
 """Small places that build and drive within a tenth of a second, and what a robot senses there."""
 
-from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -10,18 +9,9 @@ import pytest
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment import run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.geometry import Pose2
 from lirs_wct.sources.source import BuildOptions
-
-
-@pytest.fixture(scope="session", autouse=True)
-def brief_warm_up() -> Iterator[None]:
-    """Warm up by drives of 0.2 s instead of 2 s; that changes times only."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "WARM_UP", 0.2)
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lirs_validation.experiment.mapper_loading import mapper_named
+from lirs_validation.experiment.loading import mapper_named
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

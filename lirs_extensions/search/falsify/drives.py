@@ -264,11 +264,11 @@ def measure(options: FalsifyOptions, method: str, case: Case, seed: int, returns
 
 def _measure_mapper(config: RunConfig, least: float) -> DriveScore:
     """Return the score of a mapper's drive."""
-    entry = run_unwritten(config)
-    trajectory, scans, reason = entry["trajectory"], entry["scans"], entry["reason"]
+    record = run_unwritten(config)
+    trajectory, scans, reason = record.trajectory, record.scans, record.reason
     error, odometry = trajectory.get("ate_rmse"), trajectory.get("odometry_ate_rmse")
     figures = VerdictFigures(
-        status=entry["status"],
+        status=record.status,
         has_reference=True,
         robot_lengths=trajectory["robot_lengths"],
         error=error,

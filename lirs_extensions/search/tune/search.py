@@ -352,12 +352,12 @@ def score_of(figures: VerdictFigures) -> TuneScore:
 def measure_run(config: RunConfig) -> TuneScore:
     """Drive through a world; return the score."""
     try:
-        entry = run_unwritten(config, maps=True, scenarios=_SCENARIOS)
+        record = run_unwritten(config, maps=True, scenarios=_SCENARIOS)
     except MapperError as error:
         return TuneScore(math.log(WORST), reason=str(error))
     except SimulationError as error:  # nothing was driven
         return TuneScore(None, reason=str(error))
-    return score_of(run_figures(entry | {"config": {"driver": config.driver}}))
+    return score_of(run_figures(asdict(record)))
 
 
 @lru_cache(maxsize=1)

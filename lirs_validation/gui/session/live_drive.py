@@ -11,14 +11,13 @@ from lirs_envs.robots.robot import Robot, Twist, clip
 from lirs_validation.config import MANUAL, RunConfig, run_name
 from lirs_validation.driving.driver import Driver, WrappedDriver
 from lirs_validation.experiment.cost import CostMeter
-from lirs_validation.experiment.drive_log import DriveLog
-from lirs_validation.experiment.evaluation import evaluate_maps, verdict_so_far
-from lirs_validation.experiment.loop import Drive
+from lirs_validation.experiment.drive import drive
+from lirs_validation.experiment.evaluation import evaluate_drive, evaluate_maps
 from lirs_validation.experiment.run import Run, conclude, prepare
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.record.run_record import SUCCEEDED
-from lirs_wct import MapperError, Pose2, World
+from lirs_wct import LaserScan, MapperError, Pose2, World
 from lirs_wct.progress import Progress, no_progress
 
 MAP_SECONDS, MAP_WALL_SECONDS = 1.0, 0.5
@@ -55,10 +54,10 @@ class HandOverDriver(WrappedDriver):
         """Reason for the end of the drive; empty before the end."""
         return "" if self.by_hand else super().finished
 
-    def command(self, pose: Pose2, time: float) -> Twist:
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
         """Return the command for the next tick."""
         if not self.by_hand:
-            return self._driver.command(pose, time)
+            return self._driver.command(pose, time, scan, odometry)
         self.touched = True
         return self._wanted
 
@@ -84,12 +83,13 @@ class LiveDrive(Playback):
         self.config, self.status = config, "driving"
         self.driver = HandOverDriver(ready.driver, ready.simulation.robot)
         self._ready = replace(ready, driver=self.driver)
-        self._meter = CostMeter()
-        self._drive = Drive(
-            ready.simulation, self.driver, ready.mapper, ready.seconds, wall_limit=config.wall_limit
+        self._meter, self._log = CostMeter(), ready.log()
+        limit = config.wall_limit
+        self._ticks = drive(
+            ready.simulation, self.driver, ready.mapper, self._log, ready.seconds, wall_limit=limit
         )
-        self._steps = iter(self._drive)
-        self._T_world_map = self._drive.log.truth[0].to_pose2()
+        next(self._ticks)
+        self._T_world_map = self._log.truth[0].to_pose2()
         self._counted = {"loop closed": 0, "lost": 0}
         self._follow()
         self._take_stock()
@@ -97,12 +97,12 @@ class LiveDrive(Playback):
     @property
     def over(self) -> bool:
         """Whether the drive has ended."""
-        return self._drive.over
+        return self._log.over
 
     @property
     def failed(self) -> bool:
         """Whether the mapper failed; nothing can be saved then."""
-        return self.over and self._drive.log.status == "error"
+        return self.over and self._log.status == "error"
 
     @property
     def repeated(self) -> RunConfig:
@@ -119,17 +119,17 @@ class LiveDrive(Playback):
         """
         if self.over:
             return
-        log, waited = self._drive.log, time.monotonic() - self._drawn_at
+        waited = time.monotonic() - self._drawn_at
         try:
-            next(self._steps, None)
+            next(self._ticks, None)
             self._follow()
             if self.over or (self.time - self._stock_time >= MAP_SECONDS and waited >= MAP_WALL_SECONDS):
                 self._take_stock()
         except MapperError as error:
-            log.status, log.reason, self._drive.over = "error", str(error), True
-            self._judge(log, {})
-        if log.status not in SUCCEEDED:
-            self.marks.append((self.time, log.status))
+            self._log.end("error", str(error))
+            self._judge({})
+        if self._log.status not in SUCCEEDED:
+            self.marks.append((self.time, self._log.status))
 
     def drive_on(self, until: float, time_limit: float) -> None:
         """Continue the drive until a wall time or a simulated time (see `Playback`)."""
@@ -145,7 +145,7 @@ class LiveDrive(Playback):
         Raises:
             WctError: nothing was driven yet, or the folder cannot be written.
         """
-        log, ready = replace(self._drive.log, concurrent=True), self._ready
+        log, ready = replace(self._log, concurrent=True), self._ready
         if not self.over:
             log.reason = f"stopped by hand at {self.time:.1f} s"
         if self.driver.touched:
@@ -155,17 +155,17 @@ class LiveDrive(Playback):
 
     def _follow(self) -> None:
         """Take new scans from the log, and the real-time factor of a new second."""
-        log, period = self._drive.log, self._ready.simulation.period
+        log, period = self._log, self._ready.simulation.period
         for k in range(self.scans, len(log.truth)):
             estimate = self._T_world_map @ log.in_plane(log.estimates[k])
             self.add(log.scans[k], log.truth[k], (estimate.x, estimate.y))
         ticks = round(1.0 / period)
-        if len(log.walls) == ticks * (len(self.rtf) + 1):
-            self.rtf.append(ticks * period / sum(log.walls[-ticks:]))
+        if len(log.tick_seconds) == ticks * (len(self.rtf) + 1):
+            self.rtf.append(ticks * period / sum(log.tick_seconds[-ticks:]))
 
     def _take_stock(self) -> None:
         """Keep the map, mark events and judge."""
-        mapper, log, scores = self._ready.mapper, self._drive.log, dict[str, Any]()
+        mapper, log, scores = self._ready.mapper, self._log, dict[str, Any]()
         if not mapper.reads_clouds:  # these have no occupancy map
             grid = mapper.map()
             self.maps.append(MapSnapshot.of(grid.moved(self._T_world_map), self.time))
@@ -175,15 +175,16 @@ class LiveDrive(Playback):
             if count > self._counted[name]:
                 self.marks.append((self.time, name))
             self._counted[name] = count
-        if self.over and log.walls:
-            log = replace(log, final=mapper.trajectory())
+        if self.over and log.tick_seconds:
+            log.final_trajectory = mapper.trajectory()
             scores = evaluate_maps(self.world, log, mapper).scores
-        self._judge(log, scores)
+        self._judge(scores)
         self._stock_time, self._drawn_at = self.time, time.monotonic()
 
-    def _judge(self, log: DriveLog, map_scores: dict[str, Any]) -> None:
+    def _judge(self, map_scores: dict[str, Any]) -> None:
         """Judge the drive until now."""
-        verdict = verdict_so_far(self._ready.scenario, self._ready.simulation, log, map_scores)
-        self.verdict = f"Verdict{'' if self.over else ' so far'}: {verdict}"
+        ready, log = self._ready, self._log
+        record = evaluate_drive(ready.scenario, ready.simulation, log, map_scores)
+        self.verdict = f"Verdict{'' if self.over else ' so far'}: {record.verdict}"
         if self.over:
             self.status = f"{log.status}{': ' if log.reason else ''}{log.reason}"

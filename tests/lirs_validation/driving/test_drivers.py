@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.driving.coverage import TourRoute
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.driving.paths import room_at
+from lirs_validation.driving.routes import TourRoute
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

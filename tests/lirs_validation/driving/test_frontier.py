@@ -14,9 +14,8 @@ from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import make_driver
 from lirs_validation.driving.frontier_route import FrontierRoute, distance_in_sight, exploration_map
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
-from lirs_validation.experiment.drive_log import DriveLog
-from lirs_validation.experiment.loop import drive
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest
+from lirs_validation.experiment.drive import DriveLog
+from lirs_validation.experiment.mapper_under_test import LocalMapper
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -25,6 +24,7 @@ from lirs_wct.world import World
 from slam_baselines.hector import HectorMapper
 from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.driving.ride import ride
+from tests.lirs_validation.experiment.puppets import drive_log
 
 NOWHERE = np.zeros((0, 3))
 FOOTPRINT, CLEARANCE = 0.3, 0.4
@@ -206,10 +206,10 @@ def simple() -> World:
 
 
 def driven(world: World, own: Any, seconds: float, kind: str = "frontier") -> DriveLog:
-    mapper = MapperUnderTest(lambda: own, "own")
+    mapper = LocalMapper(own, "own")
     robot, config = make_robot("husky"), RunConfig(source="simple", driver=kind, seconds=seconds)
     simulation = Simulation(world, SimulationConfig(robot=robot), seed=1)
-    return drive(simulation, make_driver(world, robot, config, mapper.map), mapper, seconds)
+    return drive_log(simulation, make_driver(world, robot, config, mapper.map), mapper, seconds)
 
 
 @pytest.mark.slow

@@ -12,8 +12,7 @@ import pytest
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_validation.config import RunConfig
-from lirs_validation.driving.choice import check_driver
-from lirs_validation.driving.policy_driver import PATIENCE, REACHED, PolicyDriver
+from lirs_validation.driving.choice import PATIENCE, REACHED, PolicyDriver, check_driver
 from lirs_validation.experiment.run import Run, run
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
@@ -22,6 +21,7 @@ from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
 
 ROBOT = make_robot("jackal")
+ODOMETRY = Pose2(1.0, 2.0, 0.5)
 SCAN = LaserScan(np.array((1.0, np.inf, -np.inf, np.nan), np.float32), 0.0, 0.1, 0.1, 9.0, 0.0)
 GOALS = np.array(((3.0, 0.0), (3.0, 3.0)))
 
@@ -41,14 +41,12 @@ class Recording:
 
 
 def driver_of(policy: Recording, factors: tuple[float, float] = (1.0, 1.0)) -> PolicyDriver:
-    driver = PolicyDriver(policy, ROBOT, Pose2(), GOALS, factors)
-    driver.sense(SCAN, Pose2(1.0, 2.0, 0.5))
-    return driver
+    return PolicyDriver(policy, ROBOT, Pose2(), GOALS, factors)
 
 
 def test_a_policy_observes_as_in_the_environments() -> None:
     policy = Recording()
-    driver_of(policy).command(Pose2(0.0, 3.0, 0.0), 0.0)
+    driver_of(policy).command(Pose2(0.0, 3.0, 0.0), 0.0, SCAN, ODOMETRY)
     (seen,) = policy.seen
     assert seen["scan"].tolist() == [1.0, 9.0, 0.0, 0.0]
     assert seen["odometry"].tolist() == [1.0, 2.0, 0.5]
@@ -60,27 +58,27 @@ def test_a_policy_observes_as_in_the_environments() -> None:
 def test_factors_change_the_command_within_the_limits_of_the_robot(
     factors: tuple[float, float], shares: tuple[float, float]
 ) -> None:
-    command = driver_of(Recording(), factors).command(Pose2(), 0.0)
+    command = driver_of(Recording(), factors).command(Pose2(), 0.0, SCAN, ODOMETRY)
     assert command == Twist(shares[0] * ROBOT.max_speed, shares[1] * ROBOT.max_turn_rate)
 
 
 def test_goals_follow_each_other_and_end_the_drive() -> None:
     policy = Recording()
     driver = driver_of(policy)
-    driver.command(Pose2(3.0 - 0.9 * REACHED, 0.0, 0.0), 1.0)
+    driver.command(Pose2(3.0 - 0.9 * REACHED, 0.0, 0.0), 1.0, SCAN, ODOMETRY)
     assert (policy.resets, driver.finished) == (2, "")
     assert policy.seen[-1]["goal"][0] == pytest.approx(math.hypot(3.0, 0.9 * REACHED))
-    assert driver.command(Pose2(3.0, 3.0, 0.0), 2.0) == Twist()
+    assert driver.command(Pose2(3.0, 3.0, 0.0), 2.0, SCAN, ODOMETRY) == Twist()
     assert driver.finished
     assert not driver.stuck
 
 
 def test_a_policy_without_progress_is_stuck() -> None:
     driver = driver_of(Recording())
-    driver.command(Pose2(1.0, 0.0, 0.0), 5.0)
-    driver.command(Pose2(1.3, 0.0, 0.0), 5.0 + 0.9 * PATIENCE)
+    driver.command(Pose2(1.0, 0.0, 0.0), 5.0, SCAN, ODOMETRY)
+    driver.command(Pose2(1.3, 0.0, 0.0), 5.0 + 0.9 * PATIENCE, SCAN, ODOMETRY)
     assert not driver.stuck
-    assert driver.command(Pose2(1.3, 0.0, 0.0), 5.1 + PATIENCE) == Twist()
+    assert driver.command(Pose2(1.3, 0.0, 0.0), 5.1 + PATIENCE, SCAN, ODOMETRY) == Twist()
     assert driver.stuck
 
 

@@ -12,7 +12,7 @@ import pytest
 from lirs_envs.robots.robot import Twist
 from lirs_validation import validate
 from lirs_validation.config import RunConfig
-from lirs_validation.driving.replay import ReplayDriver, replay
+from lirs_validation.driving.choice import ReplayDriver, replay
 from lirs_validation.experiment.run import Run
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.drive_csv import Commands

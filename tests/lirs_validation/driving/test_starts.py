@@ -14,7 +14,7 @@ from lirs_envs.placement import standing_pose
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.collision.random_drive import places
 from lirs_validation.config import RunConfig
-from lirs_validation.driving.choice import MARGIN, check_driver, make_driver, plan_tour
+from lirs_validation.driving.choice import CLEARANCE, check_driver, make_driver, plan_tour
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
@@ -177,7 +177,7 @@ def test_a_robot_can_be_set_down_at_every_start() -> None:
     world = World("rough", Terrain(HeightField.centered(z - z.min(), (cell, cell))))
     jackal = make_robot("jackal")
     config = RunConfig(source="rough", robot="jackal", seconds=1)
-    free = world.traversable(clearance=jackal.radius + MARGIN, max_slope=jackal.max_slope)
+    free = world.traversable(clearance=jackal.radius + CLEARANCE, max_slope=jackal.max_slope)
     refused = 0
     for start in world.starts(free):
         try:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
-from lirs_validation.driving.waypoint_route import WaypointRoute, check_waypoints
+from lirs_validation.driving.routes import WaypointRoute, check_waypoints
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
 from lirs_wct.geometry.grid import OccupancyGrid

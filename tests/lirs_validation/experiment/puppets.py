@@ -1,12 +1,15 @@
 """A simulation, its driver and a mapper, each of which can fail at a tick."""
 
 import time as clock
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from lirs_envs.robots.robot import Twist
 from lirs_envs.sensing.sensors import Observation
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest
+from lirs_validation.experiment.drive import DriveLog, drive
+from lirs_validation.experiment.mapper_under_test import LocalMapper, MapperUnderTest
 from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -15,7 +18,7 @@ from lirs_wct.geometry.scan import Imu, LaserScan
 class Puppet:
     """Simulation and driver in one; `fails` names what fails from tick `at` on, or it is `finished`."""
 
-    walker_beams = None
+    config = SimpleNamespace(actors=0)
     period = 0.04
     start = Pose2()
     T_world_base = Pose3()
@@ -42,10 +45,7 @@ class Puppet:
             raise SimulationError("the simulation diverged: NaN in qacc")
         return Observation(LaserScan(np.ones(3, np.float32), 0, 0.1, 0.1, 9, self.time), Pose2(), Imu())
 
-    def sense(self, scan: LaserScan, odometry: Pose2) -> None:
-        pass
-
-    def command(self, pose: Pose2, time: float) -> Twist:
+    def command(self, pose: Pose2, time: float, *_: object) -> Twist:
         if self._failing("driver"):
             raise ValueError("the driver has a bug")
         return Twist(time, 0.0)
@@ -67,5 +67,15 @@ class SlowPuppet:
         return Pose2(scan.stamp, 0.0, 0.0)
 
     @property
-    def under_test(self) -> MapperUnderTest:
-        return MapperUnderTest(lambda: self, "puppet")  # type: ignore[arg-type, return-value]
+    def under_test(self) -> LocalMapper:
+        return LocalMapper(self, "puppet")  # type: ignore[arg-type]
+
+
+def drive_log(
+    simulation: Any, driver: Any, mapper: MapperUnderTest, seconds: float, **options: Any
+) -> DriveLog:
+    """Return the log of a drive to its end."""
+    log = DriveLog(driver.start, mapper.reads_clouds)
+    for _ in drive(simulation, driver, mapper, log, seconds, **options):
+        pass
+    return log

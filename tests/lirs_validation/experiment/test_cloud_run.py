@@ -13,8 +13,8 @@ from lirs_validation import Run, validate
 from lirs_validation.analysis.results import read_results
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing import FULL, error_picture
-from lirs_validation.experiment.mapper_loading import mapper_named, package_versions
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest, SensorReadings, check_sensors
+from lirs_validation.experiment.loading import mapper_named, package_versions
+from lirs_validation.experiment.mapper_under_test import LocalMapper, SensorReadings, check_sensors
 from lirs_validation.gui.session.finished_run import read_playback
 from lirs_validation.metrics.elevation import MAX_CLOUDS, CloudSample, ElevationMap, read_elevation
 from lirs_validation.record.provenance import damaged_files
@@ -36,14 +36,14 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Mappers of your own in this process, which is theirs sooner."""
     monkeypatch.syspath_prepend(Path(__file__).parent)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("lirs_validation.experiment.mapper_process.needs_process", lambda mapper: False)
+    monkeypatch.setattr("lirs_validation.experiment.mapper_under_test.needs_process", lambda mapper: False)
 
 
 @pytest.fixture(scope="module")
 def still(hills: dict[str, Any], tmp_path_factory: pytest.TempPathFactory, plain_pictures: None) -> Run:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(Path(__file__).parent)
-        patch.setattr("lirs_validation.experiment.mapper_process.needs_process", lambda mapper: False)
+        patch.setattr("lirs_validation.experiment.mapper_under_test.needs_process", lambda mapper: False)
         out = tmp_path_factory.mktemp("out")
         return validate(**hills, mapper="own_mappers:Still", lidar="vlp16", seconds=3, out=out)
 
@@ -73,7 +73,7 @@ def test_a_mapper_gets_all_inertial_readings_on_request(hills: dict[str, Any]) -
     assert np.ptp(yaw) > 0.3
     turned = np.unwrap([pose.to_pose2().yaw for pose in log.estimates])
     np.testing.assert_allclose(turned, yaw - yaw[0], atol=0.03)
-    mapper = MapperUnderTest(lambda: mapper_named("own_mappers:Gyro", 1), "own_mappers:Gyro")
+    mapper = LocalMapper(mapper_named("own_mappers:Gyro", 1), "own_mappers:Gyro")
     cloud = PointCloud(np.zeros((1, 3), np.float32), np.zeros(1, np.uint16), np.zeros(1, np.float32), 0.0)
     with pytest.raises(ConfigError, match="needs inertial readings near 200 Hz"):
         mapper.observe(SensorReadings(cloud=cloud))
@@ -208,7 +208,7 @@ def test_what_cannot_work_is_refused_before_the_world_is_built(change: dict[str,
 
 def test_any_lidar_suits_a_planar_mapper() -> None:
     for lidar in (None, "vlp16", "lds01"):
-        planar = MapperUnderTest(lambda: make_mapper("hector"), "hector")
+        planar = LocalMapper(make_mapper("hector"), "hector")
         check_sensors(planar, RunConfig(source="medium", lidar=lidar))
 
 
@@ -216,7 +216,7 @@ def test_without_attitude_there_is_no_inertial_reading() -> None:
     readings = []
     for attitude in ("imu", "none"):
         mapper = mapper_named("own_mappers:Still", 1)
-        guarded = MapperUnderTest(lambda: mapper, "still", attitude)  # type: ignore[arg-type] # noqa: B023
+        guarded = LocalMapper(mapper, "still", attitude)  # type: ignore[arg-type]
         guarded.observe(SensorReadings(imu=Imu(stamp=1.0), cloud=a_cloud()))
         readings += mapper.imus  # type: ignore[union-attr]
     assert readings == [Imu(stamp=1.0), None]
@@ -255,10 +255,10 @@ class Wrong:
 def test_a_wrong_answer_costs_the_run_and_names_the_scan(answer: Any, message: str) -> None:
     cloud = a_cloud()
     with pytest.raises(MapperError, match=message):
-        MapperUnderTest(lambda: Wrong(answer), "wrong").observe(SensorReadings(imu=Imu(), cloud=cloud))
+        LocalMapper(Wrong(answer), "wrong").observe(SensorReadings(imu=Imu(), cloud=cloud))
     assert (cloud.xyz == 1).all()
     with pytest.raises(MapperError, match=r"trajectory\(\) is not finite"):
-        MapperUnderTest(lambda: Wrong(None), "wrong").trajectory()
+        LocalMapper(Wrong(None), "wrong").trajectory()
 
 
 def test_heights_that_are_off_stand_out_in_color(still: Run) -> None:

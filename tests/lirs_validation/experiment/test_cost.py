@@ -15,11 +15,11 @@ PEAKS = """
 import numpy as np
 from lirs_validation.experiment.cost import CostMeter
 meter = CostMeter()
-before = meter.peak_memory()
+before = meter.cost().peak_memory
 block = np.ones(200_000_000, np.uint8)
-high = meter.peak_memory()
+high = meter.cost().peak_memory
 del block
-print(before, high, CostMeter().peak_memory())
+print(before, high, CostMeter().cost().peak_memory)
 """
 
 
@@ -35,12 +35,12 @@ def test_peak_memory_is_of_the_run_alone() -> None:
 def test_processor_time_is_counted_and_waiting_is_not() -> None:
     meter = CostMeter()
     time.sleep(0.2)
-    waited = meter.cpu_seconds()
+    waited = meter.cost().cpu_seconds
     end = time.process_time() + 0.2
     while time.process_time() < end:
         pass
     assert waited < 0.15
-    assert 0.2 <= meter.cpu_seconds() < 0.6
+    assert 0.2 <= meter.cost().cpu_seconds < 0.6
 
 
 def test_compilation_is_timed_and_all_else_is_not() -> None:

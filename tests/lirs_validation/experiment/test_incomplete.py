@@ -10,7 +10,7 @@ import pytest
 
 from lirs_validation import map_log, validate
 from lirs_validation.analysis.results import read_run
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest
+from lirs_validation.experiment.mapper_under_test import LocalMapper
 from lirs_validation.record.provenance import damaged_files
 from lirs_validation.report.pictures import Painter
 from lirs_wct.geometry.pose import Trajectory
@@ -62,7 +62,7 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
     plain_pictures: None,
 ) -> None:
     """Two poses earned an ATE of 0.000 and `ok`."""
-    monkeypatch.setattr("lirs_validation.experiment.mapper_process.mapper_named", lambda *_: few(kept))
+    monkeypatch.setattr("lirs_validation.experiment.mapper_under_test.mapper_named", lambda *_: few(kept))
     run = validate(room, seconds=1, out=tmp_path)
     assert run.folder is not None
     record = read_run(run.folder).entry
@@ -83,8 +83,7 @@ def test_a_log_whose_trajectory_leaves_out_scans_is_incomplete(
     plain_pictures: None,
 ) -> None:
     monkeypatch.setattr(
-        "lirs_validation.logs.map_log.log_mapper",
-        lambda config: nullcontext(MapperUnderTest(FewPoses, "few")),
+        "lirs_validation.logs.map_log.log_mapper", lambda config: nullcontext(LocalMapper(FewPoses(), "few"))
     )
     assert run_command("map", log, "--mapper", "hector", "-o", str(tmp_path)) == 3
     assert "incomplete" in capsys.readouterr().out
@@ -104,7 +103,7 @@ def test_a_log_during_which_the_place_was_lost_is_lost(log: str, monkeypatch: py
 
     monkeypatch.setattr(
         "lirs_validation.logs.map_log.log_mapper",
-        lambda config: nullcontext(MapperUnderTest(LostInBetween, "lost")),
+        lambda config: nullcontext(LocalMapper(LostInBetween(), "lost")),
     )
     record = map_log(log, mapper="hector").record
     assert record.status == "lost"

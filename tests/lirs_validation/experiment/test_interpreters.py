@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from lirs_validation import RunConfig
-from lirs_validation.experiment import mapper_loading
-from lirs_validation.experiment.mapper_loading import interpreter_of, package_versions
-from lirs_validation.experiment.mapper_process import MapperProcess
-from lirs_validation.experiment.mapper_under_test import SensorReadings
+from lirs_validation.experiment import loading
+from lirs_validation.experiment.loading import interpreter_of, package_versions
+from lirs_validation.experiment.mapper_under_test import MapperProcess, SensorReadings
 from lirs_wct.errors import ConfigError, MapperError
-from lirs_wct.geometry import ImuReadings, PointCloud, Pose2, Pose3
+from lirs_wct.geometry import ImuReadings, LaserScan, PointCloud, Pose2, Pose3
 from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
 from tests.command_line import run_command
 
@@ -118,7 +117,8 @@ def test_your_own_mapper_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch
     monkeypatch.chdir(tmp_path)
     config = RunConfig(source="medium", mapper="own_elsewhere:Own", mapper_python=str(python))
     with closing(MapperProcess(config)) as mapper:
-        assert mapper.lost
+        scan = LaserScan(np.ones(9, np.float32), -0.4, 0.1, 0.1, 9.0, 0.0)
+        assert mapper.observe(SensorReadings(scan, Pose2())).lost
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_an_interpreter_that_cannot_be_used_is_refused_in_a_line(
 
 
 def test_a_given_interpreter_must_hold_the_systems_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mapper_loading, "version_there", lambda python, package: "")
+    monkeypatch.setattr(loading, "_version_there", lambda python, package: "")
     with pytest.raises(ConfigError, match=f"^{sys.executable}: has no package rko-lio, which rko-lio needs$"):
         interpreter_of("rko-lio", sys.executable)
     assert interpreter_of("own_slam:Own", sys.executable) == sys.executable

@@ -4,7 +4,6 @@ import gzip
 import json
 from contextlib import closing
 from copy import deepcopy
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,7 @@ import pytest
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import validate
 from lirs_validation.config import RunConfig
-from lirs_validation.experiment.mapper_process import MapperProcess
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest
+from lirs_validation.experiment.mapper_under_test import LocalMapper, MapperProcess
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.record.run_record import read_record
 from lirs_validation.sweep.engines import Serial
@@ -43,7 +41,7 @@ def statuses(out: Path) -> dict[str, tuple[str, str]]:
     return {r["config"]["mapper"].rpartition(":")[2]: (r["status"], r["reason"]) for r in records}
 
 
-def use(mapper: MapperUnderTest, observations: list[Observation]) -> None:
+def use(mapper: LocalMapper, observations: list[Observation]) -> None:
     for observation in observations:
         mapper.observe(observation)
     mapper.map()
@@ -62,14 +60,14 @@ def use(mapper: MapperUnderTest, observations: list[Observation]) -> None:
 def test_what_no_mapper_may_do_is_its_error(
     mapper: str, message: str, observations: list[Observation]
 ) -> None:
-    guarded = MapperUnderTest(getattr(own_mappers, mapper), "own")
+    guarded = LocalMapper(getattr(own_mappers, mapper)(), "own")
     with pytest.raises(MapperError, match=message):
         use(guarded, observations)
 
 
 def test_what_a_mapper_changes_by_force_is_its_own_copy(observations: list[Observation]) -> None:
     """`scan.ranges[:] = 1.0` earned a better F1 than dead reckoning: the judge read the same arrays."""
-    forced = MapperUnderTest(own_mappers.Forces, "own")
+    forced = LocalMapper(own_mappers.Forces(), "own")
     for observation in observations:
         kept = deepcopy(observation)
         forced.observe(observation)
@@ -162,11 +160,11 @@ def test_ctrl_c_and_our_own_errors_pass_the_guard() -> None:
         (SystemError("odd"), MapperError),
     ):
         with pytest.raises(expected):
-            MapperUnderTest(partial(Raises, error), "wrong").observe(SEEN)
+            LocalMapper(Raises(error), "wrong").observe(SEEN)
 
 
 def test_the_guard_changes_no_answer() -> None:
-    plain, guarded = make_mapper("hector"), MapperUnderTest(lambda: make_mapper("hector"), "hector")
+    plain, guarded = make_mapper("hector"), LocalMapper(make_mapper("hector"), "hector")
     assert plain.update(SCAN, SEEN.odometry, SEEN.imu) == guarded.observe(SEEN).pose
     assert SCAN.ranges.flags.writeable
     assert guarded.stats.received == 1

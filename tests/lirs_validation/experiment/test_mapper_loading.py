@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from lirs_validation import validate
-from lirs_validation.experiment.mapper_loading import RESOLUTION, mapper_named, source_file
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_pose
+from lirs_validation.experiment.loading import RESOLUTION, mapper_named, own_source_file
+from lirs_validation.experiment.mapper_under_test import LocalMapper, check_pose
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
@@ -68,7 +68,7 @@ def test_a_library_call_leaves_the_import_path_as_it_was(monkeypatch: pytest.Mon
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
     before = list(sys.path)
     mapper_named("their_slam:Whole", 7)
-    assert source_file("their_slam:Whole") == Path.cwd() / "their_slam.py"
+    assert own_source_file("their_slam:Whole") == Path.cwd() / "their_slam.py"
     with pytest.raises(ConfigError):
         mapper_named("their_broken:X", 7)
     assert sys.path == before
@@ -117,7 +117,7 @@ def test_what_a_mapper_hands_over_is_looked_at() -> None:
         def trajectory(self) -> object:
             return Trajectory.from_poses([0.0, 0.5], [Pose2(), Pose2(math.nan, 0, 0)])
 
-    mapper = MapperUnderTest(Wrong, "wrong")  # type: ignore[arg-type]
+    mapper = LocalMapper(Wrong(), "wrong")  # type: ignore[arg-type]
     with pytest.raises(MapperError, match="OccupancyGrid, got ndarray"):
         mapper.map()
     with pytest.raises(MapperError, match="MapperStats, got dict"):
@@ -135,7 +135,7 @@ def test_the_documented_mapper_maps(room: str, tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", list(__import__("sys").path))
     monkeypatch.delitem(__import__("sys").modules, "my_slam", raising=False)
-    monkeypatch.setattr("lirs_validation.experiment.mapper_process.needs_process", lambda mapper: False)
+    monkeypatch.setattr("lirs_validation.experiment.mapper_under_test.needs_process", lambda mapper: False)
     run = validate(room, mapper="my_slam:DeadReckoning", seconds=1)
     assert run.record.status == "ok"
     assert run.record.name.startswith("room-husky-DeadReckoning-s1-")

@@ -118,7 +118,7 @@ def test_mapping_the_bag_gives_the_trajectory_of_the_drive(
 ) -> None:
     driven = recorded(tmp_path, robot=robot, mapper=mapper, seconds=0.8)
     again = run_mapping(MapConfig(log=str(folder_of(driven)), mapper=mapper, imu_topic="/imu")).trajectory
-    online = driven.log.final
+    online = driven.log.final_trajectory
     assert online is not None
     np.testing.assert_allclose(again.stamps, online.stamps, atol=1e-9)
     np.testing.assert_allclose(again.positions, online.positions, atol=1e-6)

@@ -13,9 +13,8 @@ from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_validation import RunConfig, read_record, validate
-from lirs_validation.experiment.cost import is_shared, per_second
-from lirs_validation.experiment.evaluation import evaluate_rtf, reference_rtf
-from lirs_validation.experiment.loop import drive
+from lirs_validation.experiment.cost import is_shared
+from lirs_validation.experiment.evaluation import evaluate_rtf, per_second, reference_rtf
 from lirs_validation.experiment.run import Run, prepare
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.record.verdict import LOST_SECONDS
@@ -27,7 +26,7 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.progress import no_progress
 from slam_baselines.hector import HectorMapper
-from tests.lirs_validation.experiment.puppets import Puppet, SlowPuppet
+from tests.lirs_validation.experiment.puppets import Puppet, SlowPuppet, drive_log
 
 FILES = {
     "record.json", "overview.png", "rtf.csv", "commands.csv", "truth.tum", "estimate.tum", "odometry.tum",
@@ -75,7 +74,7 @@ def test_the_record_holds_the_figures_of_the_definitions(run: Run) -> None:
 def test_the_reference_physics_is_replayed_where_nothing_else_runs(room: str) -> None:
     ready = prepare(RunConfig(source=room, seconds=1.0))
     with closing(ready.mapper):
-        log = drive(ready.simulation, ready.driver, ready.mapper, 1.0)
+        log = drive_log(ready.simulation, ready.driver, ready.mapper, 1.0)
     found = evaluate_rtf(replace(log, concurrent=False), ready.simulation)
     assert found["physics_reference"] > max(0.3, found["mean"])
     assert evaluate_rtf(replace(log, concurrent=True), ready.simulation)["physics_reference"] is None
@@ -151,7 +150,7 @@ def test_a_record_that_is_none_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "lost"])
 def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
     puppet, mapper = Puppet(fails, 10), SlowPuppet(0.0, lost=(0.4 if fails == "lost" else 1e9, 1e9))
-    log = drive(puppet, puppet, mapper.under_test, 20.0)  # type: ignore[arg-type]
+    log = drive_log(puppet, puppet, mapper.under_test, 20.0)  # type: ignore[arg-type]
     assert log.status == fails
     assert log.reason
     assert puppet.ticks <= 12 + (LOST_SECONDS / puppet.period if fails == "lost" else 0)
@@ -160,13 +159,13 @@ def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
 
 def test_a_run_without_failure_lasts_its_time() -> None:
     puppet = Puppet("nothing", 0)
-    assert drive(puppet, puppet, SlowPuppet(0.0).under_test, 2.0).status == "ok"  # type: ignore[arg-type]
+    assert drive_log(puppet, puppet, SlowPuppet(0.0).under_test, 2.0).status == "ok"  # type: ignore[arg-type]
     assert puppet.ticks == 1 + 50
 
 
 def test_a_driver_with_nothing_left_to_drive_ends_the_run() -> None:
     puppet = Puppet("nothing", 0, finished="the last waypoint is reached")
-    log = drive(puppet, puppet, SlowPuppet().under_test, 20.0)  # type: ignore[arg-type]
+    log = drive_log(puppet, puppet, SlowPuppet().under_test, 20.0)  # type: ignore[arg-type]
     assert (log.status, log.reason) == ("ok", "the last waypoint is reached at 0.0 s")
     assert len(log.commands) == 1
 
@@ -178,9 +177,9 @@ def test_seconds_are_summed_by_simulated_second() -> None:
 
 def test_a_drive_stops_at_its_wall_limit_and_says_so() -> None:
     puppet = Puppet("nothing", 0)
-    log = drive(puppet, puppet, SlowPuppet(0.01).under_test, 20.0, wall_limit=0.2)  # type: ignore[arg-type]
+    log = drive_log(puppet, puppet, SlowPuppet(0.01).under_test, 20.0, wall_limit=0.2)  # type: ignore[arg-type]
     assert log.status == "wall limit"
-    assert 0.2 <= sum(log.walls) < 0.4
+    assert 0.2 <= sum(log.tick_seconds) < 0.4
     assert "of 20 simulated seconds" in log.reason
 
 
@@ -188,7 +187,7 @@ def test_a_pose_of_nan_ends_the_drive_with_the_scans_stamp() -> None:
     puppet, mapper = Puppet("nothing", 0), SlowPuppet()
     mapper.update = lambda *_: Pose2(float("nan"), 0, 0)  # type: ignore[method-assign]
     with pytest.raises(MapperError, match=r"scan at 0\.000 s"):
-        drive(puppet, puppet, mapper.under_test, 1.0)  # type: ignore[arg-type]
+        drive_log(puppet, puppet, mapper.under_test, 1.0)  # type: ignore[arg-type]
 
 
 class QueueingMapper(HectorMapper):
@@ -203,13 +202,10 @@ class QueueingMapper(HectorMapper):
 
 
 def test_scans_that_a_mapper_does_not_receive_are_counted(room: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = [QueueingMapper()]
-    monkeypatch.setattr(
-        "lirs_validation.experiment.mapper_process.mapper_named",
-        lambda *_: made.append(QueueingMapper()) or made[-1],
-    )
+    mapper = QueueingMapper()
+    monkeypatch.setattr("lirs_validation.experiment.mapper_under_test.mapper_named", lambda *_: mapper)
     record = validate(room, mapper="hector", seconds=1).record
-    assert made[-1].given == 26
+    assert mapper.given == 26
     assert record.cost["scans_dropped"] == 6
 
 

@@ -37,7 +37,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "half_way", raising=False)
     # In the drives' process, which is there already.
-    monkeypatch.setattr("lirs_validation.experiment.mapper_process.needs_process", lambda mapper: False)
+    monkeypatch.setattr("lirs_validation.experiment.mapper_under_test.needs_process", lambda mapper: False)
     return tmp_path
 
 
