@@ -67,7 +67,7 @@ def plain_pictures() -> Iterator[None]:
     from lirs_wct.drawing.canvas import bare_figure
 
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("run_overview.overview_figure", "map_overview.map_overview"):
+        for name in ("overview_figure", "map_overview"):
             patch.setattr(f"lirs_validation.drawing.{name}", lambda *_: bare_figure(1, 1))
         yield
 

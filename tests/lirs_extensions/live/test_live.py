@@ -145,7 +145,7 @@ def test_a_reset_begins_a_new_drive_at_the_same_start(monkeypatch, tmp_path):
     assert "new start" in first.run.record.reason
     assert second.run.folder.name == f"{first.run.folder.name}-2"
     assert first.run.log.start == second.run.log.start
-    driven = [len(found.run.log.walls) for found in (first, second)]
+    driven = [len(found.run.log.tick_seconds) for found in (first, second)]
     assert sum(driven) == 25
     scans = [message for topic, message in network.sent if topic == "/scan"]
     assert scans[0] == scans[driven[0] + 1]  # same seed, same bytes
