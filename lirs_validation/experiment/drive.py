@@ -168,7 +168,7 @@ class PackedList(Generic[T]):
         return (self[index] for index in range(len(self)))
 
 
-def _packed(kind: Callable[..., T], *names: str) -> Callable[[], PackedList[T]]:
+def _pack_as(kind: Callable[..., T], *names: str) -> Callable[[], PackedList[T]]:
     return lambda: PackedList(attrgetter(*names), kind)
 
 
@@ -201,13 +201,13 @@ class DriveLog:
     start: Pose2 = field(default_factory=Pose2)
     spatial: bool = False
     scans: list[LaserScan] = field(default_factory=list)
-    odometry: PackedList[Pose2] = field(default_factory=_packed(Pose2, "x", "y", "yaw"))
+    odometry: PackedList[Pose2] = field(default_factory=_pack_as(Pose2, "x", "y", "yaw"))
     imu: PackedList[Imu] = field(default_factory=lambda: PackedList(attrgetter("row"), Imu.from_row))
     clouds: CloudSample = field(default_factory=CloudSample)
     walker_beams: list[BoolArray] = field(default_factory=list)
-    truth: PackedList[Pose3] = field(default_factory=_packed(Pose3, "x", "y", "z", "qw", "qx", "qy", "qz"))
+    truth: PackedList[Pose3] = field(default_factory=_pack_as(Pose3, "x", "y", "z", "qw", "qx", "qy", "qz"))
     estimates: list[Pose2 | Pose3] = field(default_factory=list)
-    commands: PackedList[Twist] = field(default_factory=_packed(Twist, "v", "omega", "climb"))
+    commands: PackedList[Twist] = field(default_factory=_pack_as(Twist, "v", "omega", "climb"))
     final_trajectory: Trajectory | None = None
     tick_seconds: list[float] = field(default_factory=list)
     mapper_seconds: list[float] = field(default_factory=list)
