@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from fnmatch import fnmatch
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 
@@ -18,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 COMMAND = re.compile(r"^ *(?:\$ )?(lirs-wct [a-z].*)$|`(lirs-wct [a-z][^`]* [^`]*)`", re.MULTILINE)
+PACKAGES = "lirs_wct|lirs_envs|slam_baselines|lirs_validation|lirs_extensions"
 ENVIRONMENTS = (DOCS / "reference" / "environments.md").read_text()
 
 
@@ -33,6 +35,15 @@ def test_links_lead_to_files_as_github_reads_them() -> None:
     for page in (*PAGES, ROOT / "CONTRIBUTING.md"):
         for target in re.findall(r"\]\((?!\w+:|#)([^)#\s]+)", page.read_text()):
             assert (page.parent / target).exists(), (page, target)
+
+
+def test_modules_and_files_that_the_pages_name_exist() -> None:
+    for page in (*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"):
+        text = page.read_text()
+        for name in re.findall(rf"`((?:{PACKAGES})(?:\.\w+)+)`", text):
+            assert resolve_name(name) is not None, page
+        for path in re.findall(rf"`((?:{PACKAGES}|envs|benchmarks|tests|examples)/[\w./]+)`", text):
+            assert "NAME" in path or (ROOT / path).exists(), (page, path)
 
 
 def test_the_rows_of_a_table_have_the_cells_of_its_head() -> None:
