@@ -37,10 +37,9 @@ from lirs_extensions.originals.cartographer.local_slam import TrajectoryBuilder
 from lirs_extensions.originals.cartographer.mapper import CartographerOriginalConfig
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Trajectory
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.drive_csv import read_imu
+from lirs_wct.formats.carmen_log import read_carmen
+from lirs_wct.formats.drive_files import read_imu, read_tum
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry import LaserScan
 from lirs_wct.option import read_numbers
 from slam_baselines.mapper import Mapper, make_mapper

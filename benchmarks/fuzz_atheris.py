@@ -30,17 +30,15 @@ from lirs_validation.metrics.trajectory import read_constraints
 from lirs_validation.record.verdict import read_limits
 from lirs_validation.sweep.suites import read_yaml_fields
 from lirs_wct.errors import WctError
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.drive_csv import read_commands, read_imu
-from lirs_wct.formats.images.elevation import read_raster
-from lirs_wct.formats.images.picture import read_picture
+from lirs_wct.formats.carmen_log import read_carmen
+from lirs_wct.formats.drive_files import read_commands, read_imu, read_tum, read_waypoints
+from lirs_wct.formats.elevation import read_raster
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.meshes.mesh_reader import read_mesh
+from lirs_wct.formats.meshes.reader import read_mesh
+from lirs_wct.formats.picture import read_picture
 from lirs_wct.formats.point_clouds import read_points
 from lirs_wct.formats.rosbag.reader import read_bag
 from lirs_wct.formats.rosbag.topics import Topics
-from lirs_wct.formats.tum import read_tum
-from lirs_wct.formats.waypoints import read_waypoints
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from lirs_validation import map_log
 from lirs_validation.metrics.alignment import rms
 from lirs_validation.metrics.trajectory import reference_errors
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.tum import read_tum, write_tum
+from lirs_wct.formats.drive_files import read_tum, write_tum
 from lirs_wct.geometry import Pose2, Trajectory
 
 FAR = 1.0

@@ -30,9 +30,9 @@ from rich.table import Table
 from benchmarks.slam import DATA, LOGS, RELATIONS
 from lirs_validation.metrics.trajectory import constraint_errors, read_constraints, trajectory_errors
 from lirs_wct import LaserScan, Pose2, Trajectory
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
+from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.formats.tum import read_tum
 from slam_baselines.mapper import make_mapper
 
 CONFIGS = Path("/usr/share/mrpt/config_files")

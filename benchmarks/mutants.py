@@ -38,12 +38,10 @@ from rich.table import Table
 from benchmarks.mutations import Mutation, mutations_of
 
 ROOT = Path(__file__).resolve().parents[1]
-CARMEN = ("lines", "laser", "repairs", "log")
 READERS = (
-    "lirs_wct/formats/images/*.py",
-    *(f"lirs_wct/formats/carmen/{name}.py" for name in CARMEN),
-    *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "tum", "drive_csv", "world_json")),
-    "lirs_wct/formats/meshes/mesh_reader.py",
+    *(f"lirs_wct/formats/{name}.py" for name in ("elevation", "picture", "carmen_log", "laser_log")),
+    *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "drive_files", "world_json")),
+    "lirs_wct/formats/meshes/reader.py",
     *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "picture", "frame")),
     *(f"lirs_wct/{name}.py" for name in ("geometry/walls", "meshing/solid")),
 )

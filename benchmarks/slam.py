@@ -34,7 +34,7 @@ from lirs_validation.metrics.trajectory import (
     read_constraints,
     reference_errors,
 )
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper

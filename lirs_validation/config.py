@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+from lirs_wct import BuildOptions, ConfigError, unknown_name
 from lirs_wct.contact import ContactGeometry
-from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.suffixes import STORAGES, Storage
 from lirs_wct.option import (
     Options,
@@ -27,7 +27,6 @@ from lirs_wct.option import (
     positive,
     within,
 )
-from lirs_wct.sources.source import BuildOptions
 from slam_baselines.mapper import MAPPERS, file_name, read_parameters
 
 Attitude = Literal["imu", "none"]

@@ -1,4 +1,4 @@
-"""Atomic writes (a temporary name, then a rename) and gzipped files.
+"""Files that are written whole (under a temporary name, then a rename), gzipped files, and references.
 
 A killed process leaves temporary files behind. The next write of the same path removes them.
 """
@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 from lirs_wct.errors import OutputError, SourceError
 
@@ -28,7 +29,6 @@ GZIP_LEVEL = 1
 """Level of gzip: higher ones hardly shrink sensor noise further and take many times as long."""
 _TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(|\.[^.]*)")
 """Stem, process and suffix of a temporary name."""
-_STAGED = ".staged-"
 _WRITING: set[str] = set()
 """Temporary names that this process is using."""
 
@@ -49,12 +49,11 @@ def atomic_write(path: Path) -> Iterator[Path]:
     try:
         if path.is_dir():
             raise OutputError(f"{path}: is a folder, a file is to be written there")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        remove_leftovers([path])
-        yield temporary
-        temporary.replace(path)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
+        with _output_errors(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            remove_leftovers([path])
+            yield temporary
+            temporary.replace(path)
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -90,6 +89,18 @@ def read_gzipped(path: Path) -> bytes:
         raise SourceError(f"{path}: the gzip stream is damaged or cut off ({error})") from error
     except OSError as error:
         raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def read_text(path: Path, errors: str = "strict") -> str:
+    """Return the text of a file in UTF-8, gzipped or not.
+
+    Raises:
+        SourceError: it cannot be read, the gzip stream is damaged, or it is no text.
+    """
+    try:
+        return read_gzipped(path).decode("utf-8-sig", errors)
+    except UnicodeDecodeError as error:
+        raise SourceError(f"{path}: no text: {error}") from error
 
 
 def readable_lines(path: Path) -> Iterator[bytes]:
@@ -151,13 +162,9 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         OutputError: the folder cannot be written, or a file of the user has the name of a new file.
     """
     target = path.resolve() if path.is_symlink() else path
-    temporary = _temporary(target)
-    _WRITING.add(temporary.name)
-    try:
-        if path.exists() and not path.is_dir():
-            raise OutputError(f"{path}: is a file, a folder is to be written there")
-        temporary.mkdir(parents=True)
-        remove_leftovers([target])
+    if path.exists() and not path.is_dir():
+        raise OutputError(f"{path}: is a file, a folder is to be written there")
+    with scratch_folder(target) as temporary, _output_errors(path, temporary):
         yield temporary
         write_manifest(temporary)
         _flush(temporary)
@@ -165,8 +172,22 @@ def atomic_folder(path: Path) -> Iterator[Path]:
             _replace_files(target, temporary, shown=path)
         else:
             temporary.rename(target)
-    except (OSError, OutputError) as error:
-        raise _cannot_write(path, error, hidden=temporary) from error
+
+
+@contextmanager
+def scratch_folder(path: Path) -> Iterator[Path]:
+    """Yield an empty hidden folder beside a path, which is removed afterwards.
+
+    Raises:
+        OutputError: the folder cannot be made.
+    """
+    temporary = _temporary(path)
+    _WRITING.add(temporary.name)
+    try:
+        with _output_errors(path, temporary):
+            temporary.mkdir(parents=True)
+        remove_leftovers([path])
+        yield temporary
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         _WRITING.discard(temporary.name)
@@ -290,16 +311,9 @@ def staged_files(folder: Path) -> Iterator[Path]:
     Raises:
         OutputError: a file cannot be written.
     """
-    staged = folder / f"{_STAGED}{os.getpid()}-{secrets.token_hex(4)}"
-    try:
-        remove_orphans(folder, _STAGED)
-        staged.mkdir()
+    with scratch_folder(folder / "staged") as staged, _output_errors(folder, staged):
         yield staged
         _merge(staged, folder)
-    except (OSError, OutputError) as error:
-        raise _cannot_write(folder, error, hidden=staged) from error
-    finally:
-        shutil.rmtree(staged, ignore_errors=True)
 
 
 def _merge(new: Path, old: Path) -> None:
@@ -319,49 +333,19 @@ def _flush(folder: Path) -> None:
 
 def remove_leftovers(paths: Iterable[Path]) -> None:
     """Remove the temporary files of killed processes that were writing these paths."""
-    for leftover, pid in _leftovers(paths):
-        if not _in_use(leftover.name, pid):
-            _remove(leftover)
-
-
-def _leftovers(paths: Iterable[Path]) -> Iterator[tuple[Path, int]]:
-    """Yield each temporary file or folder of these paths, and the process that made it."""
     wanted = {(path.parent, f".{path.stem[:80]}", path.suffix) for path in paths}
     for folder in {parent for parent, _, _ in wanted}:
-        for name in _hidden(folder):
-            found = _TEMPORARY.fullmatch(name)
-            if found is not None and (folder, found[1], found[3]) in wanted:
-                yield folder / name, int(found[2])
-
-
-def remove_orphans(folder: Path, prefix: str) -> None:
-    """Remove the files `PREFIXpid-...` of killed processes from a folder."""
-    for entry in folder.glob(f"{prefix}*"):
-        pid = entry.name.removeprefix(prefix).partition("-")[0]
-        if pid.isdigit() and not lives(int(pid)):
-            _remove(entry)
-
-
-def _remove(entry: Path) -> None:
-    with suppress(OSError):
-        shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
-
-
-def _hidden(folder: Path) -> list[str]:
-    """Return the hidden names in a folder; none where it cannot be read."""
-    try:
-        return [entry.name for entry in os.scandir(folder) if entry.name[0] == "."]
-    except OSError:
-        return []
+        for entry in os.scandir(folder) if os.access(folder, os.R_OK) else ():
+            match = _TEMPORARY.fullmatch(entry.name)
+            if match and (folder, match[1], match[3]) in wanted and not _in_use(entry.name, int(match[2])):
+                with suppress(OSError):
+                    shutil.rmtree(entry) if entry.is_dir() else Path(entry).unlink()
 
 
 def _in_use(name: str, pid: int) -> bool:
-    """Whether a process still uses a temporary name; containers reuse process ids."""
-    return name in _WRITING if pid == os.getpid() else lives(pid)
-
-
-def lives(pid: int) -> bool:
-    """Return whether a process of this machine is running."""
+    """Whether a process of this machine still uses a temporary name; containers reuse process ids."""
+    if pid == os.getpid():
+        return name in _WRITING
     try:
         os.kill(pid, 0)
         # A zombie has ended, but its parent has not read its exit status.
@@ -378,10 +362,61 @@ def _temporary(path: Path) -> Path:
     return path.with_name(f".{path.stem[:80]}.{number}{path.suffix}")
 
 
-def _cannot_write(path: Path, error: OSError | OutputError, hidden: Path | None = None) -> OutputError:
-    """Return the error of a path; the message shows it in place of its hidden one."""
-    text = str(error)
-    if isinstance(error, OSError):
-        where = f" ({error.filename})" if error.filename and Path(error.filename) != path else ""
-        text = f"{path}: cannot be written: {error.strerror or error}{where}"
-    return OutputError(text if hidden is None else text.replace(str(hidden), str(path)))
+@contextmanager
+def _output_errors(path: Path, hidden: Path | None = None) -> Iterator[None]:
+    """Convert errors to one line that shows the path in place of its hidden one."""
+    try:
+        yield
+    except (OSError, OutputError) as error:
+        text = str(error)
+        if isinstance(error, OSError):
+            where = f" ({error.filename})" if error.filename and Path(error.filename) != path else ""
+            text = f"{path}: cannot be written: {error.strerror or error}{where}"
+        raise OutputError(text if hidden is None else text.replace(str(hidden), str(path))) from error
+
+
+_SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+._-]+:")
+"""Begins a URL, or a driver's prefix of GDAL; one letter is a drive of Windows."""
+_PACKAGE = ("model.config", "world.json")
+"""Files that mark the top folder of a Gazebo model package, and of a built world."""
+
+
+def referenced_file(owner: Path, name: str) -> Path:
+    """Return the path of a referenced file, which need not exist.
+
+    A relative name begins at the owner's folder, `model://NAME/...` at the folder of its model package.
+
+    Args:
+        owner: file that holds the reference.
+        name: as the owner spells it: a path, `file://` or `model://`.
+
+    Raises:
+        SourceError: the name is another URL, or leads out of the owner's folder or package, also through
+            `..` or a symbolic link. A package is a Gazebo model's folder or that of a built world.
+    """
+    folder = owner.parent.resolve()
+    package = next(
+        (at for at in (folder, *folder.parents) if any((at / n).is_file() for n in _PACKAGE)), None
+    )
+    root, base, given = package or folder, folder, name.strip()
+    if given.startswith("model://") and package is not None:
+        root = base = package.parent
+        given = unquote(given.removeprefix("model://"))
+    elif given.startswith("file://"):
+        given = unquote(urlsplit(given).path)
+    if given.startswith(("/vsi", "\\\\", "<")) or "\0" in given or _SCHEME.match(given):
+        raise SourceError(f"{owner}: names {_short(name)}; only files in {root} are read")
+    try:
+        found = (base / given).resolve()
+    except (OSError, RuntimeError) as error:  # too long, or a loop of links
+        raise SourceError(f"{owner}: names {_short(name)}, which is no legal path") from error
+    if not found.is_relative_to(root):
+        raise SourceError(
+            f"{owner}: names {_short(name)}, which is outside {root}; only files in it are read"
+        )
+    return found
+
+
+def _short(name: str) -> str:
+    text = " ".join(name.split())
+    return repr(text if len(text) <= 200 else f"{text[:200]}...")

@@ -14,8 +14,8 @@ from lirs_validation import resolve_source, validate
 from lirs_wct import BuildOptions
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, new_figure, title
 from lirs_wct.drawing.pictures import block_picture
+from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.tum import read_tum
 
 
 def main() -> None:

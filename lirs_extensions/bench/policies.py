@@ -33,7 +33,7 @@ from lirs_validation.driving.routes import FreeGround, WaypointRoute
 from lirs_validation.experiment.loading import make_own, own_class, own_source_file
 from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, unknown_name
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
-from lirs_wct.formats.waypoints import RoutePoint
+from lirs_wct.formats.drive_files import RoutePoint
 from lirs_wct.geometry.grid_search import search
 from slam_baselines.mapper import make_mapper
 

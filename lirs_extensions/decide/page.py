@@ -31,7 +31,7 @@ from lirs_wct.drawing.canvas import (
     title,
 )
 from lirs_wct.files import atomic_write, write_json
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.drive_files import read_tum
 
 CAPTION = (
     "Share of the evaluated drives that worked, with its exact 95 % interval (Clopper and Pearson). A "

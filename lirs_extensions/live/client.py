@@ -14,8 +14,7 @@ from lirs_extensions.live.graph import MAP_TYPE, START_POSE, TRANSFORMS_TYPE, TW
 from lirs_extensions.live.middleware import Received
 from lirs_extensions.live.options import LiveOptions
 from lirs_wct import ConfigError, OccupancyGrid, Pose2, Pose3, Trajectory
-from lirs_wct.formats.rosbag.frames import Frames, is_finite, pose_of
-from lirs_wct.formats.rosbag.messages import BASE, DRIVEN, MAP, ODOM, transforms
+from lirs_wct.formats.rosbag import frames, messages
 
 STOPPED_AFTER = 0.5
 """Simulated seconds after which a robot without new commands stops, as ros2_control's diff drive does."""
@@ -45,7 +44,7 @@ class Client:
         self._answer, self._robot = options.answer, robot
         self._patience = max(STOPPED_AFTER, 2 * options.every * period)
         self._command, self._commanded = Twist(), -math.inf
-        self._frames, self._added = Frames(), 0
+        self._frames, self._added = frames.Frames(), 0
         self._T_map_start, self._maps = T_map_start, False
         self._T_map_odom = Pose3.from_pose2(T_map_start)
         self._warned: set[str] = set()
@@ -82,7 +81,7 @@ class Client:
 
     def drove(self, stamp: float, T_odom_base: Pose2) -> None:
         """Note the odometry at a scan, for the trajectory."""
-        message = transforms(stamp, DRIVEN, (Pose3.from_pose2(T_odom_base),))
+        message = messages.transforms(stamp, messages.DRIVEN, (Pose3.from_pose2(T_odom_base),))
         self._frames.add(self._line(), self._store.deserialize_cdr(message, TRANSFORMS_TYPE), static=False)
 
     def trajectory(self) -> Trajectory:
@@ -90,7 +89,7 @@ class Client:
 
         Without map -> odom, return the odometry.
         """
-        found = self._frames.trajectory(BASE)
+        found = self._frames.trajectory(messages.BASE)
         return found if self._maps else found.moved(self._T_map_start)
 
     def _line(self) -> int:
@@ -109,17 +108,17 @@ class Client:
             self.grid = read_grid(message)
             return 0
         if kind == START_POSE:
-            self.start = pose_of(message.pose.pose.position, message.pose.pose.orientation).to_pose2()
+            self.start = frames.pose_of(message.pose.pose.position, message.pose.pose.orientation).to_pose2()
         self.reset = True
         return 0
 
     def _take_frames(self, message: Any) -> int:
         answered = 0
         for t in message.transforms:
-            if (t.header.frame_id.lstrip("/"), t.child_frame_id.lstrip("/")) != (MAP, ODOM):
+            if (t.header.frame_id.lstrip("/"), t.child_frame_id.lstrip("/")) != (messages.MAP, messages.ODOM):
                 continue
-            T = pose_of(t.transform.translation, t.transform.rotation)
-            if not is_finite(T):
+            T = frames.pose_of(t.transform.translation, t.transform.rotation)
+            if not frames.is_finite(T):
                 raise ConfigError("map -> odom is not finite")
             self._T_map_odom, self._maps = T, True
             if self._answer != "cmd_vel":
@@ -148,7 +147,7 @@ def read_grid(message: Any) -> OccupancyGrid:
         raise ConfigError(f"{info.width} x {info.height} cells, but {len(message.data)} values")
     cells = np.asarray(message.data, np.int8).reshape(info.height, info.width)
     p = np.where(cells < 0, np.nan, cells / 100.0)
-    origin = pose_of(info.origin.position, info.origin.orientation).to_pose2()
+    origin = frames.pose_of(info.origin.position, info.origin.orientation).to_pose2()
     return OccupancyGrid.from_probability(p, float(info.resolution), origin)
 
 

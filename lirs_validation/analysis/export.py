@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from rosbags.highlevel import AnyReader
@@ -24,14 +23,9 @@ from lirs_validation.record.run_record import maps_clouds
 from lirs_wct import Pose2, Pose3, SourceError, unknown_name
 from lirs_wct.arrays import FloatArray
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.drive_csv import IMU_HEADER, read_imu
-from lirs_wct.formats.map_server import read_map
+from lirs_wct.formats import carmen_log, drive_files, map_server
+from lirs_wct.formats.rosbag.messages import BagDrive, BagTick
 from lirs_wct.formats.suffixes import Storage
-from lirs_wct.formats.tum import read_tum
-
-if TYPE_CHECKING:
-    from lirs_wct.formats.rosbag.writer import BagDrive
 
 POSE_HEADER = "stamp,x,y,z,qw,qx,qy,qz"
 MODULE = "lirs_wct_run"
@@ -143,11 +137,8 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
     Raises:
         SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
     """
-    from lirs_wct.formats.rosbag.messages import BagTick
-    from lirs_wct.formats.rosbag.writer import BagDrive
-
     truth, log, imu = read_sensors(run.folder)
-    estimate = read_tum(run.folder / "estimate.tum")
+    estimate = drive_files.read_tum(run.folder / "estimate.tum")
     T_map_world = truth.pose2(0).inverse()
     robot = make_robot((config := recorded_config(run.entry)).robot)
     range_min = make_lidar_preset(config.lidar or robot.lidar).range_min
@@ -164,7 +155,7 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
         for k, scan in enumerate(log.scans)
     ]
     mapped = slam and not maps_clouds(run.entry)
-    grid = read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None
+    grid = map_server.read_map(run.folder / "map.yaml").moved(T_map_world) if mapped else None
     return BagDrive(ticks=ticks, grid=grid, errors=sensor_errors(config))
 
 
@@ -178,7 +169,7 @@ def _export_bag(run: RunFolder, out: Path, *, storage: Storage, slam: bool) -> P
 def _export_csv(run: RunFolder, out: Path) -> Path:
     tables = _tables(run)
     beams = ",".join(f"range_{k}" for k in range(len(tables["beams"])))
-    headers = {"scans": f"stamp,{beams}", "imu": IMU_HEADER, "beams": "angle"}
+    headers = {"scans": f"stamp,{beams}", "imu": drive_files.IMU_HEADER, "beams": "angle"}
     for name, table in tables.items():
         with atomic_write(out / "csv" / f"{name}.csv") as path:
             header = headers.get(name, POSE_HEADER)
@@ -194,7 +185,7 @@ def _export_npz(run: RunFolder, out: Path) -> Path:
 
 def _export_carmen(run: RunFolder, out: Path) -> Path:
     target = out / "scans.clf.gz"
-    read_carmen(run.folder / "scans.clf.gz")
+    carmen_log.read_carmen(run.folder / "scans.clf.gz")
     with atomic_write(target) as path:
         shutil.copyfile(run.folder / "scans.clf.gz", path)
     return target
@@ -202,15 +193,15 @@ def _export_carmen(run: RunFolder, out: Path) -> Path:
 
 def _tables(run: RunFolder) -> dict[str, FloatArray]:
     """Return the recorded data as tables, one row per scan; trajectories in the world frame."""
-    log = read_carmen(run.folder / "scans.clf.gz")
+    log = carmen_log.read_carmen(run.folder / "scans.clf.gz")
     tables = {"scans": np.column_stack((log.stamps, np.array([scan.ranges for scan in log.scans])))}
     tables["beams"] = log.scans[0].angles
     for name in ("truth", "estimate", "odometry"):
-        t = read_tum(run.folder / f"{name}.tum")
+        t = drive_files.read_tum(run.folder / f"{name}.tum")
         tables[name] = np.column_stack((t.stamps, t.positions, t.quaternions))
     rows = [
         (r.stamp, r.roll, r.pitch, *r.angular_velocity, *r.linear_acceleration)
-        for r in read_imu(run.folder / "imu.csv.gz")
+        for r in drive_files.read_imu(run.folder / "imu.csv.gz")
     ]
     return tables | {"imu": np.array(rows)}
 

@@ -19,11 +19,8 @@ from lirs_validation.record.run_record import RECORD, read_whole_record
 from lirs_validation.sweep.experiment import MANIFEST, STATUS, read_verdict
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
 from lirs_wct.errors import reason_of
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.drive_csv import read_imu
+from lirs_wct.formats import carmen_log, drive_files, world_json
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.formats.tum import read_tum
-from lirs_wct.formats.world_json import TEXTURE_OPTIONS
 from lirs_wct.option import Options
 from lirs_wct.sources.source import BuildOptions
 from slam_baselines.map_builder import KnownPoseMapper
@@ -161,7 +158,7 @@ def recorded_config(entry: Entry) -> RunConfig:
         for name, value in build.items():
             if name == "start" and value is not None:
                 build[name] = Pose2(**{key: float(number) for key, number in value.items()})
-            elif name in TEXTURE_OPTIONS and value is not None:
+            elif name in world_json.TEXTURE_OPTIONS and value is not None:
                 build[name] = Path(value)
             elif isinstance(value, list) and all(isinstance(part, int | float) for part in value):
                 build[name] = tuple(value)
@@ -193,7 +190,7 @@ def recorded_truth(folder: Path) -> Trajectory:
         SourceError: missing, damaged or empty.
     """
     path = folder / "truth.tum"
-    truth = read_tum(path)
+    truth = drive_files.read_tum(path)
     if len(truth) == 0:
         raise SourceError(f"{path}: holds no pose")
     return truth
@@ -201,8 +198,8 @@ def recorded_truth(folder: Path) -> Trajectory:
 
 def read_sensors(folder: Path) -> tuple[Trajectory, LaserLog, tuple[Imu, ...]]:
     """Return true poses, scans and inertial readings of a run, one of each a scan."""
-    truth, log = recorded_truth(folder), read_carmen(folder / "scans.clf.gz")
-    stamps, imu = log.stamps, read_imu(folder / "imu.csv.gz")
+    truth, log = recorded_truth(folder), carmen_log.read_carmen(folder / "scans.clf.gz")
+    stamps, imu = log.stamps, drive_files.read_imu(folder / "imu.csv.gz")
     if not len(stamps) == len(truth) == len(imu) or np.abs(stamps - truth.stamps).max() > SAME_STAMP:
         raise SourceError(
             f"{folder}: not one drive: {len(stamps)} scans, {len(truth)} true poses, {len(imu)} IMU readings"

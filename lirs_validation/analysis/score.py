@@ -28,8 +28,7 @@ from lirs_validation.metrics.map import agreement, as_stored, map_scores, sample
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.record.verdict import Verdict, incompleteness, judge
 from lirs_wct import ConfigError, Pose2, SourceError, Trajectory, wrap_angle
-from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats import drive_files, map_server
 
 Frame = Literal["auto", "map", "world", "align"]
 FRAMES: tuple[Frame, ...] = ("auto", "map", "world", "align")
@@ -119,7 +118,7 @@ def score(
     errors, alignment, lacking = dict[str, Any](), None, None
     if estimate is not None:
         errors = asdict(trajectory_errors(truth, estimate, T_world_map=T_world_frame))
-        odometry = read_tum(run.folder / "odometry.tum")
+        odometry = drive_files.read_tum(run.folder / "odometry.tum")
         errors["odometry_ate_rmse"] = trajectory_errors(truth, odometry).ate_rmse
         alignment = start_alignment(truth, estimate.moved(T_world_frame))
         lacking = incompleteness(errors["scan_coverage"])
@@ -200,7 +199,7 @@ def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map"
     Raises:
         SourceError: it agrees as well, or as badly, in the other frame.
     """
-    built, reference = read_map(path), read_map(run.folder / "map_true_pose.yaml")
+    built, reference = map_server.read_map(path), map_server.read_map(run.folder / "map_true_pose.yaml")
     in_map, in_world = (
         agreement(as_stored(grid), as_stored(reference)).f1 or 0.0
         for grid in (built.moved(truth.pose2(0)), built)
@@ -245,8 +244,8 @@ def _score_map(
         SourceError: the map does not cover the place of the run.
     """
     config = recorded_world_config(run.entry)
-    built = read_map(path).moved(T_world_frame)
-    reference = read_map(run.folder / "map_true_pose.yaml")
+    built = map_server.read_map(path).moved(T_world_frame)
+    reference = map_server.read_map(run.folder / "map_true_pose.yaml")
     if abs(reference.resolution - built.resolution) > RESOLUTION_TOLERANCE:
         reference = true_pose_map(run.folder, config, built.resolution)
     there = ~np.isnan(sample_like(as_stored(built), as_stored(reference)))

@@ -24,8 +24,7 @@ from lirs_validation.driving.routes import TourRoute, WaypointRoute, check_waypo
 from lirs_validation.record.run_record import read_record
 from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, SourceError, World
 from lirs_wct.arrays import FloatArray
-from lirs_wct.formats.drive_csv import Commands, read_commands
-from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
+from lirs_wct.formats.drive_files import Commands, RoutePoint, read_commands, read_waypoints
 from lirs_wct.sources.source import read_point
 
 CLEARANCE = 0.15

@@ -36,7 +36,7 @@ from lirs_validation.driving.paths import (
 from lirs_validation.metrics.alignment import wrap_angles
 from lirs_wct import HeightField, OccupancyGrid, Pose2, SourceError
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.formats.waypoints import RoutePoint
+from lirs_wct.formats.drive_files import RoutePoint
 from lirs_wct.geometry.grid_search import Reach, search
 from lirs_wct.navigation import nearest_place
 

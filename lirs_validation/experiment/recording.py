@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from lirs_envs.robot_model import CONTROL_PERIOD
@@ -15,14 +13,12 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import sensor_noise
 from lirs_validation.record.run_record import BAG
-from lirs_wct import OccupancyGrid, OutputError, Pose2, Pose3
-from lirs_wct.files import remove_orphans
+from lirs_wct import OccupancyGrid, Pose2, Pose3
+from lirs_wct.files import scratch_folder
 from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
 
 if TYPE_CHECKING:
     from lirs_wct.formats.rosbag.writer import BagWriter
-
-PREFIX = ".recording-"
 
 
 class Recording:
@@ -103,14 +99,8 @@ def recording(config: RunConfig, out: Path, period: float) -> Iterator[Recording
     from lirs_wct.formats.rosbag.writer import BagWriter
 
     assert config.bag is not None
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        remove_orphans(out, PREFIX)
-        temporary = TemporaryDirectory(prefix=f"{PREFIX}{os.getpid()}-", dir=out, ignore_cleanup_errors=True)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be written: {error.strerror or error}") from error
-    with temporary as path:
-        folder = Path(path) / BAG
+    with scratch_folder(out / "recording") as made:
+        folder = made / BAG
         writer = BagWriter(folder, config.bag, period, sensor_errors(config))
         try:
             yield Recording(writer, folder, slam=not config.sensors_only)

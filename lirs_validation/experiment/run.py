@@ -28,10 +28,7 @@ from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
 from lirs_wct import BuildOptions, ConfigError, Pose2, SimulationError, World
 from lirs_wct.files import atomic_folder, check_writable
-from lirs_wct.formats.carmen.writer import write_log
-from lirs_wct.formats.drive_csv import Commands, write_commands, write_imu
-from lirs_wct.formats.map_server import write_map
-from lirs_wct.formats.tum import write_tum
+from lirs_wct.formats import carmen_log, drive_files, map_server
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import MAPPERS
@@ -72,17 +69,17 @@ class Run:
         period = record.rtf["simulated_seconds"] / len(log.tick_seconds)
         with atomic_folder(folder) as temporary:
             if maps.built is not None:
-                write_map(temporary / "map", maps.built)
+                map_server.write_map(temporary / "map", maps.built)
             if maps.elevation is not None:
                 write_elevation(temporary / ELEVATION, maps.elevation.built, maps.elevation.true_pose)
-            write_map(temporary / "map_true_pose", maps.true_pose)
+            map_server.write_map(temporary / "map_true_pose", maps.true_pose)
             for name, trajectory in (("truth", truth), ("estimate", estimate), ("odometry", odometry)):
-                write_tum(temporary / f"{name}.tum", trajectory)
+                drive_files.write_tum(temporary / f"{name}.tum", trajectory)
             times = np.arange(len(log.commands)) * period
             commands = np.column_stack((times, [(c.v, c.omega) for c in log.commands]))
-            write_commands(temporary / COMMANDS, Commands(log.start, commands))
-            write_log(temporary / "scans.clf.gz", zip(log.scans, log.odometry, strict=True))
-            write_imu(temporary / "imu.csv.gz", list(log.imu))
+            drive_files.write_commands(temporary / COMMANDS, drive_files.Commands(log.start, commands))
+            carmen_log.write_log(temporary / "scans.clf.gz", zip(log.scans, log.odometry, strict=True))
+            drive_files.write_imu(temporary / "imu.csv.gz", list(log.imu))
             lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
             (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
             if drawn:

@@ -8,9 +8,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lirs_wct.errors import ConfigError
+from lirs_wct import ConfigError, World
 from lirs_wct.sources.source import BuildOptions, find_source
-from lirs_wct.world import World
 
 if TYPE_CHECKING:
     from lirs_validation.gui.server import Server

@@ -31,8 +31,7 @@ from lirs_wct import (
     Trajectory,
     unknown_name,
 )
-from lirs_wct.formats.carmen.laser import read_mount
-from lirs_wct.formats.drive_csv import read_imu
+from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.progress import Progress
 from lirs_wct.sources.source import is_bag
@@ -124,7 +123,7 @@ def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
         SourceError: the file cannot be used, or has no reading at any scan.
     """
     readings: list[Imu | None] = [None] * len(log.stamps)
-    held = log.imu if config.imu is None else read_imu(Path(config.imu))
+    held = log.imu if config.imu is None else drive_files.read_imu(Path(config.imu))
     if not held:
         return readings
     found = sorted(held, key=lambda reading: reading.stamp)
@@ -141,7 +140,7 @@ def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
 
 def with_recorded_mount(config: MapConfig, log: LaserLog) -> LaserLog:
     """Return the log with the laser's mount of the comment, height and tilt included."""
-    T_base_laser = read_mount(Path(config.log))
+    T_base_laser = carmen_log.read_mount(Path(config.log))
     if T_base_laser is None:
         return log
     return replace(log, scans=tuple(replace(scan, T_base_laser=T_base_laser) for scan in log.scans))

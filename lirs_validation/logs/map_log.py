@@ -48,12 +48,9 @@ from lirs_validation.record.verdict import LostRule, incompleteness, inconsisten
 from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
 from lirs_wct.arrays import FloatArray
 from lirs_wct.files import atomic_folder, atomic_write, check_writable, readable_lines
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats import carmen_log, drive_files, map_server, suffixes
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
-from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.topics import ANY, Topics
-from lirs_wct.formats.suffixes import METADATA, is_bag_file
-from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
@@ -144,8 +141,8 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     folder = out / mapped.record.name
     with atomic_folder(folder) as temporary:
         mapped.record.save(temporary)
-        write_map(temporary / "map", mapped.grid)
-        write_tum(temporary / "estimate.tum", mapped.trajectory)
+        map_server.write_map(temporary / "map", mapped.grid)
+        drive_files.write_tum(temporary / "estimate.tum", mapped.trajectory)
         mapped.overview().savefig(temporary / "overview.png")
     return replace(mapped, folder=folder)
 
@@ -274,7 +271,7 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
     if any(topics) or config.time != "header":
         raise ConfigError(f"{path}: topics and --time can be given for a ROS bag only, this is none")
     fov = None if config.fov is None else math.radians(config.fov)
-    return read_carmen(path, fov=fov, range_max=config.range_max)
+    return carmen_log.read_carmen(path, fov=fov, range_max=config.range_max)
 
 
 def check_log_file(log: str | Path, **log_options: Any) -> Preflight:
@@ -310,7 +307,7 @@ def folder_name(config: MapConfig) -> str:
 def _digests(folder: Path) -> bytes:
     """Return digests of a bag's files, ordered by name, without other files of the folder."""
     digests = []
-    for path in sorted(p for p in folder.iterdir() if p.name == METADATA or is_bag_file(p)):
+    for path in sorted(p for p in folder.iterdir() if p.name == suffixes.METADATA or suffixes.is_bag_file(p)):
         with path.open("rb") as file:
             digests.append(hashlib.file_digest(file, "sha256").digest())
     return b"".join(digests)
@@ -339,12 +336,12 @@ def read_trajectory(path: Path, scans: FloatArray | None = None) -> Trajectory:
     """
     path, topic = _split_topic(path)
     if is_bag(path):
-        from lirs_wct.formats.rosbag.poses import read_poses
+        from lirs_wct.formats.rosbag.frames import read_poses
 
         return read_poses(path, topic)
     if topic is not None:
         raise ConfigError(f"{path}: a topic can be given for a ROS bag only, this is none")
-    return read_tum(path, scans)
+    return drive_files.read_tum(path, scans)
 
 
 def _split_topic(path: Path) -> tuple[Path, str | None]:
@@ -367,8 +364,8 @@ def read_reference(path: Path) -> Trajectory:
     if is_bag(bag) or topic is not None:
         return read_trajectory(path)
     if _begins_with_a_number(path):
-        return read_tum(path)
-    track = read_carmen(path).track
+        return drive_files.read_tum(path)
+    track = carmen_log.read_carmen(path).track
     if len(track) == 0:
         raise SourceError(f"{path}: holds no poses that change, a reference trajectory does")
     return track
@@ -466,7 +463,7 @@ def _read_ending(folder: Path) -> tuple[str, str] | None:
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         ended, written_by = (str(record["status"]), str(record["reason"])), record["versions"]
-        read_map(folder / "map.yaml")
+        map_server.read_map(folder / "map.yaml")
     except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
         return None
     # The folder's name holds the digest of the log: another content is another folder.

@@ -21,8 +21,7 @@ from lirs_validation.record.run_record import maps_clouds
 from lirs_wct import OccupancyGrid, Trajectory, WctError
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, bounds_shown, rgb, shaded_heights
-from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats import drive_files, map_server
 
 BUDGET = 3_000_000
 """Bytes of all pictures on the page, encoded."""
@@ -56,8 +55,10 @@ class Painter:
     def paint(self, run: RunFolder) -> RunPicture:
         """Return the run's picture."""
         try:
-            truth, estimate = (read_tum(run.folder / f"{name}.tum") for name in ("truth", "estimate"))
-            true_pose, built = read_map(run.folder / "map_true_pose.yaml"), _read_built_map(run)
+            truth, estimate = (
+                drive_files.read_tum(run.folder / f"{name}.tum") for name in ("truth", "estimate")
+            )
+            true_pose, built = map_server.read_map(run.folder / "map_true_pose.yaml"), _read_built_map(run)
         except WctError as error:
             return RunPicture("", str(error))
         if not true_pose.known.any():
@@ -101,7 +102,7 @@ class Painter:
 def _read_built_map(run: RunFolder) -> OccupancyGrid | ElevationMap | None:
     """Read the built map; None for point-cloud mappers in worlds with overhangs."""
     if not maps_clouds(run.entry):
-        return read_map(run.folder / "map.yaml")
+        return map_server.read_map(run.folder / "map.yaml")
     if not (run.folder / ELEVATION).is_file():
         return None
     return read_elevation(run.folder / ELEVATION)[0]

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
-from lirs_wct.formats.images.picture import read_picture, write_image
+from lirs_wct.formats.picture import read_picture, write_image
 from lirs_wct.formats.world_json import texture_path
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2

@@ -15,11 +15,8 @@ from PIL import Image
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.gazebo import FRICTION, GRAVITY
-from lirs_wct.formats.meshes.collada import MeshPart, stream_collada
-from lirs_wct.formats.meshes.mesh_reader import read_upright, upright
-from lirs_wct.formats.meshes.obj import write_obj
-from lirs_wct.formats.meshes.stl import write_stl
-from lirs_wct.formats.meshes.textured import TEXTURED, TexturedMesh, png, read_textured, write_glb
+from lirs_wct.formats.meshes import reader, textured
+from lirs_wct.formats.meshes.writers import MeshPart, stream_collada, write_glb, write_obj, write_stl
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.uv import cube_uv
@@ -111,13 +108,13 @@ def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleM
         ConfigError: the target's suffix is not supported.
         OutputError: a file cannot be written, or the texture would replace another picture.
     """
-    shape = _rotate(read_upright(source), rotate_x)
-    found = read_textured(source)
+    shape = _rotate(reader.read_upright(source), rotate_x)
+    found = textured.read_textured(source)
     lost = _lost(found, target)
-    if found.mesh.uv is not None and target.suffix.lower() in TEXTURED:
+    if found.mesh.uv is not None and target.suffix.lower() in textured.TEXTURED:
         if found.picture is None:
             warnings.warn(f"{source}: its texture coordinates are kept, no texture was found", stacklevel=2)
-        _write_textured(target, _rotate(upright(source, found.mesh), rotate_x), found.picture)
+        _write_textured(target, _rotate(reader.upright(source, found.mesh), rotate_x), found.picture)
     else:
         write_mesh(target, shape)
     if lost:
@@ -129,10 +126,10 @@ def _rotate(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
     return mesh.rotated_x(degrees) if degrees else mesh
 
 
-def _lost(found: TexturedMesh, target: Path) -> list[str]:
+def _lost(found: textured.TexturedMesh, target: Path) -> list[str]:
     """Return the names of the attributes that the target's format cannot store."""
     lost = []
-    if found.mesh.uv is not None and target.suffix.lower() not in TEXTURED:
+    if found.mesh.uv is not None and target.suffix.lower() not in textured.TEXTURED:
         lost.append("texture and texture coordinates" if found.picture else "texture coordinates")
     if found.vertex_colors:
         lost.append("the colors of vertices or faces")
@@ -154,7 +151,7 @@ def _write_textured(path: Path, mesh: TriangleMesh, picture: Image.Image | None)
 def _write_beside(path: Path, picture: Image.Image) -> str:
     """Write a texture next to a mesh file; return its name, which has no spaces."""
     name = f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', path.stem)}-texture.png"
-    place, content = path.with_name(name), png(picture)
+    place, content = path.with_name(name), textured.png(picture)
     if place.exists() and place.read_bytes() != content:
         raise OutputError(f"{place}: is another picture, and the texture of {path} is to be written there")
     with atomic_write(place) as temporary:
@@ -256,15 +253,15 @@ def _material(stage: Any, part: MeshPart) -> Any:
     surface.CreateInput("metallic", types.Float).Set(0.0)
     material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     if part.texture is not None:
-        reader = shade.Shader.Define(stage, f"{place}/coordinates")
-        reader.CreateIdAttr("UsdPrimvarReader_float2")
-        reader.CreateInput("varname", types.String).Set("st")
+        lookup = shade.Shader.Define(stage, f"{place}/coordinates")
+        lookup.CreateIdAttr("UsdPrimvarReader_float2")
+        lookup.CreateInput("varname", types.String).Set("st")
         texture = shade.Shader.Define(stage, f"{place}/texture")
         texture.CreateIdAttr("UsdUVTexture")
         texture.CreateInput("file", types.Asset).Set(sdf.AssetPath(part.texture))
         for side in ("wrapS", "wrapT"):
             texture.CreateInput(side, types.Token).Set("repeat")
-        coordinates = reader.CreateOutput("result", types.Float2)
+        coordinates = lookup.CreateOutput("result", types.Float2)
         texture.CreateInput("st", types.Float2).ConnectToSource(coordinates)
         color = texture.CreateOutput("rgb", types.Float3)
         surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(color)

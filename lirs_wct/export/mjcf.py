@@ -27,8 +27,8 @@ from lirs_wct.contact.parts import contact_parts
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.appearance import Wear, ground_wear, world_extent, world_parts
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.images.picture import write_image
-from lirs_wct.formats.meshes.obj import write_obj
+from lirs_wct.formats.meshes.writers import write_obj
+from lirs_wct.formats.picture import write_image
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import MUJOCO_FACES, TriangleMesh, split_tiles
 from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, Viewpoint, overview

@@ -15,23 +15,8 @@ from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT, ground_truth_map
 from lirs_wct.export.mesh_writer import require_usd, write_parts, write_usd
 from lirs_wct.export.mjcf import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
-from lirs_wct.formats.gazebo import (
-    Layer,
-    flat_normals,
-    gz_world_sdf,
-    heightmap_sdf,
-    model_config,
-    model_sdf,
-    world_sdf,
-    write_heightmap,
-)
-from lirs_wct.formats.images.picture import write_image
-from lirs_wct.formats.map_server import write_map
-from lirs_wct.formats.meshes.collada import MeshPart
-from lirs_wct.formats.meshes.obj import write_obj_parts
-from lirs_wct.formats.meshes.stl import write_stl, write_triangles
-from lirs_wct.formats.meshes.textured import write_glb
-from lirs_wct.formats.world_json import TEXTURES, recorded_source
+from lirs_wct.formats import gazebo, map_server, picture, world_json
+from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj_parts, write_stl, write_triangles
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import overview
@@ -94,7 +79,7 @@ def write_package(
             write_hfield(temporary / f"{world.name}.hfield", world.surface)
         if "map" in formats:
             steps.begin("map.yaml")
-            write_map(temporary / "map", ground_truth_map(world, map_height))
+            map_server.write_map(temporary / "map", ground_truth_map(world, map_height))
     return folder
 
 
@@ -109,7 +94,7 @@ def _check_place(world: World, folder: Path, overwrite: bool) -> None:
         raise OutputError(
             f"{folder}: holds files that are not a built world; choose another folder or --name"
         )
-    former = recorded_source(folder)
+    former = world_json.recorded_source(folder)
     if former not in (None, world.source) and not overwrite:
         raise OutputError(
             f"{folder}: holds the world of another source, {former}; give this one another --name, or "
@@ -193,21 +178,21 @@ def _turn(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
 def _write_model(world: World, folder: Path, formats: Collection[str], terrain: GazeboTerrain) -> None:
     name = world.name
     if terrain == "heightmap":
-        picture = TEXTURES / f"{name}-heights.png"
-        write_heightmap(folder / picture, world.surface)
-        model = heightmap_sdf(name, world.surface, picture.as_posix(), _heightmap_layer(world, folder))
+        heights = world_json.TEXTURES / f"{name}-heights.png"
+        gazebo.write_heightmap(folder / heights, world.surface)
+        model = gazebo.heightmap_sdf(name, world.surface, heights.as_posix(), _heightmap_layer(world, folder))
     else:
-        model = model_sdf(name, f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
+        model = gazebo.model_sdf(name, f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
     view, starts = overview(*world_extent(world), GAZEBO_FOVY), _starts(world)
-    classic = world_sdf(name, view=view, place=world.place, starts=starts)
+    classic = gazebo.world_sdf(name, view=view, place=world.place, starts=starts)
     albedo = None
     if terrain == "solid" and "dae" in formats and world.walls is None:  # a laser map has two textures
         albedo = ground_wear(world).write(world, folder).as_posix()
     for file, text in (
-        ("model.config", model_config(name)),
+        ("model.config", gazebo.model_config(name)),
         ("model.sdf", model),
         (f"{name}.world", classic),
-        (f"{name}.sdf", gz_world_sdf(classic, model, starts=starts, albedo=albedo)),
+        (f"{name}.sdf", gazebo.gz_world_sdf(classic, model, starts=starts, albedo=albedo)),
     ):
         (folder / file).write_text(text, encoding="utf-8")
 
@@ -219,13 +204,13 @@ def _starts(world: World) -> list[Pose3]:
     ]
 
 
-def _heightmap_layer(world: World, folder: Path) -> Layer:
+def _heightmap_layer(world: World, folder: Path) -> gazebo.Layer:
     """Write the square textures of Gazebo's heightmap, aligned with its south-west corner."""
     wear, longest = ground_wear(world), max(world.surface.size)
     texture, span = wear.write(world, folder), wear.span or longest
     if wear.draped:
         texture, span = texture.with_name(f"{texture.stem}-square.png"), longest
-        write_image(folder / texture, pad_to_square(wear.pixels(world), world.surface.size))
-    normal = TEXTURES / f"{world.name}-normal.png"
-    write_image(folder / normal, flat_normals())
-    return Layer(texture.as_posix(), normal.as_posix(), span)
+        picture.write_image(folder / texture, pad_to_square(wear.pixels(world), world.surface.size))
+    normal = world_json.TEXTURES / f"{world.name}-normal.png"
+    picture.write_image(folder / normal, gazebo.flat_normals())
+    return gazebo.Layer(texture.as_posix(), normal.as_posix(), span)

@@ -15,7 +15,7 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.images.picture import write_image
+from lirs_wct.formats.picture import write_image
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField, resample
 from lirs_wct.geometry.pose import Pose3

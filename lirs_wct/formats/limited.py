@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Timer
 from time import monotonic
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError
+from lirs_wct.files import first_bytes
 
 SECONDS, SECONDS_PER_BYTE, WAIT = 5.0, 4e-6, 4
 """Limit of CPU seconds in all threads: a constant, and per byte. The wall time may be WAIT times that."""
@@ -33,10 +35,7 @@ def read_limited(
 ) -> tuple[dict[str, Any], list[NDArray[Any]]]:
     """Return what the process reads: values by name, and arrays.
 
-    Args:
-        kind: of the reader.
-        path: file that is there; its size scales the limits.
-        max_pixels: a raster of more pixels is described without them.
+    The size of the file scales the limits. A raster of more than `max_pixels` is described without them.
 
     Raises:
         SourceError: the file cannot be read, or its reader exceeded a limit.
@@ -88,3 +87,51 @@ def _receive(process: subprocess.Popen[bytes]) -> tuple[dict[str, Any], list[NDA
 
 def _ending(code: int) -> str:
     return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+
+
+REFERRING = b"<VRTDataset"
+"""Mark of a VRT, which only refers to other files."""
+
+
+@dataclass(frozen=True)
+class GdalRaster:
+    """Pixels of a raster and its metadata from GDAL.
+
+    Attributes:
+        bands: Number of bands without alpha.
+        white: Value of white.
+        pages: Number of pictures in the file.
+        nodata: Value of pixels without a height, or None.
+        scale: height = scale value + offset.
+        unit: Name of the heights' unit, or empty.
+        transform: Affine of the pixels' corners in rasterio's order; None where it is not known.
+        wkt: Coordinate system as WKT; empty where it is not known.
+        pixels: (rows, cols) First band, NaN where a mask hides it, or (rows, cols, 3 or 4) BGR(A) of colors;
+            None if there are too many pixels.
+    """
+
+    width: int
+    height: int
+    bands: int
+    white: float
+    pages: int
+    nodata: float | None
+    scale: float
+    offset: float
+    unit: str
+    transform: tuple[float, float, float, float, float, float] | None
+    wkt: str
+    pixels: NDArray[Any] | None
+
+
+def read_gdal(path: Path, max_pixels: int) -> GdalRaster:
+    """Read a raster; one of more than `max_pixels` is described without its pixels.
+
+    Raises:
+        SourceError: GDAL cannot read the file, or the file only refers to others.
+    """
+    if REFERRING in first_bytes(path, 1024):
+        raise SourceError(f"{path}: is a VRT, which refers to other files: gdal_translate makes a TIFF of it")
+    found, arrays = read_limited("raster", path, max_pixels)
+    found["transform"] = found["transform"] and tuple(found["transform"])
+    return GdalRaster(**found, pixels=arrays[0] if arrays else None)

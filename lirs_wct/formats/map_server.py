@@ -14,7 +14,7 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.images.picture import MAX_PIXELS, read_picture, write_image
+from lirs_wct.formats.picture import MAX_PIXELS, read_picture, write_image
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2

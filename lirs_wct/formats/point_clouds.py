@@ -11,8 +11,7 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.formats.limited import read_limited
-from lirs_wct.formats.meshes.mesh_reader import FARTHEST
-from lirs_wct.formats.meshes.ply_faces import ply_header, read_ply
+from lirs_wct.formats.meshes.reader import FARTHEST, ply_header, read_ply
 from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_wkt
 
 VERTICAL_UNITS = "4099"

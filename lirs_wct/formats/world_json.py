@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.files import atomic_write
-from lirs_wct.formats.references import referenced_file
+from lirs_wct.files import atomic_write, referenced_file
 
 SCHEMA = 1
 JSON, ARRAYS = "world.json", "world.npz"

@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, LogSourceError
-from lirs_wct.formats.images.elevation import FLATTEST, STEEPEST
+from lirs_wct.formats.elevation import FLATTEST, STEEPEST
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Ground, LaserMap, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture

@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.meshes.mesh_reader import read_upright
+from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import Grid, TriangleMesh, layers, rasterize_heights

@@ -14,9 +14,15 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.images.elevation import Raster, RasterInfo, decode, read_raster, tile_georeference
-from lirs_wct.formats.images.nodata import missing_heights
-from lirs_wct.formats.images.picture import check_size
+from lirs_wct.formats.elevation import (
+    Raster,
+    RasterInfo,
+    decode,
+    missing_heights,
+    read_raster,
+    tile_georeference,
+)
+from lirs_wct.formats.picture import check_size
 from lirs_wct.formats.suffixes import ENCODINGS
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField, resample

@@ -10,8 +10,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.images.elevation import georeference_raster, height_unit
-from lirs_wct.formats.point_clouds import PointFile, read_points
+from lirs_wct.formats import elevation, point_clouds
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
@@ -44,7 +43,7 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
         SourceError: the file cannot be used.
         ConfigError: an option does not fit the cloud.
     """
-    found = read_points(path)
+    found = point_clouds.read_points(path)
     xyz, middle, steps = _in_meters(path, found, options.z_scale or 1.0)
     kept = _within(path, xyz, options)
     xyz, known = xyz[kept], None if found.ground is None else found.ground[kept]
@@ -71,7 +70,7 @@ def read_point_cloud(path: Path, options: BuildOptions) -> tuple[Terrain, str, P
 
 
 def _in_meters(
-    path: Path, found: PointFile, z_scale: float
+    path: Path, found: point_clouds.PointFile, z_scale: float
 ) -> tuple[FloatArray, tuple[float, float], tuple[float, float]]:
     """Return points in the world's frame (meters), its origin, and its units.
 
@@ -86,8 +85,8 @@ def _in_meters(
     x, y = local_origin(low, high, system.unit)
     sx, sy = system.unit, system.unit
     if system.form != "unknown":
-        sx, sy = georeference_raster(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
-    unit = height_unit(path, system, found.height_unit) * z_scale
+        sx, sy = elevation.georeference_raster(path, system, (1.0, 0.0, x, 0.0, -1.0, y), (1, 1)).pixel
+    unit = elevation.height_unit(path, system, found.height_unit) * z_scale
     return (xyz - (x, y, 0.0)) * (sx, sy, unit), (x, y), (sx, sy)
 
 

@@ -16,10 +16,7 @@ from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError, SourceError, did_you_mean
 from lirs_wct.files import read_manifest
-from lirs_wct.formats.images.picture import MAX_PIXELS
-from lirs_wct.formats.map_server import read_metadata
-from lirs_wct.formats.point_clouds import is_cloud_ply
-from lirs_wct.formats.suffixes import CLOUDS, LOGS, MAPS, MESHES, ZSTD, Encoding, is_bag_file, way_to_read
+from lirs_wct.formats import map_server, picture, point_clouds, suffixes
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.option import Options, Slider, changed, declared, documented, option, positive, within
@@ -135,7 +132,7 @@ class CommonOptions(Options):
         check=_start,
     )
     max_pixels: int = option(
-        MAX_PIXELS, "Refuse larger pictures before decoding them.", check=positive, rare=True
+        picture.MAX_PIXELS, "Refuse larger pictures before decoding them.", check=positive, rare=True
     )
 
 
@@ -189,7 +186,7 @@ class PictureOptions(Options):
         rare=True,
         **_SCALE | {"kinds": {SourceKind.PICTURE}},
     )
-    encoding: Encoding = option(
+    encoding: suffixes.Encoding = option(
         "gray",
         "How the pixels are heights: by their gray, or by their color as tiles of Mapbox or Terrarium.",
         rare=True,
@@ -356,11 +353,11 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
 
 def _yaml_beside(path: Path) -> Path | None:
     """Return the ROS map's YAML of the same name next to a picture, if it names the picture."""
-    for suffix in MAPS:
+    for suffix in suffixes.MAPS:
         found = path.with_suffix(suffix)
         if found.is_file():
             try:
-                if read_metadata(found).image.resolve() == path.resolve():
+                if map_server.read_metadata(found).image.resolve() == path.resolve():
                     return found
             except SourceError:
                 # This YAML is not that of a map.
@@ -370,14 +367,14 @@ def _yaml_beside(path: Path) -> Path | None:
 
 def is_log(path: Path) -> bool:
     """Return whether a path is a CARMEN log or a ROS bag."""
-    return _strip_compression(path).suffix.lower() in LOGS or is_bag(path)
+    return _strip_compression(path).suffix.lower() in suffixes.LOGS or is_bag(path)
 
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is a ROS bag: a file, or a folder with a bag's files."""
     if path.is_dir():
-        return not (path / "world.json").exists() and any(is_bag_file(p) for p in path.iterdir())
-    return is_bag_file(path)
+        return not (path / "world.json").exists() and any(suffixes.is_bag_file(p) for p in path.iterdir())
+    return suffixes.is_bag_file(path)
 
 
 def warn_of_useless(source: Source, options: BuildOptions) -> None:
@@ -422,21 +419,23 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
                 raise SourceError(f"{path}: is incomplete, its build was broken off: build it again")
             raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
         return SourceKind.FOLDER
-    if path.suffix.lower() in MAPS:
+    if path.suffix.lower() in suffixes.MAPS:
         return SourceKind.MAP
-    if path.suffix.lower() in CLOUDS or (path.suffix.lower() == ".ply" and is_cloud_ply(path)):
+    if path.suffix.lower() in suffixes.CLOUDS or (
+        path.suffix.lower() == ".ply" and point_clouds.is_cloud_ply(path)
+    ):
         return SourceKind.CLOUD
-    if path.suffix.lower() in MESHES:
+    if path.suffix.lower() in suffixes.MESHES:
         return SourceKind.MESH
     if is_log(path):
         return SourceKind.LOG
-    if way := way_to_read(path):
+    if way := suffixes.way_to_read(path):
         raise SourceError(f"{path}: {way}")
     return SourceKind.MAP_PICTURE if options.kind == "map" else SourceKind.PICTURE
 
 
 def _strip_compression(path: Path) -> Path:
-    return path.with_suffix("") if path.suffix.lower() in (".gz", ZSTD) else path
+    return path.with_suffix("") if path.suffix.lower() in (".gz", suffixes.ZSTD) else path
 
 
 def _stem(path: Path) -> str:

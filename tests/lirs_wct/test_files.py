@@ -13,7 +13,7 @@ from hypothesis import given, strategies as st
 
 from lirs_wct import files
 from lirs_wct.errors import OutputError, SourceError
-from lirs_wct.files import MANIFEST, atomic_folder, atomic_write, check_writable, remove_orphans, staged_files
+from lirs_wct.files import MANIFEST, atomic_folder, atomic_write, check_writable, staged_files
 from lirs_wct.sources.source import BuildOptions, find_source
 
 
@@ -135,11 +135,6 @@ def test_staged_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_block_that_writes_nothing_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="cannot be written"), atomic_write(tmp_path / "x.txt"):
-        pass
-
-
 def test_what_a_killed_process_left_goes_when_its_place_is_written_next(tmp_path: Path) -> None:
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
@@ -158,16 +153,6 @@ def test_what_a_killed_process_left_goes_when_its_place_is_written_next(tmp_path
             first.write_text("a")
             second.write_text("b")
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*spared, "map.pgm", "world"])
-
-
-def test_orphans_of_dead_processes_are_removed(tmp_path: Path) -> None:
-    dead = subprocess.Popen([sys.executable, "-c", ""])
-    dead.wait()
-    names = [f"trace-{dead.pid}-abc.trace", f"trace-{os.getpid()}-abc.trace", "trace-x-abc", f"{dead.pid}-a"]
-    for name in names:
-        (tmp_path / name).write_text("")
-    remove_orphans(tmp_path, "trace-")
-    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names[1:])
 
 
 def write_folder(target: Path, **files: str) -> None:
@@ -344,19 +329,3 @@ def test_a_link_to_a_folder_stays_one(tmp_path: Path) -> None:
     assert (tmp_path / "world").is_symlink()
     assert (tmp_path / "disk" / "model").read_text() == "1"
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
-
-
-def test_a_user_s_file_that_cannot_be_kept_leaves_the_folder_as_it_was(tmp_path: Path) -> None:
-    target = tmp_path / "world"
-    write_folder(target, model="1")
-    (target / "meshes").mkdir()
-    (target / "meshes" / "mine.stl").write_text("mine")
-    with pytest.raises(OutputError, match=r"world/meshes: was not written by this program"):
-        write_folder(target, meshes="a file where the user has a folder")
-    assert listing(tmp_path) == [
-        "world",
-        f"world/{MANIFEST}",
-        "world/meshes",
-        "world/meshes/mine.stl",
-        "world/model",
-    ]

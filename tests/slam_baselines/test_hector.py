@@ -11,7 +11,7 @@ from lirs_validation.logs.map_log import read_reference
 from lirs_validation.metrics.map import agreement, false_occupied
 from lirs_validation.metrics.trajectory import constraint_errors, read_constraints, reference_errors
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.hector import HectorConfig, HectorMapper

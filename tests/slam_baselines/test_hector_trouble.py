@@ -9,7 +9,7 @@ import pytest
 
 from lirs_validation.logs.map_log import read_reference
 from lirs_validation.metrics.trajectory import reference_errors
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.hector import HectorMapper

@@ -15,10 +15,9 @@ import numpy as np
 
 from lirs_envs.robots.body_state import BodyState
 from lirs_envs.robots.robot import Robot, Twist, Waypoint, clip
+from lirs_wct import HeightField, Pose3, wrap_angle
 from lirs_wct.arrays import FloatArray
 from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import Pose3, wrap_angle
-from lirs_wct.geometry.heightfield import HeightField
 
 LEAST_THRUST = 0.3
 """Least vertical thrust as a share of the weight: a body in free fall cannot turn."""

@@ -31,8 +31,7 @@ from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.trajectory import RelativePoseConstraint, trajectory_accuracy
 from lirs_wct import LaserScan, Pose2, SourceError, Trajectory, unknown_name
 from lirs_wct.arrays import FloatArray
-from lirs_wct.formats.carmen.writer import write_log
-from lirs_wct.formats.tum import write_tum
+from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.progress import Progress
 from slam_baselines.mapper import MAPPERS
 
@@ -261,11 +260,11 @@ def replay_log(
         folder: receives the simulated logs, and their true path.
         progress: of the mapping.
     """
-    write_tum(folder / "truth.tum", path.truth)
+    drive_files.write_tum(folder / "truth.tum", path.truth)
     paths = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(draws)]
     logs = [path.simulate_log(noise, config.seed + k) for k in range(draws)]
     for written, log in zip(paths, logs, strict=True):
-        write_log(written, log)
+        carmen_log.write_log(written, log)
     truth = relations, reference = read_truth(config)
     metric = "ATE" if reference else f"ATE to the path of {config.mapper}"
     metric = "mean error of the relations" if relations else metric

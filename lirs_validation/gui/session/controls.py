@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lirs_validation.config import PRETRAINED, RunConfig
-from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct import ConfigError, Pose2
 from lirs_wct.option import Option, Options, declared
 from lirs_wct.sources.source import BuildOptions, SourceKind
 

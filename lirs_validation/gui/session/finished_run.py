@@ -16,9 +16,7 @@ from lirs_validation.gui.session.playback import MapSnapshot, Playback
 from lirs_validation.gui.session.uploads import with_own_picture
 from lirs_validation.record.run_record import maps_clouds, read_record, succeeded
 from lirs_wct import Pose3, SourceError, WctError, World
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats import carmen_log, drive_files, map_server
 from lirs_wct.sources.bundled import RECIPES
 
 FILES = ("record.json", "truth.tum", "estimate.tum", "scans.clf.gz")
@@ -40,8 +38,8 @@ def read_playback(
     record = read_record(folder)
     if not record.get("trajectory"):
         raise SourceError(f"{folder}: this run has no result ({record['reason']})")
-    truth, estimate = recorded_truth(folder), read_tum(folder / "estimate.tum")
-    scans = read_carmen(folder / "scans.clf.gz").scans
+    truth, estimate = recorded_truth(folder), drive_files.read_tum(folder / "estimate.tum")
+    scans = carmen_log.read_carmen(folder / "scans.clf.gz").scans
     if len(scans) != len(truth) or len(estimate) < 2:
         raise SourceError(
             f"{folder}: not one drive: {len(scans)} scans, {len(truth)} true and "
@@ -54,7 +52,7 @@ def read_playback(
         pose = Pose3.from_arrays(truth.positions[k], truth.quaternions[k])
         run.add(replace(scan, stamp=float(truth.stamps[k]), T_base_laser=mount), pose, estimated[k])
     if not maps_clouds(record):
-        run.maps = [MapSnapshot.of(read_map(folder / "map.yaml"), 0.0)]
+        run.maps = [MapSnapshot.of(map_server.read_map(folder / "map.yaml"), 0.0)]
     run.marks = [] if succeeded(record) else [(run.time, record["status"])]
     run.rtf, run.note = list(record["rtf"]["series"]), note
     run.verdict = f"Verdict: {record['verdict']['sentence']}"

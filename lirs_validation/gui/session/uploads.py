@@ -9,8 +9,7 @@ from tempfile import TemporaryDirectory
 import yaml
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.map_server import map_entries
-from lirs_wct.formats.suffixes import MAPS
+from lirs_wct.formats import map_server, suffixes
 
 MAX_NAME = 80
 """Characters of a file's stem."""
@@ -34,7 +33,7 @@ class Uploads:
             SourceError: A YAML is not that of a map.
         """
         path = self.folder / harmless(name)
-        if path.suffix.lower() in MAPS:
+        if path.suffix.lower() in suffixes.MAPS:
             content = with_own_picture(path.name, content)
         path.write_bytes(content)
         return path
@@ -62,7 +61,7 @@ def with_own_picture(name: str, content: bytes) -> bytes:
         SourceError: it is not the YAML of a map.
     """
     try:
-        entry = map_entries(Path(name), content)
+        entry = map_server.map_entries(Path(name), content)
         entry["image"] = harmless(str(entry["image"]))
     except (ValueError, KeyError) as error:
         raise SourceError(f"{name}: is no YAML of a map, which names its image") from error

@@ -16,10 +16,9 @@ from lirs_envs.robots.robot import make_robot
 from lirs_validation.gui.session.glb import PREVIEW_TEXTURE, TEXTURE, robot_glb, world_glb
 from lirs_validation.gui.session.playback import MapSnapshot, Moment
 from lirs_validation.report.pictures import with_paths
+from lirs_wct import HeightField, World
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of, rgb
-from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.world import World
 
 SIDE = 320
 """Pixels of the longer side of the map."""

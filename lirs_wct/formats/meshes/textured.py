@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import logging
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,10 +13,9 @@ import numpy as np
 from PIL import Image
 
 from lirs_wct.errors import SourceError
-from lirs_wct.files import atomic_write
+from lirs_wct.files import referenced_file
 from lirs_wct.formats.meshes.document import is_same
-from lirs_wct.formats.meshes.mesh_reader import read_document
-from lirs_wct.formats.references import referenced_file
+from lirs_wct.formats.meshes.reader import read_document
 from lirs_wct.geometry.mesh import TriangleMesh
 
 if TYPE_CHECKING:
@@ -35,7 +33,7 @@ class TexturedMesh:
 
     Attributes:
         mesh: with normals, and texture coordinates (origin lower left) where the file has them.
-        picture: of the texture; None = not found.
+        picture: Texture; None = not found.
         vertex_colors: whether the file has colors of vertices or faces.
     """
 
@@ -114,31 +112,6 @@ def _picture(visual: trimesh.visual.base.Visuals) -> Image.Image | None:
     material = getattr(visual, "material", None)
     picture: Image.Image | None = getattr(material, "baseColorTexture", None)
     return getattr(material, "image", None) if picture is None else picture
-
-
-def write_glb(path: Path, parts: Sequence[tuple[str, TriangleMesh, Image.Image | None]]) -> None:
-    """Write a GLB of named z-up meshes with their texture pictures inside; y is up, as its standard requires.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    import trimesh
-
-    scene = trimesh.Scene()
-    for name, mesh, picture in parts:
-        turned, visual = mesh.rotated_x(-90.0), None
-        if mesh.uv is not None:
-            material = trimesh.visual.material.PBRMaterial(
-                name=name, baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0
-            )
-            visual = trimesh.visual.TextureVisuals(uv=mesh.uv, material=material)
-        shape = trimesh.Trimesh(
-            turned.vertices, turned.faces, vertex_normals=turned.normals, visual=visual, process=False
-        )
-        scene.add_geometry(shape, node_name=name, geom_name=name)
-    normals = all(mesh.normals is not None for _, mesh, _ in parts)
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=normals))
 
 
 def png(picture: Image.Image) -> bytes:

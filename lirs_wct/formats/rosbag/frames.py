@@ -1,27 +1,32 @@
-"""Frames of a bag: the tree of fixed and moving transforms."""
+"""Frames of a bag: the tree of fixed and moving transforms, and trajectories."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.formats.rosbag.messages import BASE
+from lirs_wct.errors import SourceError
+from lirs_wct.formats.rosbag.messages import BASE, MAP
+from lirs_wct.formats.rosbag.open_bag import Bag, open_bag
+from lirs_wct.formats.rosbag.topics import PATH, POSES, TRANSFORMS, list_topics, of_kinds, require_topic
 from lirs_wct.geometry.pose import Pose3, Trajectory
 
-SAME = 1e-6
+MAX_JITTER = 1e-6
 """Largest change of a constant transform on /tf: meters, and components of the quaternion."""
 BASES = (BASE, "base_footprint")
 """Names of a robot's base frame, the preferred one first."""
-ZIGZAG = 0.02
+MIN_ZIGZAG = 0.02
 """Smallest step from one source's pose to another's, meters."""
-MORE = 1.2
+MIN_POSE_RATIO = 1.2
 """Ratio of the poses of two sources from which on the later one counts."""
-RETURNS, SHORTER = 0.005, 2.0
+MIN_RETURN_SHARE, MIN_LENGTH_RATIO = 0.005, 2.0
 """Of poses from two sources: share of steps that lead back at once, and ratio of the length of all steps to
 that of the two paths, at least; poses with noise only lead back, too."""
 
@@ -58,11 +63,10 @@ class Frames:
 
     Attributes:
         skipped: Number of transforms that are not finite.
-        disputed: Frames whose static transforms differ.
     """
 
     def __init__(self) -> None:
-        self.skipped, self.disputed = 0, set[str]()
+        self.skipped = 0
         self._fixed: dict[str, tuple[str, Pose3]] = {}
         self._moving: dict[str, dict[str, list[Step]]] = {}
         self._edges: dict[str, tuple[FloatArray, list[Pose3]]] = {}
@@ -76,9 +80,6 @@ class Frames:
             if not is_finite(T):
                 self.skipped += 1
             elif static:
-                before = self._fixed.setdefault(child, (parent, T))
-                if before[0] != parent or np.abs(before[1].position - T.position).max() > ZIGZAG:
-                    self.disputed.add(child)
                 self._fixed[child] = (parent, T)
             else:
                 stamp = seconds(t.header.stamp) if received is None else received
@@ -106,9 +107,7 @@ class Frames:
         on_tf = [name for name in chain if name in self._moving]
         moving = [name for name in on_tf if not self._constant(name)]
         in_odom = [name for name, above in steps if _is_odom(above)]
-        elsewhere = [
-            name for name in self._moving if _is_odom(self._above(name))
-        ]  # without transforms of the laser
+        elsewhere = [name for name in self._moving if _is_odom(self._above(name))]
         return next(iter((*named, *in_odom, *moving, *on_tf, *elsewhere)), "")
 
     def odometry(self, base: str) -> tuple[list[Step], str]:
@@ -174,11 +173,11 @@ class Frames:
     def _edge(self, name: str) -> tuple[FloatArray, list[Pose3]]:
         """Return rising stamps and poses in the parent; a fixed frame has one pose."""
         if name not in self._edges:
-            found = {stamp: T for _, stamp, T in self._steps(name)}
+            poses = {stamp: T for _, stamp, T in self._steps(name)}
             if name in self._fixed and name not in self._moving:
-                found = {0.0: self._fixed[name][1]}
-            stamps = sorted(found)
-            self._edges[name] = np.array(stamps), [found[t] for t in stamps]
+                poses = {0.0: self._fixed[name][1]}
+            stamps = sorted(poses)
+            self._edges[name] = np.array(stamps), [poses[t] for t in stamps]
         return self._edges[name]
 
     def _above(self, name: str) -> str:
@@ -195,7 +194,7 @@ class Frames:
         if len(steps) < 2:
             return False
         values = np.array([(*T.position, *T.quaternion) for _, _, T in steps])
-        return bool((np.ptp(values, axis=0) <= SAME).all())
+        return bool((np.ptp(values, axis=0) <= MAX_JITTER).all())
 
 
 def _is_odom(frame: str) -> bool:
@@ -222,17 +221,17 @@ def one_source(steps: list[Step]) -> tuple[list[Step], int]:
     longest such step, each pose belongs to the path whose pose is nearer. The path of more poses is returned.
     """
     merged = _step_lengths(steps, 1)
-    back = (merged[:-1] > ZIGZAG) & (_step_lengths(steps, 2) < merged[:-1] / 2)
-    if back.sum() <= RETURNS * len(steps):
+    back = (merged[:-1] > MIN_ZIGZAG) & (_step_lengths(steps, 2) < merged[:-1] / 2)
+    if back.sum() <= MIN_RETURN_SHARE * len(steps):
         return steps, 1
     apart = int(np.argmax(np.where(back, merged[:-1], 0.0)))
     seeds = steps[apart : apart + 2]
     before, after = _two_paths(seeds, steps[:apart][::-1]), _two_paths(seeds, steps[apart + 2 :])
     paths = [[*early[:0:-1], *late] for early, late in zip(before, after, strict=True)]
-    if merged.sum() < SHORTER * sum(_step_lengths(path, 1).sum() for path in paths):
+    if merged.sum() < MIN_LENGTH_RATIO * sum(_step_lengths(path, 1).sum() for path in paths):
         return steps, 1
     first, second = sorted(paths, key=lambda path: path[-1][0])
-    return (second if len(second) > MORE * len(first) else first), 2
+    return (second if len(second) > MIN_POSE_RATIO * len(first) else first), 2
 
 
 def _two_paths(seeds: list[Step], steps: list[Step]) -> list[list[Step]]:
@@ -242,7 +241,7 @@ def _two_paths(seeds: list[Step], steps: list[Step]) -> list[list[Step]]:
         steps_to = [path[-1][2].to_pose2().inverse() @ each[2].to_pose2() for path in paths]
         apart = [math.hypot(step.x, step.y) + abs(step.yaw) for step in steps_to]
         for path, distance in zip(paths, apart, strict=True):
-            if distance <= min(apart) + ZIGZAG / 2:  # of both paths at rest
+            if distance <= min(apart) + MIN_ZIGZAG / 2:  # of both paths at rest
                 path.append(each)
     return paths
 
@@ -252,3 +251,72 @@ def _step_lengths(steps: list[Step], over: int) -> FloatArray:
     xy = np.array([(T.x, T.y) for _, _, T in steps]).reshape(-1, 2)
     lengths: FloatArray = np.hypot(*(xy[over:] - xy[:-over]).T)
     return lengths
+
+
+def read_poses(path: Path, topic: str | None = None) -> Trajectory:
+    """Read the trajectory that a bag holds.
+
+    Args:
+        path: Folder or file of the bag.
+        topic: Topic of odometry, stamped poses or paths (the last counts), or of transforms (map ->
+            base_link is taken); None = transforms that lead to a frame `map`, else the only topic of poses.
+
+    Raises:
+        SourceError: the bag cannot be read, or has no such topic, or several could be meant.
+    """
+    with open_bag(path) as bag:
+        trajectory = _poses(bag, topic)
+    if bag.faults:
+        said = f"{len(trajectory)} poses could be read"
+        warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
+    if len(trajectory) == 0:
+        raise SourceError(f"{path}: {topic or 'it'} holds no pose")
+    return trajectory
+
+
+def _poses(bag: Bag, topic: str | None) -> Trajectory:
+    if topic is not None:
+        require_topic(bag.path, "BAG:/TOPIC", topic, (*POSES, *TRANSFORMS), bag.kinds)
+    found = of_kinds(bag.kinds, POSES) if topic is None else [topic]
+    if topic is None or bag.kinds[topic] in TRANSFORMS:
+        in_map = _follow_transforms(bag, required=topic is not None or not found)
+        if in_map is not None:
+            return in_map
+    if len(found) != 1:
+        raise SourceError(f"{bag.path}: BAG:/TOPIC must say where its poses are; {list_topics(bag.kinds)}")
+    return _read_topic(bag, found[0])
+
+
+def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
+    """Return `T_map_base` along the bag's transforms; None if they do not connect the two.
+
+    Raises:
+        SourceError: they do not connect the two although this is required.
+    """
+    frames = Frames()
+    topics = of_kinds(bag.kinds, TRANSFORMS)
+    for line, (topic, _, message) in enumerate(bag.messages(topics)):
+        frames.add(line, message, static=topic.endswith("tf_static"))
+    for base in (name for wanted in BASES for name in sorted(frames.names) if is_named(name, wanted)):
+        if is_named(frames.chain(base)[-1], MAP):
+            return frames.trajectory(base)
+    if required:
+        held = ", ".join(sorted(frames.names)) or "none"
+        raise SourceError(
+            f"{bag.path}: its transforms do not lead from {MAP} to {' or '.join(BASES)}: its frames are "
+            f"{held}; {list_topics(bag.kinds)}"
+        )
+    return None
+
+
+def _read_topic(bag: Bag, topic: str) -> Trajectory:
+    """Return the poses of a topic by stamp; of equal stamps, the later one."""
+    found: dict[float, Pose3] = {}
+    for _, _, message in bag.messages((topic,)):
+        if bag.kinds[topic] == PATH:
+            found = {}
+        for each in message.poses if bag.kinds[topic] == PATH else (message,):
+            pose = getattr(each.pose, "pose", each.pose)  # a covariance lies around some poses
+            found[seconds(each.header.stamp)] = pose_of(pose.position, pose.orientation)
+    stamps = sorted(found)
+    return Trajectory.from_poses(stamps, [found[t] for t in stamps])

@@ -14,13 +14,12 @@ from functools import cache
 
 import numpy as np
 
-from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.scan import POINT, Imu, ImuReadings, LaserScan, PointCloud
+from lirs_wct.geometry import Imu, ImuReadings, LaserScan, OccupancyGrid, PointCloud, Pose2, Pose3
+from lirs_wct.geometry.grid import FREE, OCCUPIED
+from lirs_wct.geometry.scan import POINT
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """First bytes of a message: CDR, little-endian. Alignment counts from the byte after them."""
-_SIZES = {"b": 1, "B": 1, "i": 4, "I": 4, "f": 4, "d": 8}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +34,8 @@ class Layout:
     """The fixed layout of a message.
 
     Args:
-        parts: in their order; kinds of values as in `struct`, such as "iI" or "dddd"; strings that never
-            change as bytes; values that stay 0.
+        parts: Kinds of values as in `struct`, such as "iI" or "dddd"; strings that never change, as bytes;
+            values that stay 0.
     """
 
     def __init__(self, *parts: str | bytes | Zeros) -> None:
@@ -47,8 +46,8 @@ class Layout:
                 self._pad(4)
                 self._template += struct.pack("<I", len(part) + 1) + part + b"\0"
             elif isinstance(part, Zeros):
-                self._pad(_SIZES[part.kind])
-                self._template += bytes(_SIZES[part.kind] * part.count)
+                self._pad(struct.calcsize(part.kind))
+                self._template += bytes(struct.calcsize(part.kind) * part.count)
             else:
                 self._add_values(part)
         self._template[:0] = ENCAPSULATION
@@ -65,9 +64,9 @@ class Layout:
         begin, form = len(self._template), "<"
         for kind in kinds:
             before = len(self._template)
-            self._pad(_SIZES[kind])
+            self._pad(struct.calcsize(kind))
             form += "x" * (len(self._template) - before) + kind
-            self._template += bytes(_SIZES[kind])
+            self._template += bytes(struct.calcsize(kind))
         self._runs.append((struct.Struct(form), len(ENCAPSULATION) + begin, len(kinds)))
 
     def _pad(self, size: int) -> None:
@@ -113,9 +112,7 @@ _CLOCK = Layout(TIME)
 _POSE = Layout(TIME, MAP.encode(), POSE)
 _ODOMETRY = Layout(TIME, ODOM.encode(), BASE.encode(), POSE, *DIAGONAL_6, "dddddd", *DIAGONAL_6)
 _IMU = Layout(TIME, BASE.encode(), "dddd", *DIAGONAL, "ddd", *DIAGONAL, "ddd", *DIAGONAL)
-_IMU_RAW = Layout(
-    TIME, BASE.encode(), "dddd", "d", Zeros("d", 8), "ddd", *DIAGONAL, "ddd", *DIAGONAL
-)  # fmt: skip
+_IMU_RAW = Layout(TIME, BASE.encode(), "ddddd", Zeros("d", 8), "ddd", *DIAGONAL, "ddd", *DIAGONAL)
 _SCAN = Layout(TIME, LASER.encode(), "fffffff", "I")
 _MAP = Layout(TIME, MAP.encode(), TIME, "fII", POSE, "I")
 _NO_INTENSITIES = bytes(4)
@@ -137,13 +134,13 @@ class SensorErrors:
     """Standard deviations of a robot's sensors, for the covariances of a bag; 0 = unknown.
 
     Attributes:
-        scale: of the scale of distances by wheels, correlated over `scale_length`, meters.
-        scale_length: meters.
-        rate: white noise of each rate in each update of `update` seconds, rad/s.
-        rate_bias: constant error of each rate, rad/s.
-        update: seconds.
-        attitude: of roll and pitch, radians.
-        acceleration: of each acceleration, m/s^2.
+        scale: Scale of distances by wheels, correlated over `scale_length`.
+        scale_length: Correlation length of the scale, meters.
+        rate: White noise of each rate in each update, rad/s.
+        rate_bias: Constant error of each rate, rad/s.
+        update: Time from update to update, seconds.
+        attitude: Roll and pitch, radians.
+        acceleration: Each acceleration, m/s^2.
     """
 
     scale: float = 0.0
@@ -189,27 +186,16 @@ def clock(stamp: float) -> bytearray:
 def laser_scan(scan: LaserScan, period: float) -> bytearray:
     """Return `sensor_msgs/LaserScan`; the period from scan to scan is in seconds."""
     n = len(scan.ranges)
-    angle_max = scan.angle_min + scan.angle_increment * (n - 1)
-    message = _SCAN.pack(
-        *_time(scan.stamp),
-        scan.angle_min,
-        angle_max,
-        scan.angle_increment,
-        scan.time_increment,
-        period,
-        scan.range_min,
-        scan.range_max,
-        n,
-    )
+    angles = scan.angle_min, scan.angle_min + scan.angle_increment * (n - 1), scan.angle_increment
+    limits = scan.range_min, scan.range_max
+    message = _SCAN.pack(*_time(scan.stamp), *angles, scan.time_increment, period, *limits, n)
     return message + scan.ranges.astype("<f4", copy=False).tobytes() + _NO_INTENSITIES
 
 
 def point_cloud(cloud: PointCloud) -> bytearray:
-    """Return `sensor_msgs/PointCloud2` in the laser's frame.
+    """Return `sensor_msgs/PointCloud2` in the laser's frame; times count from the stamp.
 
     An organized cloud has a row per ring, any other one row.
-
-    Times count from the stamp.
     """
     organized = cloud.column is not None
     points = cloud.organized() if organized else cloud.records()[None]
@@ -238,18 +224,10 @@ def imu(reading: Imu, stamp: float, errors: SensorErrors = NO_ERRORS) -> bytearr
 
 def imu_raw(readings: ImuReadings) -> Iterator[tuple[float, bytearray]]:
     """Yield stamp and `sensor_msgs/Imu` in base_link, without attitude, of each reading."""
-    variances = [3 * (sigma**2,) for sigma in (readings.rate_sigma, readings.acceleration_sigma)]
-    rows = zip(
-        readings.stamps.tolist(),
-        readings.angular_velocity.tolist(),
-        readings.linear_acceleration.tolist(),
-        strict=True,
-    )
-    for stamp, rates, force in rows:
-        yield (
-            stamp,
-            _IMU_RAW.pack(*_time(stamp), *NO_ATTITUDE, *rates, *variances[0], *force, *variances[1]),
-        )
+    of_rates, of_force = (3 * (sigma**2,) for sigma in (readings.rate_sigma, readings.acceleration_sigma))
+    columns = readings.stamps, readings.angular_velocity, readings.linear_acceleration
+    for stamp, rates, force in zip(*(column.tolist() for column in columns), strict=True):
+        yield stamp, _IMU_RAW.pack(*_time(stamp), *NO_ATTITUDE, *rates, *of_rates, *force, *of_force)
 
 
 def odometry(
@@ -258,13 +236,9 @@ def odometry(
     velocity: tuple[float, float, float],
     variances: tuple[Sequence[float], Sequence[float]],
 ) -> bytearray:
-    """Return `nav_msgs/Odometry`.
+    """Return `nav_msgs/Odometry`; velocity: forward, leftward, m/s, and yaw rate, rad/s.
 
-    Args:
-        stamp: seconds.
-        T_odom_base: pose.
-        velocity: forward, leftward, m/s, and yaw rate, rad/s, of the base.
-        variances: six each, of pose and velocity (see `SensorErrors`).
+    The variances of pose and velocity are six each (see `SensorErrors`).
     """
     vx, vy, omega = velocity
     pose = _pose(Pose3.from_pose2(T_odom_base))
@@ -324,14 +298,14 @@ class BagTick:
     """The sensor data of one scan, as messages hold them.
 
     Attributes:
-        scan: of the lidar.
+        scan: Scan of the lidar.
         odometry: `T_odom_base`.
-        imu: reading of the inertial unit.
+        imu: Reading of the inertial unit.
         truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
         estimate: `T_map_base`, a mapper's pose estimate; None = no transform from map to odom.
-        cloud: of a lidar with rings at the same place; None for a planar lidar.
-        inertial: readings near 200 Hz since the previous scan; None = none.
-        odometry_track: stamps and `T_odom_base` since the previous scan.
+        cloud: Cloud of a lidar with rings in its place; None for a planar lidar.
+        inertial: Readings near 200 Hz since the previous scan; None = none.
+        odometry_track: Stamps and `T_odom_base` since the previous scan.
     """
 
     scan: LaserScan
@@ -364,7 +338,13 @@ class TickMessages:
         for stamp, T_odom_base in tick.odometry_track:
             frames = transforms(stamp, DRIVEN, (Pose3.from_pose2(T_odom_base),))
             yield from self._driven_to(stamp, T_odom_base, frames)
-        yield from self._driven_to(t, tick.odometry, _frames(tick))
+        driven = Pose3.from_pose2(tick.odometry)
+        if tick.estimate is None:
+            frames = transforms(t, DRIVEN, (driven,))
+        else:
+            T_map_odom = Pose3.from_pose2(tick.estimate @ tick.odometry.inverse())
+            frames = transforms(t, MAPPED, (driven, T_map_odom))
+        yield from self._driven_to(t, tick.odometry, frames)
         yield "/imu", t, imu(tick.imu, t, self._errors)
         yield "/scan", t, laser_scan(scan, self._period)
         if tick.cloud is not None:
@@ -386,10 +366,22 @@ class TickMessages:
         yield "/odom", stamp, odometry(stamp, T_odom_base, velocity, variances)
 
 
-def _frames(tick: BagTick) -> bytearray:
-    """Return the transforms at a scan: odom -> base_link, map -> odom with an estimate."""
-    T_odom_base = Pose3.from_pose2(tick.odometry)
-    if tick.estimate is None:
-        return transforms(tick.scan.stamp, DRIVEN, (T_odom_base,))
-    T_map_odom = Pose3.from_pose2(tick.estimate @ tick.odometry.inverse())
-    return transforms(tick.scan.stamp, MAPPED, (T_odom_base, T_map_odom))
+@dataclass(frozen=True, kw_only=True)
+class BagDrive:
+    """The content of a bag.
+
+    Attributes:
+        ticks: Sensor data of each scan in order; at least one.
+        grid: The mapper's map, in the map frame; None = none.
+        errors: Errors of the sensors, for covariances.
+    """
+
+    ticks: Sequence[BagTick]
+    grid: OccupancyGrid | None = None
+    errors: SensorErrors = NO_ERRORS
+
+    @property
+    def period(self) -> float:
+        """Median time from scan to scan, seconds; 0 for a single scan."""
+        steps = np.diff([tick.scan.stamp for tick in self.ticks])
+        return float(np.median(steps)) if len(steps) else 0.0

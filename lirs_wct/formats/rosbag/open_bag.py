@@ -9,31 +9,131 @@ from __future__ import annotations
 import re
 import shutil
 import sqlite3
+import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import cache, partial
 from heapq import merge
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, TypeAlias
 
 import yaml
+from mcap.reader import make_reader
+from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 from rosbags import rosbag1, rosbag2
-from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
+from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys.msg import normalize_msgtype
 
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.formats.rosbag.compression import decompress_file, decompress_message
-from lirs_wct.formats.rosbag.mcap_file import McapFile
 from lirs_wct.formats.suffixes import BAGS, METADATA, ZSTD, is_bag_file
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+"""First and last bytes of a whole file."""
+FORMATS = {
+    "ros1msg": MessageDefinitionFormat.MSG,
+    "ros2msg": MessageDefinitionFormat.MSG,
+    "ros2idl": MessageDefinitionFormat.IDL,
+    "omgidl": MessageDefinitionFormat.IDL,
+}
+"""Formats of message definitions by the encoding of a schema."""
+
+
+class McapFile:
+    """An MCAP file of ROS 1 or 2, also without index; one without end is read up to its last whole chunk.
+
+    Attributes:
+        fault: Missing end in words; empty for a whole file.
+        message_count: Number of messages by the index; None without one.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the topics, from the index if there is one.
+
+        Raises:
+            ValueError: not an MCAP file.
+        """
+        self._path = path
+        with path.open("rb") as file:
+            if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
+                raise ValueError(f"{path.name}: not an MCAP file")
+            file.seek(max(0, file.seek(0, 2) - len(MCAP_MAGIC)))
+            whole = file.read() == MCAP_MAGIC
+            summary = None
+            with suppress(Exception):  # a damaged index
+                file.seek(0)
+                summary = make_reader(file).get_summary() if whole else None
+        self.fault = "" if whole else "its end is missing; mcap recover makes a whole file of it"
+        statistics = summary and summary.statistics
+        self.message_count = statistics.message_count if statistics else None
+        if summary is None or (not summary.channels and self.message_count != 0):
+            summary = Summary()
+            with suppress(Exception):  # damage is reported with the messages before it
+                for record in self._records():
+                    if isinstance(record, Schema):
+                        summary.schemas[record.id] = record
+                    elif isinstance(record, Channel):
+                        summary.channels[record.id] = record
+        self._connections = {
+            channel.id: _connection(channel, summary.schemas.get(channel.schema_id))
+            for channel in summary.channels.values()
+        }
+
+    @property
+    def connections(self) -> list[Connection]:
+        """Topics with their types."""
+        return list(self._connections.values())
+
+    def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        """Yield connection, time of recording in nanoseconds, and bytes of each message on some topics.
+
+        Raises:
+            Exception: any exception of the parser at the first damage of a file with an end.
+        """
+        chosen = {connection.id for connection in connections}
+        for record in self._records():
+            if isinstance(record, Message) and record.channel_id in chosen:
+                yield self._connections[record.channel_id], record.log_time, record.data
+
+    def _records(self) -> Iterator[McapRecord]:
+        """Yield the records; of a file without end, those before it."""
+        with self._path.open("rb") as file:
+            try:
+                yield from StreamReader(file, validate_crcs=True).records
+            except Exception:  # the parsers raise any kind for damaged data
+                if not self.fault:
+                    raise
+
+
+def _connection(channel: Channel, schema: Schema | None) -> Connection:
+    """Return the description of a topic as that of the other kinds of bags."""
+    kind = schema.name if schema else ""
+    if channel.message_encoding == "ros1" and kind:
+        kind = normalize_msgtype(kind)
+    definition = MessageDefinition(MessageDefinitionFormat.NONE, "")
+    if schema and schema.encoding in FORMATS:
+        definition = MessageDefinition(FORMATS[schema.encoding], schema.data.decode())
+    encoding = ConnectionExtRosbag2(channel.message_encoding, [])
+    return Connection(channel.id, channel.topic, kind, definition, "", 0, encoding, None)
+
 
 Reader: TypeAlias = rosbag1.Reader | rosbag2.Reader | McapFile
 IDL_SEPARATOR = "=" * 80 + "\n"
 """Separator between the definitions of a type and of its parts."""
 IDL_TITLE = re.compile(r"\AIDL: .*\n")
-MAGIC = b"#ROSBAG V2.0\n"
+ROS1_MAGIC = b"#ROSBAG V2.0\n"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of zstd data; no message in CDR begins with them."""
 INDEX = b"index_pos="
 """Field of a ROS 1 bag's first record: position of the index, 0 = unwritten."""
 HEAD = 4096
@@ -46,10 +146,10 @@ class Bag:
     """An open bag.
 
     Attributes:
-        path: of the bag, as the user gave it.
-        kinds: type of each topic.
-        faults: damaged or missing parts; reading messages may add some.
-        undecoded: count of messages that could not be decoded, by topic.
+        path: Path of the bag, as the user gave it.
+        kinds: Type of each topic.
+        faults: Damaged or missing parts; reading messages may add some.
+        undecoded: Count of messages that could not be decoded, by topic.
     """
 
     def __init__(self, path: Path, readers: Sequence[Reader], faults: list[str]) -> None:
@@ -77,14 +177,17 @@ class Bag:
                 if (reason := reason_of(error)) not in self.faults:
                     self.faults.append(reason)
                 return
+            encoding = getattr(connection.ext, "serialization_format", "ros1")
+            decode = _decoder(connection.msgdef, connection.msgtype, encoding == "ros1")
             try:
-                encoding = getattr(connection.ext, "serialization_format", "ros1")
-                decode = _decoder(connection.msgdef, connection.msgtype, encoding == "ros1")
-                message = decode(decompress_message(data))
+                is_packed = data[: len(ZSTD_MAGIC)] == ZSTD_MAGIC
+                message = decode(zstd.decompress(data) if is_packed else data) if decode else None
             except Exception:
+                message = None
+            if message is None:
                 self.undecoded[connection.topic] += 1
-                continue
-            yield connection.topic, received, message
+            else:
+                yield connection.topic, received, message
 
 
 def _of_topics(reader: Reader, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:
@@ -94,11 +197,13 @@ def _of_topics(reader: Reader, topics: Collection[str]) -> Iterator[tuple[Connec
 
 
 @cache
-def _decoder(definition: MessageDefinition, kind: str, ros1: bool) -> Callable[[bytes | memoryview], Any]:
+def _decoder(
+    definition: MessageDefinition, kind: str, ros1: bool
+) -> Callable[[bytes | memoryview], Any] | None:
     """Return the decoder of a type by the bag's definition, else by Jazzy's.
 
-    The definition states the layout of the bytes, also where the recorded hash of the type differs. The
-    decoder of a definition that cannot be parsed refuses every message.
+    The definition states the layout of the bytes, also where the recorded hash of the type differs. A
+    definition that cannot be parsed has no decoder.
     """
     try:
         store = get_typestore(Stores.EMPTY if definition.data else Stores.ROS2_JAZZY)
@@ -107,14 +212,10 @@ def _decoder(definition: MessageDefinition, kind: str, ros1: bool) -> Callable[[
         elif definition.format == MessageDefinitionFormat.IDL:
             for part in filter(None, definition.data.split(IDL_SEPARATOR)):
                 store.register(get_types_from_idl(IDL_TITLE.sub("", part)))
-    except Exception as error:
-        return partial(_refuse, error)
+    except Exception:
+        return None
     decode = store.deserialize_ros1 if ros1 else store.deserialize_cdr
     return partial(decode, typename=kind)
-
-
-def _refuse(error: Exception, data: bytes | memoryview) -> NoReturn:
-    raise error
 
 
 @contextmanager
@@ -164,8 +265,10 @@ def _open(file: Path, stack: ExitStack, faults: list[str]) -> Reader:
     with file.open("rb") as opened:
         head, size = opened.read(HEAD), opened.seek(0, 2)
     version, _, _ = head.partition(b"\n")
-    if version.startswith(b"#ROS") and not head.startswith(MAGIC):
-        raise ValueError(f"its format is {version.decode('latin-1')!r}, legal is {MAGIC.decode().strip()!r}")
+    if version.startswith(b"#ROS") and not head.startswith(ROS1_MAGIC):
+        raise ValueError(
+            f"its format is {version.decode('latin-1')!r}, legal is {ROS1_MAGIC.decode().strip()!r}"
+        )
     _, found, rest = head.partition(INDEX)
     if found and not 0 < int.from_bytes(rest[:8], "little") < size:
         raise ValueError(f"{file.name}: its end is missing; rosbag reindex {file.name} makes it readable")
@@ -197,8 +300,11 @@ def _readable(file: Path, folder: Path, faults: list[str]) -> Path:
     folder.mkdir()
     if file.name.endswith(ZSTD):
         whole, file = file, folder / file.name.removesuffix(ZSTD)
-        fault = decompress_file(whole, file)
-        faults += [f"{whole.name}: {fault}"] if fault else []
+        with zstd.open(whole) as packed, file.open("wb") as unpacked:
+            try:
+                shutil.copyfileobj(packed, unpacked)
+            except (zstd.ZstdError, EOFError) as error:
+                faults.append(f"{whole.name}: {error}")
     log = file.with_name(f"{file.name}-wal")
     if file.suffix.lower() == ".db3" and log.exists() and log.stat().st_size:
         # The library opens a database as it lies on the disk, without the messages of its write-ahead log.

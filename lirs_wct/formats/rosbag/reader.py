@@ -17,15 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen.lines import Message
-from lirs_wct.formats.carmen.repairs import in_file_order, odometry_of
-from lirs_wct.formats.laser_log import LaserLog, LineStamps, LogTopic
+from lirs_wct.formats.laser_log import LaserLog, LineStamps, LogTopic, Message, in_file_order, odometry_of
+from lirs_wct.formats.range_codes import RangeDecoder
 from lirs_wct.formats.rosbag.frames import Frames, Step, is_finite, one_source, pose_of, seconds
 from lirs_wct.formats.rosbag.open_bag import Bag, open_bag
 from lirs_wct.formats.rosbag.sensor_messages import (
     BagClouds,
     BeamGeometry,
-    RangeDecoder,
     beams_of,
     geometry,
     ranges_of,
@@ -39,15 +37,15 @@ from lirs_wct.geometry import Imu, ImuReadings, LaserScan, Pose3, Trajectory
 Vector = tuple[float, float, float]
 
 
-COMMON = 0.1
-"""Least time that topics share, of the shorter one's."""
-LATE, HOLE, SAME_STAMP = 0.01, 1.5, 1e-6
+MIN_COMMON_TIME = 0.1
+"""Smallest time that topics share, of the shorter one's."""
+MAX_LATE_SHARE, GAP_PERIODS, STAMP_STEP = 0.01, 1.5, 1e-6
 """Largest share of late messages; length of the gap of one, in periods; seconds between equal stamps."""
-LONGEST_EDGE = 0.5
+MAX_EDGE = 0.5
 """Longest time from a scan to the first or last pose of the odometry, seconds."""
-LEAST_TILT = math.radians(0.5)
+MIN_TILT = math.radians(0.5)
 """Smallest roll or pitch of the odometry by which scans are leveled."""
-REACH = 30.0
+MAX_MOUNT_DISTANCE = 30.0
 """Largest distance of a laser from the base, meters."""
 CLOUD_MARK = np.zeros(1, np.float32)
 """Placeholder for the ranges of a cloud, whose points are read later."""
@@ -98,8 +96,8 @@ def read_bag(
     """Read a bag; of a damaged one the readable part, with a warning.
 
     Args:
-        path: folder of a ROS 2 bag, one of its files (.mcap, .db3, also .zstd), or a ROS 1 bag (.bag).
-        topics: topics of scans, odometry and inertial readings.
+        path: Folder of a ROS 2 bag, one of its files (.mcap, .db3, also .zstd), or a ROS 1 bag (.bag).
+        topics: Topics of scans, odometry and inertial readings.
         range_max: Ranges from here on are no return, meters; None = as the readings show.
         time: Source of the stamps; those of reception also where headers are of no use.
 
@@ -138,7 +136,7 @@ def _time_fault(contents: _Contents) -> str:
     if any(len(stamps) > 1 and len(set(stamps)) == 1 for stamps in (scans, others[0])):
         return "header stamps all the same"  # 0 with some drivers
     for name, stamps in zip(("odometry", "inertial readings"), others, strict=True):
-        if scans and stamps and _common(scans, stamps) < COMMON:
+        if scans and stamps and _common(scans, stamps) < MIN_COMMON_TIME:
             return f"scans and {name} share no time by their headers"
     return ""
 
@@ -154,11 +152,8 @@ def _common(a: Sequence[float], b: Sequence[float]) -> float:
 def _contents(bag: Bag, topics: Topics, *, by_header: bool, lag: float = 0.0) -> _Contents:
     """Return the messages of the topics, in the order of the bag.
 
-    Args:
-        bag: the open bag.
-        topics: topics from the user.
-        by_header: whether stamps come from headers; else they are times of reception.
-        lag: Seconds from the scans' clock to that of reception; unless 0, scans keep their stamps.
+    Without `by_header`, stamps are times of reception. The lag is that of the scans' clock to that of
+    reception, seconds; unless it is 0, scans keep their stamps.
     """
     scan, odometry, imu = names = topics.choose(bag.path, bag.kinds)
     contents = _Contents(names, topics.clouds)
@@ -182,7 +177,9 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool, lag: float = 0.0) ->
             contents.frames.add(line, message, static=topic in static, received=stamp)
         if before != (len(contents.scans), len(contents.odometry), len(contents.imu)):
             contents.received[topic].append(received / 1e9)
-    if odometry and contents.scans and (not contents.odometry or _needs_transforms(contents)):
+    base, lasers = contents.odometry_frames[1], set(contents.lasers)
+    unplaced = not base or any(contents.frames.mounts(base, laser, ()) is None for laser in lasers)
+    if odometry and contents.scans and (not contents.odometry or unplaced):  # only /tf can tell
         for line, (_, received, message) in enumerate(bag.messages(set(transforms) - static)):
             stamp = None if by_header else received / 1e9 - lag
             contents.frames.add(line, message, static=False, received=stamp)
@@ -194,49 +191,35 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool, lag: float = 0.0) ->
             raise SourceError(f"{bag.path}: --odom-topic must say which; {list_topics(bag.kinds)}")
     if contents.frames.skipped:
         contents.skipped["transform that is not finite"] = contents.frames.skipped
-    for frame in contents.frames.disputed:
-        contents.repaired[f"static transforms of {frame} differ: the last one is taken"] = 1
     return contents
 
 
-def _needs_transforms(c: _Contents) -> bool:
-    """Whether only /tf can provide the base frame or a laser's mount."""
-    base = c.odometry_frames[1]
-    return not base or any(c.frames.mounts(base, laser, ()) is None for laser in set(c.lasers))
-
-
 def _log(path: Path, c: _Contents, range_max: float | None) -> LaserLog:
-    repaired, skipped = c.repaired, c.skipped
     base = _base(c)
     steps, sources = one_source(c.odometry)
     if sources > 1:
         said = f"{' -> '.join(c.odometry_frames)} has two sources: the one with more poses is taken"
-        repaired[said] = len(c.odometry) - len(steps)
+        c.repaired[said] = len(c.odometry) - len(steps)
     odometry = [Message(line, stamp, T.to_pose2()) for line, stamp, T in steps]
     topics = _topics(c)
     scans, odoms, stamps = in_file_order(*_in_time(c, odometry))
     if stamps.moved:
         warnings.warn(f"{path}: {stamps.summary()}", stacklevel=3)
-    poses, track = odometry_of([m.stamp for m in scans], scans, odoms)
+    poses, track = odometry_of(scans, odoms)
     mounts = _leveled(c, steps, _mounts(path, c, base, [m.stamp for m in scans]), [m.stamp for m in scans])
-    found: list[LaserScan] = []
-    clouds = None
-    if c.clouds:
-        clouds = BagClouds(path, c.names[0], tuple(m.stamp for m in scans), tuple(mounts))
-    else:
-        found = _scans(path, c, scans, mounts, range_max)
+    clouds = BagClouds(path, c.names[0], tuple(m.stamp for m in scans), tuple(mounts)) if c.clouds else None
     sensors = {frame: c.frames.mounts(base, frame, (0.0,)) for frame in {reading.frame for reading in c.imu}}
     turned = {frame: Pose3() if mount is None else mount[0] for frame, mount in sensors.items()}
     tilted = [reading for reading in c.imu if reading.attitude is not None]
     if len(tilted) < len(c.imu) and not c.clouds:
-        skipped["inertial reading without an attitude"] = len(c.imu) - len(tilted)
+        c.skipped["inertial reading without an attitude"] = len(c.imu) - len(tilted)
     log = LaserLog(
-        tuple(found),
+        () if c.clouds else tuple(_scans(path, c, scans, mounts, range_max)),
         tuple(poses),
         track,
         stamps,
-        skipped=dict(skipped),
-        repaired=dict(repaired),
+        skipped=dict(c.skipped),
+        repaired=dict(c.repaired),
         laser="PointCloud2" if c.clouds else "LaserScan",
         clouds=clouds,
         left_out=c.left_out,
@@ -252,9 +235,8 @@ def _base(c: _Contents) -> str:
     own, other = c.odometry_frames[1], c.frames.base(c.lasers[0])
     if own in ("", other) or c.frames.mounts(own, c.lasers[0], ()) is not None or not other:
         return own or other
-    c.repaired[
-        f"odometry of {own}, from which no transforms lead to the laser: taken for that of {other}"
-    ] = 1
+    why = f"odometry of {own}, from which no transforms lead to the laser: taken for that of {other}"
+    c.repaired[why] = 1
     return other
 
 
@@ -268,13 +250,12 @@ def _mounts(path: Path, c: _Contents, base: str, stamps: Sequence[float]) -> lis
     for laser in sorted(set(c.lasers)):
         found = c.frames.mounts(base, laser, stamps)
         away = max((float(np.linalg.norm(T.position)) for T in found or ()), default=0.0)
-        if away > REACH:
+        if away > MAX_MOUNT_DISTANCE:
             raise SourceError(f"{path}: transforms place {laser} {away:.4g} m from {base}: millimeters?")
         if found is None:
-            lacking = (
-                f"no transform from {base or 'the base'} to {laser}: the laser is taken to be at the base"
-            )
-            c.repaired[lacking] = c.lasers.count(laser)
+            edge = f"{base or 'the base'} to {laser}"
+            why = f"no transform from {edge}: the laser is taken to be at the base"
+            c.repaired[why] = c.lasers.count(laser)
         elif moves := _motion_text(found):
             c.repaired[f"{laser} moves on {base} by {moves}: each scan has its own mount"] = len(found)
         by_laser[laser] = found or [Pose3()] * len(stamps)
@@ -286,7 +267,7 @@ def _mounts(path: Path, c: _Contents, base: str, stamps: Sequence[float]) -> lis
 def _leveled(c: _Contents, steps: list[Step], mounts: list[Pose3], stamps: list[float]) -> list[Pose3]:
     """Return the mounts on the leveled base where the odometry tilts, unless an IMU has the attitude."""
     tilts = np.array([(T.roll, T.pitch) for _, _, T in steps]).reshape(-1, 2)
-    if c.imu or np.abs(tilts).max(initial=0.0) < LEAST_TILT:
+    if c.imu or np.abs(tilts).max(initial=0.0) < MIN_TILT:
         return mounts
     most = math.degrees(float(np.abs(tilts).max()))
     c.repaired[f"the odometry tilts by up to {most:.1f} deg: scans are leveled by it"] = len(mounts)
@@ -318,7 +299,8 @@ def _scans(
     for laser in dict.fromkeys(c.lasers):
         own = [k for k, each in enumerate(c.lasers) if each == laser]
         try:
-            decoders[laser] = RangeDecoder([messages[k].ranges for k in own], c.beams[own[0]], range_max)
+            *_, shortest, farthest = geometry(c.beams[own[0]], len(messages[own[0]].ranges))
+            decoders[laser] = RangeDecoder([messages[k].ranges for k in own], (shortest, farthest), range_max)
         except ValueError as error:
             raise SourceError(f"{path}: {c.names[0]} has {error}") from None
         for code in decoders[laser].codes:
@@ -338,7 +320,7 @@ def _within_odometry(log: LaserLog) -> LaserLog:
     if len(log.track) < 2:
         return log
     stamps, track = log.stamps, log.track.stamps
-    most = max(LONGEST_EDGE, 2 * float(np.median(np.diff(track))))
+    most = max(MAX_EDGE, 2 * float(np.median(np.diff(track))))
     inside = (stamps >= track[0] - most) & (stamps <= track[-1] + most)
     if inside.all():
         return log
@@ -443,7 +425,7 @@ def _in_time(c: _Contents, odometry: list[Message]) -> tuple[list[Message], list
     c.lasers = [c.lasers[k] for k in order]
     scans: list[Message] = []
     for k in order:
-        least = scans[-1].stamp + SAME_STAMP if scans else -math.inf
+        least = scans[-1].stamp + STAMP_STEP if scans else -math.inf
         scans.append(replace(c.scans[k], stamp=max(c.scans[k].stamp, least)))
     lines = sorted([*{m.stamp: m for m in odometry}.values(), *scans], key=lambda m: m.stamp)
     numbered = [replace(m, line=k) for k, m in enumerate(lines)]
@@ -456,9 +438,9 @@ def _may_be_sorted(topic: list[Message]) -> bool:
     late = stamps < np.maximum.accumulate(stamps)
     if not late.any():
         return True
-    long = HOLE * float(np.median(np.diff(np.sort(stamps))))
+    long = GAP_PERIODS * float(np.median(np.diff(np.sort(stamps))))
     holes, before = ((np.diff(np.sort(found)) > long).sum() for found in (stamps, stamps[~late]))
-    return bool(late.sum() <= max(1, LATE * len(topic)) and holes < before)
+    return bool(late.sum() <= max(1, MAX_LATE_SHARE * len(topic)) and holes < before)
 
 
 def _inertial(c: _Contents, mounts: Mapping[str, Pose3]) -> ImuReadings:

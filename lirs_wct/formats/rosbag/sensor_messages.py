@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -14,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
-from lirs_wct.formats.carmen.laser import CODE_BEAMS, CODE_CONTRAST, CODE_SHARE, no_return, usual_reading
 from lirs_wct.formats.rosbag.frames import seconds
 from lirs_wct.formats.rosbag.open_bag import open_bag
 from lirs_wct.geometry import PointCloud, Pose3
-from lirs_wct.geometry.scan import FARTHEST
 
 SAME_ANGLE = 1e-4
 """Largest difference between angle_max and the sum of increments, both float32, radians."""
@@ -87,142 +84,6 @@ def _angle(value: float) -> float:
         return float(value)
     exact = math.radians(round(math.degrees(value), 4))
     return exact if np.float32(exact) == np.float32(value) else float(value)
-
-
-SAMPLED = 500
-"""Scans of a laser, evenly spaced, in which codes for no return are searched."""
-OFTEN, ALL_ROUND = 0.01, 0.2
-"""Least share of the readings that are a code below the largest reading, and of the beams that show it."""
-UNUSUAL, USUAL = 100.0, 99.95
-"""Median reading that is no meters; percentile of the readings that is their largest, without outliers."""
-SAME_RANGE, EXACT = 0.0005, 0.9
-"""Largest difference of two readings of one code, meters, and share of them among the readings from it on."""
-SPREAD, NEAR, DENSER, SCANS = 5, 0.02, 5.0, 0.5
-"""Noisy readings for no return: width in centimeters; distance from range_max as a share of it; ratio to the
-readings in the meter below, and share of the scans, at least."""
-
-
-class RangeDecoder:
-    """Conversion of one laser's readings to REP 117: +inf = no return, NaN = invalid.
-
-    Drivers report no return as range_max, with or without noise, as 0, or as another code.
-
-    Attributes:
-        farthest: Largest range, meters.
-        codes: Readings that mean no return, and corrections, in words.
-    """
-
-    def __init__(self, ranges: Sequence[Float32Array], beams: BeamGeometry, given: float | None) -> None:
-        """Find the codes.
-
-        Args:
-            ranges: (n,) meters of each scan, as recorded.
-            beams: Limits that the messages state.
-            given: Range from which on readings are no return, meters; None = found by the readings.
-
-        Raises:
-            ValueError: most readings are beyond reason.
-        """
-        size = Counter(len(r) for r in ranges).most_common(1)[0][0]
-        usual = [r for r in ranges if len(r) == size]
-        sample = np.stack(usual[:: -(-len(usual) // SAMPLED)])
-        real = sample[np.isfinite(sample) & (sample > 0)]
-        far = real[np.abs(real - (usual_reading(real) or 0.0)) > SAME_RANGE]
-        if far.size and np.median(far) > UNUSUAL:
-            unit = "millimeters" if far.max() > 10 * UNUSUAL else "centimeters"
-            raise ValueError(f"ranges up to {far.max():,.0f} m: {unit}? LaserScan has meters")
-        far = far[far > FARTHEST]
-        self.codes: list[str] = []
-        self._codes = [(given, math.inf)] if given else []
-        stated = _decimal(beams.range_max)
-        legal = 0 < stated <= FARTHEST
-        limit = given or self._find_codes(sample, stated if legal else FARTHEST, beams.range_min)
-        known = real[~self._means_none(real) & (real <= min(limit, FARTHEST))]
-        largest = float(np.percentile(known, USUAL)) if known.size else 0.0
-        self.farthest = stated if legal else largest
-        if not legal:
-            self.codes.append(f"range_max is {stated:g} m: the largest reading is taken, {largest:.2f} m")
-        if far.size:
-            self.codes.append(f"readings beyond {FARTHEST:g} m are left out")
-        if limit < (1 - NEAR) * self.farthest:
-            self.farthest = given or largest
-
-    def decode(self, ranges: Float32Array) -> Float32Array:
-        """Return (n,) ranges of a scan, meters."""
-        none = self._means_none(ranges)
-        ranges = np.where(none, np.float32(np.inf), ranges)
-        return np.where((ranges > FARTHEST) & ~none, np.float32(np.nan), ranges)
-
-    def _means_none(self, ranges: Float32Array) -> BoolArray:
-        """Return whether each reading means no return."""
-        none: BoolArray = ranges == np.inf
-        for low, high in self._codes:
-            none |= (ranges >= low) & (ranges <= high)
-        return none
-
-    def _find_codes(self, ranges: Float32Array, range_max: float, range_min: float) -> float:
-        """Find the codes in readings (scans, beams); return the least above 0, else FARTHEST."""
-        if _is_code(np.isinf(ranges)):  # the driver has a reading for no return
-            return FARTHEST
-        limit = no_return(ranges, FARTHEST)
-        if limit == FARTHEST > range_max:
-            limit = _noisy_maximum(ranges, range_max)
-        if limit < FARTHEST:
-            self._add_code(ranges, limit, FARTHEST)
-        elif (exact := _exact_code(ranges)) is not None:
-            self._add_code(ranges, exact - SAME_RANGE, exact + SAME_RANGE)
-        if range_min <= 0 and _is_code(ranges == 0):
-            self._add_code(ranges, 0.0, 0.0)
-        if _is_code(np.isfinite(ranges) & (ranges > FARTHEST)):
-            self._add_code(ranges, FARTHEST, float(np.finfo(np.float32).max))
-        return limit
-
-    def _add_code(self, ranges: Float32Array, low: float, high: float) -> None:
-        """Add the most frequent reading between two as a code; with noise, all of them."""
-        inside = ranges[(ranges >= low) & (ranges <= high)]
-        code = usual_reading(inside) or 0.0
-        exact = np.abs(inside - code) <= SAME_RANGE
-        self._codes.append((code - SAME_RANGE, code + SAME_RANGE) if exact.mean() >= EXACT else (low, high))
-        self.codes.append(f"{code:g} m is a no-return code")
-
-
-def _is_code(readings: BoolArray) -> bool:
-    """Whether readings (scans, beams) are frequent and come from many directions."""
-    return bool(readings.mean() >= CODE_SHARE and readings.any(axis=0).mean() >= CODE_BEAMS)
-
-
-def _exact_code(ranges: Float32Array) -> float | None:
-    """Return a reading that comes from many directions, far more often than its neighbors; else None."""
-    real = ranges[np.isfinite(ranges) & (ranges > 0) & (ranges <= FARTHEST)]
-    code = usual_reading(real) or 0.0
-    same = np.abs(ranges - code) <= SAME_RANGE
-    near = np.bincount((np.abs(real[np.abs(real - code) < 0.5] - code) * 100).astype(np.int64), minlength=50)
-    usual = max(1.0, float(np.median(near)))
-    frequent = same.mean() >= OFTEN and same.any(axis=0).mean() >= ALL_ROUND
-    return code if frequent and same.sum() >= CODE_CONTRAST * usual else None
-
-
-def _noisy_maximum(ranges: Float32Array, range_max: float) -> float:
-    """Return the least reading that is range_max with noise, meters; else FARTHEST.
-
-    They come in most scans, and the histogram is much denser there than in the meter below.
-    """
-    width = max(SPREAD, round(100 * NEAR * range_max))
-    middle = round(100 * range_max)
-    inside = (ranges > 0) & (ranges < range_max + width / 100)
-    counts = np.bincount((ranges[inside] * 100).astype(np.int64), minlength=middle + width + 1)
-    density = np.convolve(counts, np.ones(SPREAD), "same")
-    first = max(0, middle - width)
-    peak = first + int(np.argmax(density[first:]))
-    usual = float(np.median(density[max(0, first - 100) : first])) if first else 0.0
-    if density[peak] < DENSER * max(1.0, usual):
-        return FARTHEST
-    floor = usual + (density[peak] - usual) / 10
-    low = peak
-    while low > first and density[low - 1] > floor:
-        low -= 1
-    noisy = (ranges >= low / 100) & (ranges < range_max + width / 100)
-    return low / 100 if _is_code(noisy) and noisy.any(axis=1).mean() >= SCANS else FARTHEST
 
 
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
@@ -295,9 +156,9 @@ class BagClouds:
     """Clouds of a bag, read one by one on iteration to save memory.
 
     Attributes:
-        path: of the bag.
-        topic: of the clouds.
-        stamps: of the usable clouds, seconds, in the order of the bag.
+        path: Folder or file of the bag.
+        topic: Topic of the clouds.
+        stamps: Stamps of the usable clouds, seconds, in the order of the bag.
         mounts: Pose of the sensor on the robot `T_base_laser` at each cloud.
     """
 

@@ -27,11 +27,11 @@ class Topics:
     """Names of topics from the user.
 
     Attributes:
-        scan: None = the only topic of laser scans.
-        odometry: None = the only topic of odometry, else /tf.
-        imu: None = inertial readings are not read; ANY = the only topic of them.
-        clouds: whether point clouds are read instead of laser scans.
-        others: names of the mappers for the other kind of data, for messages.
+        scan: Topic of laser scans; None = the only one.
+        odometry: Topic of odometry; None = the only one, else /tf.
+        imu: Topic of inertial readings; None = they are not read, ANY = the only one.
+        clouds: Whether point clouds are read instead of laser scans.
+        others: Names of the mappers for the other kind of data, for messages.
     """
 
     scan: str | None = None

@@ -6,14 +6,12 @@ holds every message whole, a large map too.
 
 from __future__ import annotations
 
-import shutil
 import sqlite3
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from rosbags.interfaces import (
     Connection,
     Qos,
@@ -29,46 +27,14 @@ from rosbags.typesys import Stores, get_typestore
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats.rosbag import messages
-from lirs_wct.formats.rosbag.messages import (
-    LATCHED,
-    MAP_TOPIC,
-    NO_ERRORS,
-    TOPICS,
-    BagTick,
-    SensorErrors,
-    TickMessages,
-    nanoseconds,
-)
+from lirs_wct.formats.rosbag.messages import BagDrive, BagTick, SensorErrors
 from lirs_wct.formats.suffixes import Storage
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 
 VERSION: Final = 8
 """Version of `metadata.yaml`: the latest whose quality of service Humble reads (text with numbers)."""
-TOGETHER = 64
+BUFFERED_SCANS = 64
 """Number of scans that are written together."""
-FAILURES = (OSError, sqlite3.Error)
-"""Exceptions of failed writing."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class BagDrive:
-    """The content of a bag.
-
-    Attributes:
-        ticks: messages of each scan in order; at least one.
-        grid: the mapper's map, in the map frame; None = none.
-        errors: of the sensors, for covariances.
-    """
-
-    ticks: Sequence[BagTick]
-    grid: OccupancyGrid | None = None
-    errors: SensorErrors = NO_ERRORS
-
-    @property
-    def period(self) -> float:
-        """Median time from scan to scan, seconds; 0 for a single scan."""
-        steps = np.diff([tick.scan.stamp for tick in self.ticks])
-        return float(np.median(steps)) if len(steps) else 0.0
 
 
 class BagWriter:
@@ -77,62 +43,48 @@ class BagWriter:
     Written one by one between steps of a simulation, messages take about three times as long.
 
     Args:
-        folder: of the bag; it is created.
-        storage: storage format of its messages.
-        period: from scan to scan, seconds.
-        errors: of the sensors, for covariances.
+        folder: Folder of the bag, which is created.
+        storage: Storage format of the messages.
+        period: Time from scan to scan, seconds.
+        errors: Errors of the sensors, for covariances.
 
     Raises:
         OutputError: it cannot be written.
     """
 
     def __init__(
-        self, folder: Path, storage: Storage, period: float, errors: SensorErrors = NO_ERRORS
+        self, folder: Path, storage: Storage, period: float, errors: SensorErrors = messages.NO_ERRORS
     ) -> None:
         plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
         self._folder = folder
         self._writer = Writer(folder, version=VERSION, storage_plugin=plugin)
         self._store = get_typestore(Stores.ROS2_JAZZY)
-        self._messages = TickMessages(period, errors)
+        self._messages = messages.TickMessages(period, errors)
         self._connections: dict[str, Connection] = {}
         self._last: BagTick | None = None
         self._waiting: list[BagTick] = []
-        try:
+        with self._output_errors():
             self._writer.open()
-        except FAILURES as error:
-            raise self._output_error(error) from error
 
     def add(self, tick: BagTick) -> None:
         """Add the messages of a scan; they are buffered before writing."""
         self._waiting.append(tick)
-        if len(self._waiting) < TOGETHER:
-            return
-        try:
-            self._write_waiting()
-        except FAILURES as error:
-            raise self._output_error(error) from error
+        if len(self._waiting) == BUFFERED_SCANS:
+            with self._output_errors():
+                self._write_waiting()
 
     def close(self, grid: OccupancyGrid | None = None) -> None:
         """Write the buffered scans, the map in the map frame, and the bag's end."""
-        try:
+        with self._output_errors():
             self._write_waiting()
             if grid is not None and self._last is not None:
                 stamp = self._last.scan.stamp
-                self._write(MAP_TOPIC, stamp, messages.occupancy_grid(stamp, grid))
+                self._write(messages.MAP_TOPIC, stamp, messages.occupancy_grid(stamp, grid))
             self._writer.close()
-        except FAILURES as error:
-            raise self._output_error(error) from error
 
     def abort(self) -> None:
         """Close the files of an unfinished bag without writing its end."""
         self._writer.abort()
-
-    def _connection(self, topic: str) -> Connection:
-        if topic not in self._connections:
-            self._connections[topic] = self._writer.add_connection(
-                topic, TOPICS[topic], typestore=self._store, offered_qos_profiles=[_qos(topic in LATCHED)]
-            )
-        return self._connections[topic]
 
     def _write_waiting(self) -> None:
         for tick in self._waiting:
@@ -142,10 +94,22 @@ class BagWriter:
         self._waiting.clear()
 
     def _write(self, topic: str, stamp: float, message: bytearray) -> None:
-        self._writer.write(self._connection(topic), nanoseconds(stamp), memoryview(message))
+        if topic not in self._connections:
+            self._connections[topic] = self._writer.add_connection(
+                topic,
+                messages.TOPICS[topic],
+                typestore=self._store,
+                offered_qos_profiles=[_qos(topic in messages.LATCHED)],
+            )
+        self._writer.write(self._connections[topic], messages.nanoseconds(stamp), memoryview(message))
 
-    def _output_error(self, error: Exception) -> OutputError:
-        return OutputError(f"{self._folder}: cannot be written: {getattr(error, 'strerror', None) or error}")
+    @contextmanager
+    def _output_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, sqlite3.Error) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(f"{self._folder}: cannot be written: {reason}") from error
 
 
 def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
@@ -155,20 +119,17 @@ def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
         OutputError: the folder cannot be written.
     """
     with atomic_folder(folder) as temporary:
-        # The library names the file after the folder, and creates the folder itself.
-        made = temporary / folder.name
-        bag = BagWriter(made, storage, drive.period, drive.errors)
+        inner = temporary / folder.name  # the library names the file after the folder, which it creates
+        bag = BagWriter(inner, storage, drive.period, drive.errors)
         try:
             for tick in drive.ticks:
                 bag.add(tick)
             bag.close(drive.grid)
         finally:
             bag.abort()
-        for file in made.iterdir():
-            shutil.move(file, temporary / f".{file.name}")
-        made.rmdir()
-        for file in temporary.iterdir():
-            file.rename(temporary / file.name[1:])
+        for file in inner.iterdir():
+            file.rename(temporary / file.name)
+        inner.rmdir()
 
 
 def _qos(latched: bool) -> Qos:

@@ -14,7 +14,7 @@ from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.sweep.experiment import Outcome, SlamExperiment
 from lirs_wct.errors import ConfigError, WctError
-from lirs_wct.formats.tum import write_tum
+from lirs_wct.formats.drive_files import write_tum
 from lirs_wct.geometry import Pose2, Trajectory
 from tests.lirs_validation.records import record, saved_whole
 

@@ -4,7 +4,7 @@ import gzip
 from pathlib import Path
 
 from lirs_wct import Trajectory
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.drive_files import read_tum
 
 
 def unpacked(path: Path, folder: Path) -> Trajectory:

@@ -15,7 +15,7 @@ from lirs_extensions.originals.cartographer.mapper import (
     CartographerOriginalMapper,
 )
 from lirs_wct import Imu, Pose2
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.linalg import wrap
 from slam_baselines.mapper import make_mapper

@@ -18,8 +18,7 @@ from lirs_extensions.originals.gmapping.mapper import (
     path_map,
 )
 from lirs_wct import Imu, Pose2
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.carmen.writer import write_log
+from lirs_wct.formats.carmen_log import read_carmen, write_log
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.linalg import wrap

@@ -14,7 +14,7 @@ from lirs_extensions.originals.hector import (
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import Imu, Pose2, Trajectory
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
 from slam_baselines.mapper import make_mapper
 from tests.lirs_extensions.originals.recorded import unpacked
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan

@@ -15,7 +15,7 @@ from lirs_envs.robots.robot import make_robot
 from lirs_validation import Run, validate
 from lirs_validation.analysis.export import export_run
 from lirs_validation.analysis.results import read_run
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.geometry import Pose3
 from tests.command_line import run_command
 from tests.kit import SMALL

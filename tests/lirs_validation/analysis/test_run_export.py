@@ -8,7 +8,7 @@ import pytest
 from lirs_validation.analysis.export import export_run, recorded_drive
 from lirs_validation.analysis.results import RunFolder, read_results
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.drive_files import read_tum
 
 
 @pytest.fixture

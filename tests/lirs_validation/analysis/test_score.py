@@ -16,8 +16,8 @@ from lirs_validation.analysis.score import score
 from lirs_validation.metrics.alignment import find_time_offset
 from lirs_validation.metrics.map import agreement, iou
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats.drive_files import read_tum, write_tum
 from lirs_wct.formats.map_server import read_map, write_map
-from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.sources.source import BuildOptions
 from tests.command_line import run_command

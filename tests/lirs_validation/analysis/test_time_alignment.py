@@ -12,7 +12,7 @@ from lirs_validation.analysis.results import read_run
 from lirs_validation.analysis.score import score
 from lirs_validation.metrics.alignment import find_time_offset, interpolate_poses
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.tum import read_tum, write_tum
+from lirs_wct.formats.drive_files import read_tum, write_tum
 from lirs_wct.geometry import Pose2, Trajectory
 from tests.command_line import run_command
 

@@ -14,7 +14,7 @@ from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.contact.parts import prisms
 from lirs_wct.files import MANIFEST
-from lirs_wct.formats.meshes.mesh_reader import read_upright
+from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2

@@ -17,8 +17,8 @@ from lirs_extensions.search.twin.twin import run_twin
 from lirs_validation import RunConfig, map_log, validate
 from lirs_validation.map_config import MapConfig
 from lirs_wct.errors import OutputError
-from lirs_wct.formats.images.picture import write_image
 from lirs_wct.formats.map_server import write_map
+from lirs_wct.formats.picture import write_image
 from lirs_wct.geometry.grid import OccupancyGrid
 from tests.command_line import run_command
 

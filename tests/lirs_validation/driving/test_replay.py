@@ -15,7 +15,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import ReplayDriver, replay
 from lirs_validation.experiment.run import Run
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.drive_csv import Commands
+from lirs_wct.formats.drive_files import Commands
 from lirs_wct.geometry.pose import Pose2
 from tests.kit import SMALL
 

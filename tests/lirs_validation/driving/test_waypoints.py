@@ -9,7 +9,7 @@ import pytest
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.driving.routes import WaypointRoute, check_waypoints
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.waypoints import RoutePoint, read_waypoints
+from lirs_wct.formats.drive_files import RoutePoint, read_waypoints
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from tests.kit import refused

@@ -23,7 +23,7 @@ from lirs_validation.report.page import page, report_of
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb
 from lirs_wct.errors import ConfigError, MapperError
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, PointCloud
 from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats, make_mapper

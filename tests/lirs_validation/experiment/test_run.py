@@ -20,8 +20,8 @@ from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.record.verdict import LOST_SECONDS
 from lirs_validation.sweep.experiment import SlamExperiment
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
+from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.tum import read_tum
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.progress import no_progress

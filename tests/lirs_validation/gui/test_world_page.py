@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.formats.carmen.writer import write_log
+from lirs_wct.formats.carmen_log import write_log
 from lirs_wct.world import World
 from tests.lirs_validation.gui.pages import drop, field, upload, wait_for
 
@@ -92,8 +92,9 @@ def test_a_map_and_its_picture_are_dropped_together(open_page: Open, tmp_path: P
 
 
 def test_logs_and_compressed_bags_are_dropped(open_page: Open, tmp_path: Path) -> None:
-    from lirs_wct.formats.rosbag.compression import zstd
-    from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
+    from lirs_wct.formats.rosbag.messages import BagDrive
+    from lirs_wct.formats.rosbag.open_bag import zstd
+    from lirs_wct.formats.rosbag.writer import write_bag
     from tests.lirs_wct.formats.rosbag import drives
 
     ticks = drives.drive(40).ticks

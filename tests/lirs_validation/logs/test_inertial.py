@@ -12,9 +12,8 @@ from lirs_validation import map_log
 from lirs_validation.logs.map_log import folder_name
 from lirs_validation.map_config import MapConfig
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.carmen.laser import read_mount
-from lirs_wct.formats.carmen.writer import write_log
-from lirs_wct.formats.drive_csv import write_imu
+from lirs_wct.formats.carmen_log import read_mount, write_log
+from lirs_wct.formats.drive_files import write_imu
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 

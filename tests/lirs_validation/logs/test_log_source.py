@@ -17,7 +17,7 @@ from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
 from tests.command_line import run_command
-from tests.lirs_wct.formats.carmen.carmen_room import START, flaser, room_lines, write_log
+from tests.lirs_wct.formats.carmen_room import START, flaser, room_lines, write_log
 
 pytestmark = pytest.mark.usefixtures("plain_pictures")
 

@@ -15,7 +15,7 @@ from lirs_validation.experiment.run import run as run_config
 from lirs_validation.logs.map_log import folder_name, read_log, run_mapping
 from lirs_validation.map_config import MapConfig
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.tum import read_tum
+from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.geometry.pose import Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, ImuReadings, PointCloud
 from slam_baselines.mapper import MapperStats

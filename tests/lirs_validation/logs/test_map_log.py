@@ -19,10 +19,10 @@ from lirs_validation.metrics.trajectory import reference_errors
 from lirs_validation.record.map_record import map_lines
 from lirs_validation.record.metric_catalog import WORSE
 from lirs_wct.errors import ConfigError, MapperError, SourceError
+from lirs_wct.formats.drive_files import read_tum, write_tum
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.tum import read_tum, write_tum
 from lirs_wct.geometry.pose import Pose2, Trajectory
-from tests.lirs_wct.formats.carmen.carmen_room import PERIOD, START, flaser, room_lines, write_log
+from tests.lirs_wct.formats.carmen_room import PERIOD, START, flaser, room_lines, write_log
 from tests.slam_baselines.synthetic import ROOM, ranges_to
 
 SCANS = 90

@@ -13,8 +13,7 @@ from lirs_validation.logs.map_log import check_log_file
 from lirs_validation.logs.preflight import check_log_data
 from lirs_validation.record.verdict import judge_log
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.carmen.writer import write_log
+from lirs_wct.formats.carmen_log import read_carmen, write_log
 from lirs_wct.formats.laser_log import LaserLog, LineStamps, LogTopic
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import ImuReadings, LaserScan

@@ -10,11 +10,11 @@ from hypothesis import given, strategies as st
 from lirs_validation.logs.map_log import read_reference, truth_in_time
 from lirs_validation.metrics.trajectory import RelativePoseConstraint
 from lirs_wct.errors import SourceError
+from lirs_wct.formats.drive_files import write_tum
 from lirs_wct.formats.laser_log import LineStamps
-from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from tests.kit import refused
-from tests.lirs_wct.formats.carmen.carmen_room import START, room_lines, write_log
+from tests.lirs_wct.formats.carmen_room import START, room_lines, write_log
 
 
 @pytest.mark.parametrize("zipped", [False, True])

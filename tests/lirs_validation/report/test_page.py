@@ -19,8 +19,8 @@ from lirs_validation.report.page import Report, page, report_of
 from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
 from lirs_validation.report.run_tables import group_table, summary_table
 from lirs_validation.report.table import MetricSpread, ReportTable
+from lirs_wct.formats.drive_files import write_tum
 from lirs_wct.formats.map_server import write_map
-from lirs_wct.formats.tum import write_tum
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from tests.command_line import run_command

@@ -132,12 +132,6 @@ def test_yaml_is_read_as_yaml_cpp_reads_it(change: tuple[str, str], tmp_path: Pa
         )
 
 
-@pytest.mark.parametrize("word", ["yes", "no", "Y", "n", "on", "OFF", "True", "false", "0", "1", "'1'", "2"])
-def test_negate_has_words_and_numbers(word: str, tmp_path: Path) -> None:
-    read = read_text(f"image: m\nresolution: 1\norigin: [0, 0, 0]\nnegate: {word}\n", tmp_path)
-    assert read.negate == (word.strip("'").lower() in ("yes", "y", "on", "true", "1", "2"))
-
-
 def test_the_first_of_two_keys_counts(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"text\.yaml: image stands twice; the first is taken: 'a\.png'"):
         read = read_text(f"image: a.png\n{KEYS}image: b.png\nnegate: 0\nnegate: 0\n", tmp_path)
@@ -327,13 +321,6 @@ def test_no_word_where_both_rules_agree(tmp_path: Path) -> None:
         assert a_framed_map(tmp_path, "mode: scale\n", (0, 0, 0, 0)).occupied.sum() == 8
 
 
-def test_opaque_walls_stay_walls_at_any_threshold(tmp_path: Path) -> None:
-    Image.fromarray(np.uint8([[[0, 0, 0, 255], [255, 255, 255, 255]]] * 2)).save(tmp_path / "m.png")
-    (tmp_path / "m.yaml").write_text("image: m.png\nresolution: 1\norigin: [0, 0, 0]\noccupied_thresh: 0.9\n")
-    with pytest.warns(UserWarning, match="2 occupied and 2 free cells.*; 0 and 2 in Humble"):
-        assert states(read_map(tmp_path / "m.yaml")) == [["#", "."]] * 2
-
-
 def test_free_wins_where_thresholds_cross(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 10, 100, 255]] * 2, np.uint8))
     (tmp_path / "m.yaml").write_text(
@@ -341,17 +328,6 @@ def test_free_wins_where_thresholds_cross(tmp_path: Path) -> None:
     )
     with pytest.warns(UserWarning, match=r"m\.yaml: occupied_thresh 0\.1 is below free_thresh 0\.9"):
         assert states(read_map(tmp_path / "m.yaml")) == [["#", "#", ".", "."]] * 2
-
-
-@pytest.mark.parametrize("mode", ["trinary", "scale"])
-def test_thresholds_that_meet_leave_nothing_between(tmp_path: Path, mode: str) -> None:
-    cv2.imwrite(str(tmp_path / "m.png"), np.array([[0, 51, 52, 255]] * 2, np.uint8))
-    (tmp_path / "m.yaml").write_text(
-        f"image: m.png\nresolution: 1\norigin: [0, 0, 0]\nmode: {mode}\nnegate: 1\n"
-        "occupied_thresh: 0.2\nfree_thresh: 0.2\n"
-    )
-    found = read_map(tmp_path / "m.yaml").probability[0]
-    np.testing.assert_allclose(found, (0, 0, 1, 1), atol=2e-6)
 
 
 def test_what_a_yaml_leaves_out(tmp_path: Path) -> None:
@@ -366,12 +342,6 @@ def test_what_a_yaml_leaves_out(tmp_path: Path) -> None:
         mode="trinary",
     )
     assert read_text("image: m.pgm\nresolution: 0.5\norigin: [1, 2]\nnegate: true\n", tmp_path).negate
-
-
-@pytest.mark.parametrize("origin", ["[]", "[1]", "[1, 2, 3, 4]", "[1, inf, 0]", "5", "[1, nan]"])
-def test_an_origin_that_is_none(tmp_path: Path, origin: str) -> None:
-    with pytest.raises(SourceError, match=r"origin must be \[x, y, yaw\]"):
-        read_text(f"image: m\nresolution: 1\norigin: {origin}\n", tmp_path)
 
 
 def test_a_map_is_written_pixel_by_pixel(tmp_path: Path) -> None:
@@ -397,12 +367,3 @@ def test_a_picture_alone_is_read_by_the_defaults(tmp_path: Path) -> None:
     assert states(grid) == [["#", "#", "?"], ["?", ".", "."]]
     with pytest.raises(SourceError, match="at most 5 are allowed"):
         read_map_picture(tmp_path / "m.pgm", 0.25, max_pixels=5)
-
-
-@pytest.mark.shared
-def test_a_map_picture_alone(shared_data: Path) -> None:
-    path = shared_data / "maps/navigation_tutorials/willow-full.pgm"
-    grid = read_map_picture(path, 0.1)
-    assert grid.occupied.any()
-    assert grid.free.any()
-    assert not grid.known.all()

@@ -16,11 +16,11 @@ from PIL import Image
 
 from lirs_wct.errors import SourceError
 from lirs_wct.export.package import write_package
-from lirs_wct.formats.images.elevation import read_raster
+from lirs_wct.files import referenced_file
+from lirs_wct.formats.elevation import read_raster
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.meshes.collada import MeshPart, stream_collada
 from lirs_wct.formats.meshes.textured import read_textured
-from lirs_wct.formats.references import referenced_file
+from lirs_wct.formats.meshes.writers import MeshPart, stream_collada
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.build import build_world
 from tests.kit import refused
@@ -225,19 +225,6 @@ def test_the_map_of_a_yaml_may_lie_elsewhere(tmp_path: Path) -> None:
     for name in ("../a.png", str(tmp_path / "a.png")):
         yaml.write_text(f"image: {name}\nresolution: 0.1\norigin: [0, 0, 0]\n")
         assert read_map(yaml).shape == (4, 4)
-
-
-def test_a_built_package_keeps_its_textures(tmp_path: Path) -> None:
-    picture = tmp_path / "hill.png"
-    Image.fromarray(np.add.outer(np.arange(9), np.arange(9)).astype(np.uint8) * 9).save(picture)
-    world = build_world(picture)
-    for formats in (("dae", "stl", "sdf", "mjcf", "obj", "glb"), ("obj",), ("dae",)):
-        folder = write_package(world, tmp_path / "-".join(formats), formats=formats)
-        for kind in {"dae", "obj", "glb"} & set(formats):
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", UserWarning)
-                found = read_textured(folder / "meshes" / f"hill.{kind}")
-            assert found.picture is not None, (formats, kind)
 
 
 def test_a_built_folder_names_its_own_files(tmp_path: Path) -> None:

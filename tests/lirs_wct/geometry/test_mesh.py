@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.meshes.stl import write_stl
+from lirs_wct.formats.meshes.writers import write_stl
 from lirs_wct.geometry.mesh import TriangleMesh
 
 POINTS = np.random.default_rng(7).normal(size=(4, 3))

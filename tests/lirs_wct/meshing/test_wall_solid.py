@@ -9,7 +9,7 @@ import trimesh
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from lirs_wct.formats.meshes.stl import write_stl
+from lirs_wct.formats.meshes.writers import write_stl
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.solid import SLAB, wall_mesh

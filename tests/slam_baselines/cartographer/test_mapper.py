@@ -8,7 +8,7 @@ import pytest
 
 from lirs_validation.metrics.trajectory import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from slam_baselines.cartographer.config import ConstraintConfig, GlobalConfig, SubmapConfig
 from slam_baselines.mapper import make_mapper

@@ -9,7 +9,7 @@ import pytest
 from lirs_validation import validate
 from lirs_validation.metrics.trajectory import constraint_errors, read_constraints
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.dead_reckoning import PoseEstimate

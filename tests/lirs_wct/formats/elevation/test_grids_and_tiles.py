@@ -10,7 +10,7 @@ import rasterio
 from pyproj import CRS
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.images.elevation import decode, read_raster
+from lirs_wct.formats.elevation import decode, read_raster
 from lirs_wct.geometry.geodesy import Georeference
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.source import BuildOptions

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rasterio
 
-from lirs_wct.formats.images.elevation import Raster, RasterInfo, read_raster
+from lirs_wct.formats.elevation import Raster, RasterInfo, read_raster
 from tests.lirs_wct.formats.elevation.gdal_rasters import CASES, read_truth, write_raster
 
 UNITS = {None: 1.0, "ft": 0.3048, "US survey foot": 1200 / 3937}

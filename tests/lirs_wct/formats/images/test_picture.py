@@ -12,7 +12,7 @@ import rasterio
 from PIL import Image
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.images.picture import check_size, read_picture
+from lirs_wct.formats.picture import read_picture
 
 COLOR = np.random.default_rng(4).integers(0, 255, (5, 7, 4), np.uint8)
 
@@ -20,24 +20,6 @@ COLOR = np.random.default_rng(4).integers(0, 255, (5, 7, 4), np.uint8)
 def png(folder: Path, pixels: np.ndarray) -> Path:
     assert cv2.imwrite(str(folder / "a.png"), pixels)
     return folder / "a.png"
-
-
-@pytest.mark.parametrize(
-    ("w", "h", "most", "reason"),
-    [
-        (2, 2, 4, None),
-        (3, 5, 15, None),
-        (3, 5, 14, "image is 3x5 px = 15 pixels, at most 14 are allowed"),
-        (1, 9, 99, "image is 1x9 px, a terrain needs at least 2x2"),
-        (9, 1, 99, "image is 9x1 px, a terrain needs at least 2x2"),
-    ],
-)
-def test_sizes_that_are_legal(w: int, h: int, most: int, reason: str | None) -> None:
-    if reason is None:
-        check_size(Path("a.png"), w, h, most)
-        return
-    with pytest.raises(SourceError, match=rf"a\.png: {reason}"):
-        check_size(Path("a.png"), w, h, most)
 
 
 def test_twenty_five_million_pixels_are_allowed_unless_said_otherwise(tmp_path: Path) -> None:
@@ -104,22 +86,6 @@ def test_a_pnm_keeps_its_values_and_states_its_white(
     if not plain:
         with pytest.raises(SourceError, match=r"a\.pgm: is damaged"):
             read_picture(path)
-
-
-@pytest.mark.parametrize("suffix", ["png", "pgm", "gif", "bmp", "webp", "tif"])
-def test_every_format_gives_its_pixels(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"a.{suffix}"
-    Image.fromarray(COLOR[..., 0]).save(path, **({"lossless": True} if suffix == "webp" else {}))
-    pixels = read_picture(path).pixels
-    gray = pixels if pixels.ndim == 2 else pixels[..., 1]
-    np.testing.assert_array_equal(gray, COLOR[..., 0])
-
-
-def test_deep_colors_keep_their_depth(tmp_path: Path) -> None:
-    path = tmp_path / "a.png"
-    deep = COLOR.astype(np.uint16) * 257 - 3
-    assert cv2.imwrite(str(path), deep)
-    np.testing.assert_array_equal(read_picture(path, alpha=True).pixels, deep)
 
 
 @pytest.mark.parametrize(("kind", "clear"), [(0, (770,)), (2, (300, 400, 500))])

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.mesh_writer import write_collada, write_parts
-from lirs_wct.formats.meshes.collada import GROUND, MeshPart
+from lirs_wct.formats.meshes.writers import MeshPart
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
@@ -37,7 +37,7 @@ def corners_of(triangles: collada.triangleset.TriangleSet) -> np.ndarray:
 @pytest.fixture(params=["usual", "in pieces", "brief"], autouse=True)
 def writer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     if request.param == "in pieces":
-        monkeypatch.setattr("lirs_wct.formats.meshes.collada._ROWS", 600)
+        monkeypatch.setattr("lirs_wct.formats.meshes.writers._ROWS", 600)
     if request.param == "brief":
         monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
     return str(request.param)
@@ -136,19 +136,6 @@ def test_positions_are_exact_as_float32(tmp_path: Path) -> None:
         step = np.spacing(np.abs(mesh.bounds).max(axis=0).astype(np.float32))
         apart, _ = cKDTree(mesh.vertices / step).query(shape.primitives[0].vertex / step, p=np.inf)
         assert apart.max() < 1.01
-
-
-def test_plain_color_without_texture(tmp_path: Path) -> None:
-    write_collada(tmp_path / "a.dae", hills())
-    document = collada.Collada(str(tmp_path / "a.dae"))
-    assert len(document.images) == 0
-    assert document.effects[0].diffuse == pytest.approx(GROUND)
-
-
-def test_same_mesh_same_bytes(tmp_path: Path) -> None:
-    for name in ("a.dae", "b.dae"):
-        write_collada(tmp_path / name, hills())
-    assert (tmp_path / "a.dae").read_bytes() == (tmp_path / "b.dae").read_bytes()
 
 
 def test_spaces_in_a_texture_are_refused(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.meshes.mesh_reader import read_upright
+from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.geometry.mesh import TriangleMesh
 from tests.kit import refused
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_wct.formats.meshes.obj import write_obj, write_obj_parts
+from lirs_wct.formats.meshes.writers import write_obj, write_obj_parts
 from lirs_wct.geometry.mesh import TriangleMesh
 
 FACES = np.array(((0, 1, 2), (0, 2, 3)), np.int32)

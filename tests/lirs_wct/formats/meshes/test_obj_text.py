@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lirs_wct.formats.meshes.mesh_reader import read_upright
+from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.formats.meshes.textured import read_textured
 
 PLACES = [(x, y, z) for z in (0, 1) for y in (0, 3) for x in (0, 2)]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.meshes.mesh_reader import read_upright
+from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.sources.build import build_world
 from tests.kit import refused
 
@@ -54,12 +54,6 @@ def test_a_wall_with_a_door(tmp_path: Path, kind: str, flags: bool) -> None:
     np.testing.assert_allclose(mesh.bounds, [(0, 0, 0), (4, 0.2, 3)])
     assert mesh.is_watertight
     assert abs(mesh.volume) == pytest.approx(10 * 0.2)
-
-
-@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
-def test_faces_of_eight_corners_alone(tmp_path: Path, kind: str) -> None:
-    mesh = read_upright(door(tmp_path / "a.ply", kind, DOOR[:2]))
-    assert len(mesh.faces) == 12
 
 
 @pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])

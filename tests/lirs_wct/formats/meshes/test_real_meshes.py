@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_wct.formats.meshes.mesh_reader import read_mesh
+from lirs_wct.formats.meshes.reader import read_mesh
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
 

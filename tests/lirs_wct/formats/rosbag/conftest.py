@@ -2,7 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
+from lirs_wct.formats.rosbag.messages import BagDrive
+from lirs_wct.formats.rosbag.writer import write_bag
 
 
 @pytest.fixture(scope="module")

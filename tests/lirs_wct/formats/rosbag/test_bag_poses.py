@@ -9,9 +9,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.rosbag.messages import BagTick
-from lirs_wct.formats.rosbag.poses import read_poses
-from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
+from lirs_wct.formats.rosbag.frames import read_poses
+from lirs_wct.formats.rosbag.messages import BagDrive, BagTick
+from lirs_wct.formats.rosbag.writer import write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from lirs_wct.formats.rosbag.messages import LATCHED, TOPICS, SensorErrors, body_velocity
-from lirs_wct.formats.rosbag.writer import BagDrive, write_bag
+from lirs_wct.formats.rosbag.messages import LATCHED, TOPICS, BagDrive, SensorErrors, body_velocity
+from lirs_wct.formats.rosbag.writer import write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives
 
@@ -222,19 +222,6 @@ def test_metadata_has_the_quality_of_service(bag: Path, given: BagDrive) -> None
     assert info["relative_file_paths"] == ["run.mcap"]
     assert info["starting_time"]["nanoseconds_since_epoch"] == 1_000_000_000
     assert info["duration"]["nanoseconds"] == 80_000_000
-
-
-def test_sqlite3_holds_the_same_messages(bag: Path, given: BagDrive, tmp_path: Path) -> None:
-    from rosbags.rosbag2 import Reader
-
-    write_bag(tmp_path / "run", given, "sqlite3")
-    assert (tmp_path / "run" / "run.db3").is_file()
-
-    def messages(folder: Path) -> list[tuple[str, int, bytes]]:
-        with Reader(folder) as reader:
-            return sorted((c.topic, stamp, bytes(data)) for c, stamp, data in reader.messages())
-
-    assert messages(tmp_path / "run") == messages(bag)
 
 
 def test_a_bag_replaces_an_older_one_and_leaves_nothing_else(given: BagDrive, tmp_path: Path) -> None:

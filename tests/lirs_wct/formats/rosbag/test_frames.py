@@ -139,19 +139,6 @@ def test_two_publishers_of_a_transform(sources: list[list[Step]], count: int) ->
         assert length(in_order(*sources)) > 3 * length(steps)
 
 
-def test_few_poses_have_one_source() -> None:
-    for n in range(4):
-        assert one_source(drive(1, 1.0, 0.0, 0.0)[:n]) == (drive(1, 1.0, 0.0, 0.0)[:n], 1)
-
-
-def test_static_transforms_that_differ_are_disputed() -> None:
-    frames = tree(("odom", "base_link", ahead), ("base_link", "laser", FIXED))
-    frames.add(0, message("base_link", "laser", FIXED, 0.0), static=True)
-    assert frames.disputed == set()
-    frames.add(0, message("base_link", "laser", Pose3(0.5), 0.0), static=True)
-    assert frames.disputed == {"laser"}
-
-
 def test_without_transforms_of_the_laser_the_frame_in_odom_is_the_base() -> None:
     frames = tree(("odom", "base_link", ahead))
     assert frames.base("laser") == "base_link"

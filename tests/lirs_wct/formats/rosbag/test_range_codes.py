@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lirs_wct.arrays import Float32Array
-from lirs_wct.formats.rosbag.sensor_messages import BeamGeometry, RangeDecoder
+from lirs_wct.formats.range_codes import RangeDecoder
 
 SCANS, BEAMS = 120, 181
 
@@ -22,7 +22,7 @@ def room(share: float = 0.3, reach: float = 8.0) -> tuple[list[Float32Array], np
 def decoder(
     ranges: list[Float32Array], least: float = 0.1, most: float = 8.0, given: float | None = None
 ) -> RangeDecoder:
-    return RangeDecoder(ranges, BeamGeometry(-1.5, 0.01, 1.5, least, most, 0.0), given)
+    return RangeDecoder(ranges, (least, most), given)
 
 
 NOISE = np.random.default_rng(5).normal(0, 0.01, (SCANS, BEAMS))
@@ -125,8 +125,3 @@ def test_a_wall_near_range_max_is_none_where_the_driver_reports_infinity() -> No
     found = decoder(coded)
     assert found.codes == []
     assert (np.isinf(found.decode(coded[0])) == missing[0]).all()
-
-
-def test_centimeters_are_asked_for() -> None:
-    with pytest.raises(ValueError, match=r"ranges up to 800 m: centimeters\?"):
-        decoder([100 * r for r in room()[0]], most=1200.0)

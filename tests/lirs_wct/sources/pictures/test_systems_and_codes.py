@@ -13,7 +13,7 @@ from rasterio.control import GroundControlPoint
 from rasterio.transform import from_origin
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.images.nodata import missing_heights
+from lirs_wct.formats.elevation import missing_heights
 from lirs_wct.sources.build import build_world
 from tests.kit import built
 

@@ -18,7 +18,7 @@ from PIL import Image, ImageFile, ImageOps, UnidentifiedImageError
 from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import OutputError, SourceError, reason_of
 from lirs_wct.files import atomic_write, first_bytes
-from lirs_wct.formats.images.gdal import GdalRaster, read_gdal
+from lirs_wct.formats.limited import GdalRaster, read_gdal
 
 MAX_PIXELS = 5000 * 5000
 """Larger pictures are refused unless the caller allows them."""

@@ -1,4 +1,4 @@
-"""Stamps that go back, repeat or leap: the order of the file stays, and the stamps rise plausibly.
+"""Rising stamps and the odometry of a laser log.
 
 A plain twin holds the definition line by line, with pools of adjacent violators by hand.
 """
@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from lirs_wct.formats.carmen.lines import Message
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.carmen.repairs import in_file_order
-from lirs_wct.formats.laser_log import LaserLog, LineStamps
+from lirs_wct.formats.carmen_log import read_carmen
+from lirs_wct.formats.laser_log import LaserLog, LineStamps, Message, in_file_order, odometry_of
 from lirs_wct.geometry.pose import Pose2
-from tests.lirs_wct.formats.carmen.carmen_room import PERIOD, START, room_lines, write_log
+from tests.lirs_wct.formats.carmen_room import PERIOD, START, room_lines, write_log
 
 RANGES = np.full(3, 2.0, np.float32)
 
@@ -137,33 +135,6 @@ def test_when_a_stamp_may_repeat(scan: list[bool], step: list[float], sound: boo
     assert (repaired(lines(logged, [Pose2(v) for v in x], scan)) == logged) == sound
 
 
-def test_a_line_without_a_pose_has_that_of_the_nearer_one() -> None:
-    logged = [0.0, 1.0, 1.9, 3.0, 4.1, 3.9, 6.0]
-    posed = [Pose2(k * 0.1, 0.2 * k, 0.01 * k) for k in range(7)]
-    bases: list[Pose2 | None] = [posed[0], None, posed[2], None, None, posed[5], None]
-    # Stamp 1.0 is nearer to 1.9 than to 0, 3.0 to 3.9 (alike, later), 4.1 to 3.9, 6.0 has the line before.
-    meant = [posed[0], posed[2], posed[2], posed[5], posed[5], posed[5], posed[5]]
-    found = repaired(lines(logged, bases, [False, True, False, True, True, False, True]))
-    np.testing.assert_allclose(found, twin(logged, meant), atol=2e-6)
-    assert found != logged
-
-
-def test_poses_of_scans_that_never_change_are_none() -> None:
-    logged = [0.0, 1.0, 2.0, 2.0, 4.0]
-    wheels = east(5)
-    bases: list[Pose2 | None] = [wheels[0], Pose2(9.0), wheels[2], Pose2(9.0), wheels[4]]
-    # The second line at 2 s has no pose, so it needs no time after the first.
-    assert repaired(lines(logged, bases, [False, True, False, True, False])) == logged
-
-
-# ---- leaps of the clock
-
-
-def second(*offsets: float) -> list[float]:
-    """One line a second, with offsets."""
-    return [k + offset for k, offset in enumerate(offsets)]
-
-
 def test_scans_and_odometry_one_after_the_other_are_merged_by_stamp() -> None:
     scans = [replace(m, ranges=RANGES) for m in lines([0.5, 20.5], list(east(2)), [False] * 2)]
     for back, merged in ((9.0, False), (30.0, True)):
@@ -171,14 +142,6 @@ def test_scans_and_odometry_one_after_the_other_are_merged_by_stamp() -> None:
         *_, found = in_file_order(scans, odoms)
         stamps = [0.5, 20.5, *(20.5 - back + k for k in range(3))]
         assert found.logged.tolist() == (sorted(stamps) if merged else stamps)
-
-
-def test_pauses_stay() -> None:
-    """Stamps that leap forward and do not come back are a pause."""
-    offsets = [0.0] * 40 + [300.0] * 40
-    offsets[2] = -1.0  # a repeat: there is something to repair
-    found = repaired(lines(second(*offsets), list(east(80)), [True, False] * 40))
-    np.testing.assert_allclose(found[5:], second(*offsets)[5:], atol=1e-9)
 
 
 @pytest.mark.parametrize("meters", [0.0, 0.1])
@@ -189,14 +152,6 @@ def test_a_log_without_a_clock_gets_steps_of_its_own(meters: float) -> None:
     found = repaired(lines([5.0] * n, list(poses), [True] * n))
     np.testing.assert_allclose(np.diff(found), 0.04 if meters else 1e-3, atol=1e-9)
     assert np.mean(found) == pytest.approx(5.0)
-
-
-def test_kinds_that_go_back_themselves_are_not_merged() -> None:
-    scans = [replace(m, ranges=RANGES) for m in lines([0.5, 40.5, 40.0], list(east(3)), [False] * 3)]
-    odoms = [Message(3 + k, 1.0 + k, Pose2(0.1 * k)) for k in range(3)]
-    for first, second in ((scans, odoms), (odoms, scans)):
-        *_, found = in_file_order(first, second)
-        assert found.logged.tolist() == [0.5, 40.5, 40.0, 1.0, 2.0, 3.0]
 
 
 # ---- what is said about them
@@ -258,15 +213,6 @@ def test_the_same_scans_and_odometry_in_the_same_order_whatever_the_stamps(tmp_p
     assert found.lines.moved > sound.lines.moved == 0
 
 
-def test_scans_without_a_pose_are_kept_in_order(tmp_path: Path) -> None:
-    raw = "RAWLASER1 0 -1.570796 3.141593 1.570796 20.0 0.1 0 3 1 2 {} 0 {:.2f} h 0"
-    stamps = [1.0, 1.2, 1.1, 1.1, 1.6]
-    lines = [raw.format(k + 1, t) for k, t in enumerate(stamps)]
-    with pytest.warns(UserWarning, match=r"stamps go back at 1 of 4 steps and repeat at 1"):
-        log = read_carmen(write_log(tmp_path / "x.clf", lines))
-    assert [float(s.ranges[2]) for s in log.scans] == [1, 2, 3, 4, 5]
-
-
 @pytest.mark.slow
 @pytest.mark.shared
 def test_the_intel_log_is_the_same_with_the_stamps_as_logged(shared_data: Path) -> None:
@@ -283,3 +229,55 @@ def test_the_intel_log_is_the_same_with_the_stamps_as_logged(shared_data: Path) 
     assert np.percentile(step / np.diff(logged.track.stamps), 99.9) < 0.6
     # The sound file's stamps are smoothed, too: two ways to repair the same ones.
     assert np.abs(logged.stamps - sound.stamps).mean() < 0.25
+
+
+def messages(stamps: list[float], poses: list[Pose2 | None]) -> list[Message]:
+    return [Message(k, t, p) for k, (t, p) in enumerate(zip(stamps, poses, strict=True))]
+
+
+def at(*x: float) -> list[Pose2 | None]:
+    return [Pose2(value) for value in x]
+
+
+def xs(poses: list[Pose2 | None]) -> list[float | None]:
+    return [None if p is None else round(p.x, 9) for p in poses]
+
+
+def found(lasers: list[Message], odoms: list[Message]) -> tuple[list[float | None], list[float], list[float]]:
+    """Return x of each scan, and stamps and x of the track."""
+    poses, track = odometry_of(lasers, odoms)
+    return xs(poses), track.stamps.tolist(), track.xy[:, 0].round(9).tolist()
+
+
+def test_the_lasers_own_poses_come_first_and_the_wheels_fill_the_gaps() -> None:
+    lasers = messages([1.0, 2.0, 3.0], at(0, 1, 2))
+    odoms = messages([0.5, 1.0, 2.5, 3.5], at(-0.5, 0.25, 1.5, 2.5))
+    # The wheels' pose at a scan's stamp is not taken; the others are put between.
+    assert found(lasers, odoms) == ([0, 1, 2], [0.5, 1.0, 2.0, 2.5, 3.0, 3.5], [-0.5, 0, 1, 1.5, 2, 2.5])
+    assert found(lasers, []) == ([0, 1, 2], [1.0, 2.0, 3.0], [0, 1, 2])
+
+
+@pytest.mark.parametrize(("away", "merged"), [(0.99, True), (1.0, True), (1.01, False), (-1.01, False)])
+def test_wheels_a_meter_away_are_of_another_frame(away: float, merged: bool) -> None:
+    """The median of the distances, in the plane."""
+    stamps = [0.0, 1.0, 2.0, 3.0, 4.0]
+    lasers = messages(stamps, [Pose2(5.0 + k, 3.0) for k in range(5)])
+    beside: list[Pose2 | None] = [Pose2(5.0 + k, 3.0 + away) for k in range(5)]
+    beside[1] = Pose2(6.0, 50.0)
+    odoms = messages([t + 1e-9 for t in stamps], beside)
+    _, track, _ = found(lasers, odoms)
+    assert len(track) == (10 if merged else 5)
+
+
+@pytest.mark.parametrize("own", [[None, None], [Pose2(3.0), Pose2(3.0)], [Pose2(3.0), None]])
+def test_poses_that_never_change_are_none(own: list[Pose2 | None]) -> None:
+    lasers = messages([1.0, 2.0], own)
+    assert found(lasers, messages([0.0, 4.0], at(0, 8))) == ([2, 4], [0, 4], [0, 8])
+    assert found(lasers, messages([0.0, 4.0], at(8, 8))) == ([None, None], [], [])
+    assert found(lasers, messages([0.0], at(8))) == ([None, None], [], [])
+    assert found(lasers, []) == ([None, None], [], [])
+
+
+def test_a_single_scan_keeps_its_pose() -> None:
+    assert found(messages([1.0], at(4)), []) == ([4], [1], [4])
+    assert found(messages([1.0], [None]), []) == ([None], [], [])

@@ -16,12 +16,10 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import FloatArray
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import first_bytes
-from lirs_wct.formats.images.gdal import GdalRaster, read_gdal
-from lirs_wct.formats.images.nodata import missing_heights
-from lirs_wct.formats.images.picture import MAX_PIXELS, check_size, pixels_of, read_picture, without_alpha
+from lirs_wct.formats import limited, picture
 from lirs_wct.formats.suffixes import Encoding
 from lirs_wct.geometry.geodesy import (
     TURNED,
@@ -51,11 +49,10 @@ class RasterInfo:
     """Georeference and value conversion of a raster.
 
     Attributes:
-        georeference: of the pixels; None = unknown.
-        nodata: value of pixels without height, which may be NaN; None = not declared.
+        georeference: Place of the pixels; None = unknown.
+        nodata: Value of pixels without height, which may be NaN; None = not declared.
         scale: height = scale value + offset, in units of height.
-        offset: see scale.
-        unit: meters per unit of height; None if the values are not heights.
+        unit: Meters per unit of height; None if the values are not heights.
     """
 
     georeference: Georeference | None = None
@@ -78,13 +75,10 @@ class Raster:
     info: RasterInfo = field(default_factory=RasterInfo)
 
 
-def read_raster(path: Path, max_pixels: int = MAX_PIXELS, *, sized: bool = False) -> Raster:
+def read_raster(path: Path, max_pixels: int = picture.MAX_PIXELS, *, sized: bool = False) -> Raster:
     """Read the raster of a file; the format follows its content.
 
-    Args:
-        path: file.
-        max_pixels: limit of pixels.
-        sized: whether the caller knows the extent.
+    With `sized`, the caller knows the extent.
 
     Raises:
         SourceError: the file is missing, damaged, of an unknown format, smaller than 2x2 or larger than
@@ -95,15 +89,22 @@ def read_raster(path: Path, max_pixels: int = MAX_PIXELS, *, sized: bool = False
     if _ASCII_GRID.match(head):
         pixels, info = read_ascii_grid(path, max_pixels, sized=sized)
     elif _PICTURE.match(head):
-        pixels = read_picture(path, max_pixels).pixels
+        pixels = picture.read_picture(path, max_pixels).pixels
         beside = path.with_name(f"{path.name}.aux.xml").is_file()
-        info = _info(path, read_gdal(path, 0) if beside else None, pixels, sized)
+        info = _info(path, limited.read_gdal(path, 0) if beside else None, pixels, sized)
     else:
         pixels, info = _read_by_gdal(path, max_pixels, sized)
     if info.georeference is None:
         return Raster(pixels, info)
     pixels, georeference = info.georeference.upright(pixels)
-    _warn_turned(path, georeference)
+    if abs(math.sin(math.radians(georeference.turn))) > TURNED:
+        warnings.warn(
+            f"{path}: is turned by {georeference.turn:.4g} deg; x of the world goes along its rows, "
+            f"{georeference.heading:.4g} deg north of east",
+            stacklevel=2,
+        )
+    if georeference.skewed:
+        warnings.warn(f"{path}: is skewed, which is left out; gdalwarp straightens it", stacklevel=2)
     return Raster(pixels, replace(info, georeference=georeference))
 
 
@@ -132,17 +133,17 @@ def _world_file(path: Path) -> Affine | None:
 def _read_by_gdal(path: Path, max_pixels: int, sized: bool) -> tuple[NDArray[Any], RasterInfo]:
     """Read a raster and its metadata through GDAL."""
     try:
-        found = read_gdal(path, max_pixels)
+        found = limited.read_gdal(path, max_pixels)
     except SourceError as error:
         raise SourceError(f"{error}{HINTS.get(path.suffix.lower(), '')}") from error
-    check_size(path, found.width, found.height, max_pixels)
-    pixels = without_alpha(path, pixels_of(path, found))
+    picture.check_size(path, found.width, found.height, max_pixels)
+    pixels = picture.without_alpha(path, picture.pixels_of(path, found))
     if pixels.dtype.kind == "c":
         raise SourceError(f"{path}: holds complex numbers, heights must be integers or real numbers")
     return pixels, _info(path, found, pixels, sized)
 
 
-def _info(path: Path, found: GdalRaster | None, pixels: NDArray[Any], sized: bool) -> RasterInfo:
+def _info(path: Path, found: limited.GdalRaster | None, pixels: NDArray[Any], sized: bool) -> RasterInfo:
     """Return georeference and value conversion of a raster from GDAL's metadata, or a world file.
 
     Values of a raster without extent have no unit of height.
@@ -251,16 +252,15 @@ def _are_degrees(affine: Affine, shape: tuple[int, int], relief: float) -> bool 
     width = step * max(rows, cols)
     as_meters = FLATTEST * width <= relief <= STEEPEST * width
     as_degrees = FLATTEST * width * DEGREE <= relief <= STEEPEST * width * DEGREE
-    seconds, millimeters = _is_whole(step * 3600 * 9), _is_whole(step * 1000)
+    seconds, millimeters = (
+        number > 0.5 and abs(number - round(number)) < 1e-4 * number
+        for number in (step * 3600 * 9, step * 1000)
+    )
     if step >= FINE:
         return as_degrees and not as_meters and seconds
     if as_degrees != as_meters:
         return as_degrees
     return seconds if seconds != millimeters else None
-
-
-def _is_whole(number: float) -> bool:
-    return number > 0.5 and abs(number - round(number)) < 1e-4 * number
 
 
 def georeference_raster(
@@ -284,30 +284,7 @@ def georeference_raster(
         return Georeference.on_grid(system, affine)
 
 
-def _warn_turned(path: Path, georeference: Georeference) -> None:
-    """Warn of a raster that is rotated or skewed in its coordinates."""
-    if abs(math.sin(math.radians(georeference.turn))) > TURNED:
-        warnings.warn(
-            f"{path}: is turned by {georeference.turn:.4g} deg; x of the world goes along its rows, "
-            f"{georeference.heading:.4g} deg north of east",
-            stacklevel=3,
-        )
-    if georeference.skewed:
-        warnings.warn(f"{path}: is skewed, which is left out; gdalwarp straightens it", stacklevel=3)
-
-
-_KEYS = (
-    "ncols",
-    "nrows",
-    "xllcorner",
-    "xllcenter",
-    "yllcorner",
-    "yllcenter",
-    "cellsize",
-    "dx",
-    "dy",
-    "nodata_value",
-)
+_KEY = re.compile("ncols|nrows|[xy]ll(corner|center)|cellsize|d[xy]|nodata_value", re.I)
 
 
 def read_ascii_grid(path: Path, max_pixels: int, *, sized: bool) -> tuple[FloatArray, RasterInfo]:
@@ -322,7 +299,7 @@ def read_ascii_grid(path: Path, max_pixels: int, *, sized: bool) -> tuple[FloatA
         with path.open(encoding="utf-8-sig", errors="strict") as file:
             header, first = _header(path, file)
             rows, cols = int(header["nrows"]), int(header["ncols"])
-            check_size(path, cols, rows, max_pixels)
+            picture.check_size(path, cols, rows, max_pixels)
             values = np.array([*first.split(), *file.read().split()], dtype=np.float64)
     except OSError as error:
         raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -345,7 +322,7 @@ def _projection(path: Path) -> tuple[CoordinateSystem | None, float | None]:
     projection = path.with_suffix(".prj")
     wkt = projection.read_text(encoding="utf-8", errors="replace").strip() if projection.is_file() else ""
     if wkt and "[" not in wkt:  # keywords of ArcInfo, which GDAL knows
-        wkt = read_gdal(path, 0).wkt
+        wkt = limited.read_gdal(path, 0).wkt
     return system_of_wkt(wkt) if wkt else (None, None)
 
 
@@ -355,7 +332,7 @@ def _header(path: Path, file: TextIO) -> tuple[dict[str, float], str]:
     first = ""
     for line in file:
         key, *value = line.split() or [""]
-        if key.lower() not in _KEYS:
+        if not _KEY.fullmatch(key):
             first = line
             break
         if len(value) != 1:
@@ -411,3 +388,44 @@ def tile_georeference(path: Path, shape: tuple[int, int]) -> Georeference | None
     west, north = column * side - _WORLD / 2, _WORLD / 2 - row * side
     affine = (sx, 0.0, west + sx / 2, 0.0, -sy, north - sy / 2)
     return Georeference.of(CoordinateSystem.of_code(3857), affine, shape)
+
+
+USUAL = (-9999.0, -32768.0)
+"""Values of unmeasured pixels even where they are not isolated; values beyond `HUGE` likewise."""
+HUGE = 1e30
+CODES = (999, 9999, 9999.9, 10_000, 32_767, 65_535, 99_999, 1e5, 999_999, 1e6, 2.0**31 - 1, 2.0**32 - 1)
+"""Magnitudes of further values that mean "no height" where they are far outside all others."""
+HIGHEST = 1e7
+"""Magnitude of heights in any unit; isolated values above it mean "no height" as well."""
+ISOLATED = 0.1
+"""Distance of such a code from all other heights, share of their range."""
+
+
+def missing_heights(
+    values: NDArray[Any], nodata: float | None, *, search: bool
+) -> tuple[BoolArray, tuple[float, ...]]:
+    """Return the pixels without a height, and the isolated codes among their values.
+
+    Args:
+        values: (rows, cols) pixels in the file's unit.
+        nodata: declared value of unmeasured pixels.
+        search: whether isolated codes count as "no height".
+    """
+    missing = ~np.isfinite(values) | (np.abs(values) > HUGE)
+    for value in (*USUAL, *(() if nodata is None else (np.float64(nodata).astype(values.dtype),))):
+        missing |= values == value
+    codes: list[float] = []
+    while search and (code := _isolated_code(values[~missing])) is not None:
+        missing |= values == code
+        codes.append(code)
+    return missing, tuple(codes)
+
+
+def _isolated_code(known: NDArray[Any]) -> float | None:
+    """Return the lowest or highest height if it is a code far from all others."""
+    for edge in (float(known.min()), float(known.max())) if known.size else ():
+        if abs(edge) > HIGHEST or any(abs(abs(edge) - code) <= 1e-6 * code for code in CODES):
+            rest = known[known != edge]
+            if rest.size and np.abs(rest - edge).min() > ISOLATED * np.ptp(rest):
+                return edge
+    return None

@@ -1,1 +1,0 @@
-"""CARMEN logs: lines, laser, odometry; reading and writing."""

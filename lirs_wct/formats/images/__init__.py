@@ -1,1 +1,0 @@
-"""Pictures and elevation data, through Pillow and GDAL."""

@@ -1,0 +1,314 @@
+"""Mesh files of any common format, read upright: z up, meters."""
+
+from __future__ import annotations
+
+import codecs
+import re
+import warnings
+from bisect import bisect_left
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from lirs_wct.arrays import IntArray
+from lirs_wct.errors import SourceError, reason_of
+from lirs_wct.files import referenced_file
+from lirs_wct.formats.meshes.document import STL_FACET, STL_HEAD, Document, cut_polygons, numbers
+from lirs_wct.formats.meshes.scenes import collada_frame, read_collada, read_glb
+from lirs_wct.formats.suffixes import MESHES, way_to_read
+from lirs_wct.geometry.mesh import TriangleMesh, weld
+
+FARTHEST = 1e9
+"""Largest coordinate of a vertex, in the file's unit."""
+_UPRIGHT = {
+    "X": np.array(((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))),
+    "Y": np.array(((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))),
+    "Z": np.eye(3),
+}
+"""Rotation of the file's axes by its up axis. X_UP: -y is right, z to the viewer. Y_UP: x is right, z to the
+viewer. Z_UP: x is right, -y to the viewer (COLLADA 1.4.1, <up_axis>)."""
+
+
+def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMesh:
+    """Read a mesh with merged vertices, z up, in meters, without degenerate triangles.
+
+    A GLB has y up by its standard. A COLLADA file states its up axis and unit. Other formats state neither,
+    and count as z up in meters. `up` replaces the file's own axis.
+
+    Raises:
+        SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
+    """
+    if path.suffix.lower() not in MESHES:
+        reason = way_to_read(path) or "not a mesh that is read"
+        raise SourceError(f"{path}: {reason}; legal: {', '.join(MESHES)}")
+    mesh = read_mesh(path)
+    a, b, c = mesh.faces.T
+    return upright(path, TriangleMesh(mesh.vertices, mesh.faces[(a != b) & (b != c) & (c != a)]), up)
+
+
+def upright(path: Path, mesh: TriangleMesh, up: Literal["y", "z"] | None = None) -> TriangleMesh:
+    """Convert the mesh of a file to z up and meters, with its normals.
+
+    Raises:
+        SourceError: the file's unit is not a number of meters.
+    """
+    if up == "y" or (up is None and path.suffix.lower() == ".glb"):
+        mesh = mesh.rotated_x(90.0)
+    if path.suffix.lower() == ".dae":
+        axis, unit = _collada_frame(path)
+        turn = _UPRIGHT["Z" if up else axis]
+        normals = None if mesh.normals is None else mesh.normals @ turn
+        return replace(mesh, vertices=mesh.vertices @ turn * unit, normals=normals)
+    return mesh
+
+
+def _collada_frame(path: Path) -> tuple[str, float]:
+    """Return the up axis and meters per unit."""
+    up, unit = collada_frame(path)
+    try:
+        meters = float(unit)
+    except ValueError:
+        raise SourceError(f"{path}: its unit is not a number of meters") from None
+    if up not in _UPRIGHT:
+        raise SourceError(f"{path}: its up axis must be X_UP, Y_UP or Z_UP")
+    if not 0 < meters < float("inf"):
+        raise SourceError(f"{path}: its unit must be above 0 m, got {meters:g}")
+    return up, meters
+
+
+def read_mesh(path: Path) -> TriangleMesh:
+    """Read a mesh file in its own frame, equal vertices merged.
+
+    Warns of parts that are left out or simplified.
+
+    Raises:
+        SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
+    """
+    document = read_document(path)
+    for note in dict.fromkeys(document.notes):
+        warnings.warn(f"{path}: {note}", stacklevel=3)
+    whole = document.whole
+    used, faces = np.unique(whole.faces, return_inverse=True)
+    return weld(TriangleMesh(whole.vertices[used], faces.reshape(-1, 3).astype(np.int32)))
+
+
+@np.errstate(invalid="ignore", over="ignore")  # such numbers are refused
+def read_document(path: Path) -> Document:
+    """Read the shapes of a mesh file as it states them.
+
+    Raises:
+        SourceError: as `read_mesh` says.
+    """
+    if not path.is_file():
+        raise SourceError(f"{path}: no such file")
+    suffix = path.suffix.lower()
+    try:
+        data = path.read_bytes()
+        if suffix == ".glb":
+            document = read_glb(data, lambda name: referenced_file(path, name).read_bytes())
+        else:
+            document = _READERS[suffix](data)
+        whole = document.whole
+    except SourceError:
+        raise
+    except Exception as error:  # damaged bytes raise different errors
+        raise SourceError(f"{path}: cannot be read as a mesh: {reason_of(error)}") from error
+    if len(whole.faces) == 0:
+        raise SourceError(f"{path}: holds no triangles, at least one is needed")
+    if not (np.abs(whole.vertices[whole.faces]) <= FARTHEST).all():
+        raise SourceError(f"{path}: has vertices that are not finite, or farther than {FARTHEST:g} units")
+    return document
+
+
+_CORNER = re.compile(rb"\bvertex\s+((?:[-+.\d]\S*|nan|inf)\s+\S+\s+\S+)")  # names may hold the word
+_END = re.compile(rb"\bend *(facet|solid)")
+
+
+def read_stl(data: bytes) -> Document:
+    """Read the triangles of an STL.
+
+    Raises:
+        ValueError: the file is cut off, or a word is not a number.
+    """
+    count = int.from_bytes(data[STL_HEAD - 4 : STL_HEAD], "little")
+    need = STL_HEAD + STL_FACET.itemsize * count
+    text = data.removeprefix(codecs.BOM_UTF8).lstrip()
+    if len(data) != need and text[:5].lower() == b"solid" and b"\0" not in data:
+        text = text.lower()
+        corners = numbers(b" ".join(_CORNER.findall(text)), np.float64).reshape(-1, 3)
+        ends = _END.findall(text)
+        if len(corners) != 3 * ends.count(b"facet") or ends[-1:] != [b"solid"]:
+            raise ValueError(f"is cut off or damaged: {len(corners)} corners, {ends.count(b'facet')} facets")
+    elif len(data) < need:
+        raise ValueError(f"is cut off: {count} triangles need {need} bytes, it has {len(data)}")
+    else:
+        facets = np.frombuffer(data, STL_FACET, count, STL_HEAD) if count else np.empty(0, STL_FACET)
+        corners = facets["floats"][:, 3:].reshape(-1, 3).astype(np.float64)
+    return Document([TriangleMesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))])
+
+
+_MARK = b"\xef\xbb\xbf"
+_POINT = re.compile(rb"^v +(\S+\s+\S+\s+\S+)", re.M)
+_FACE = re.compile(rb"^f +([^#\n]*)", re.M)
+
+
+def read_obj(data: bytes) -> Document:
+    """Read the faces of an OBJ; negative indices count back from the last vertex.
+
+    Raises:
+        ValueError: a word is not a number.
+    """
+    text = _plain(data)
+    points = numbers(b" ".join(_POINT.findall(text)), np.float64).reshape(-1, 3)
+    lines = _FACE.findall(text)
+    block = b"\n".join(lines)
+    if b"-" in block:
+        lines = _FACE.findall(_count_forward(text))
+        block = b"\n".join(lines)
+    counts = np.array([len(line.split()) for line in lines], np.int64)
+    corners = numbers(re.sub(rb"/\S*", b"", block) if b"/" in block else block, np.int64) - 1
+    mesh = TriangleMesh(points, corners[cut_polygons(points, corners, counts)].astype(np.int32))
+    return Document([mesh], b"usemtl" in text or b"\nvt " in text)
+
+
+def _plain(data: bytes) -> bytes:
+    """Return the text without continued, indented or tabbed lines."""
+    text = data.removeprefix(_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"\\\n" in text:
+        text = re.sub(rb"^[ \t]*#.*", b"", text, flags=re.M).replace(b"\\\n", b" ")
+    if b"\t" in text or b"\n " in text or text[:1] == b" ":
+        text = re.sub(rb"^[ \t]*(\w+)[ \t]+", rb"\1 ", text, flags=re.M).replace(b"\t", b" ")
+    return text
+
+
+def _count_forward(text: bytes) -> bytes:
+    """Return the text with positive indices only."""
+    places = [[m.start() for m in re.finditer(rb"^%s " % word, text, re.M)] for word in (b"v", b"vt", b"vn")]
+
+    def positive(line: re.Match[bytes]) -> bytes:
+        before = [bisect_left(starts, line.start()) for starts in places]
+        corners = [corner.split(b"/") for corner in line[1].split()]
+        return b"f " + b" ".join(
+            b"/".join(
+                b"%d" % (n + 1 + int(i)) if i[:1] == b"-" else i for i, n in zip(corner, before, strict=False)
+            )
+            for corner in corners
+        )
+
+    return _FACE.sub(positive, text)
+
+
+_KINDS = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+}
+"""Type of numpy by its name in a header."""
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_LOOKS = {"red", "texcoord", "u", "s", "texture_u"}
+
+
+@dataclass
+class PlyElement:
+    """Header of a PLY's table: properties by name, type, and type of a list's length."""
+
+    name: str
+    rows: int
+    properties: list[tuple[str, np.dtype[Any], np.dtype[Any] | None]] = field(default_factory=list)
+
+
+def read_ply(data: bytes) -> Document:
+    """Read the points and faces of a PLY.
+
+    Raises:
+        ValueError: the header is damaged, lacks x, y or z, or announces strips or more than there is.
+    """
+    is_text, elements = ply_header(data)
+    body = data[data.index(b"\n", data.index(b"end_header")) + 1 :]
+    names = next((tuple(n for n, _, _ in e.properties) for e in elements if e.name == "vertex"), ())
+    if missing := [axis for axis in "xyz" if axis not in names]:
+        got = ", ".join(names) or "none"
+        raise ValueError(f"points need x, y and z; missing: {', '.join(missing)}; got: {got}")
+    if any(element.rows for element in elements if element.name == "tristrips"):
+        raise ValueError("holds tristrips, which are not read; export it with faces")
+    if is_text:
+        body = numbers(body, np.float64).tobytes()
+    points, at = np.empty((0, 3)), 0
+    corners = counts = np.empty(0, np.int64)
+    for element in elements:
+        if any(length for _, _, length in element.properties):
+            try:
+                found, sizes, at = _lists(body, at, element)
+            except ValueError as error:
+                raise ValueError(f"is damaged or cut off in its {element.name} list: {error}") from error
+            corners, counts = (found, sizes) if element.name == "face" else (corners, counts)
+            continue
+        kind = np.dtype([(name, kind) for name, kind, _ in element.properties])
+        if at + element.rows * kind.itemsize > len(body):
+            raise ValueError(f"is damaged or cut off: {element.rows} of {element.name} are not in it")
+        table = np.ndarray(element.rows, kind, body, at)
+        at += table.nbytes
+        if element.name == "vertex":
+            points = np.column_stack([table[axis] for axis in "xyz"]).astype(np.float64)
+    triangles = cut_polygons(points, corners, counts)
+    looks = any(name in _LOOKS for element in elements for name, _, _ in element.properties)
+    return Document([TriangleMesh(points, corners[triangles].astype(np.int32))], looks)
+
+
+def ply_header(data: bytes) -> tuple[bool, list[PlyElement]]:
+    """Return whether the data is text, which is read as float64, and the elements.
+
+    Raises:
+        ValueError: it is no PLY, or one of an unknown format.
+    """
+    head, end, _ = data.partition(b"end_header")
+    if not (head.startswith(b"ply") and end):
+        raise ValueError("has no header of a PLY")
+    order, elements = "<", list[PlyElement]()
+    for line in head.decode("ascii", errors="replace").splitlines():
+        match line.split():
+            case ["format", kind, *_]:
+                if kind not in _ORDERS:
+                    raise ValueError(f"has the unknown format {kind!r}; legal: {', '.join(_ORDERS)}")
+                order = _ORDERS[kind]
+            case ["element", name, rows]:
+                elements.append(PlyElement(name, int(rows)))
+            case ["property", *kinds, name]:
+                each, *length = [
+                    np.dtype(order + _KINDS[k] if order else "f8") for k in kinds[::-1] if k != "list"
+                ]
+                elements[-1].properties.append((name, each, length[0] if length else None))
+    return not order, elements
+
+
+def _lists(body: bytes, begin: int, element: PlyElement) -> tuple[IntArray, IntArray, int]:
+    """Return the vertex indices of rows, their counts, and the end of the rows."""
+    starts, counts, kind, at, rows = list[int](), list[int](), np.dtype("i4"), begin, element.rows
+    lengths = list[tuple[int, np.dtype[Any], int]]()
+    for row in range(rows):
+        for name, each, length in element.properties:
+            n = 1
+            if length is not None:
+                n = int(np.frombuffer(body, length, 1, at)[0])
+                if n < 0:
+                    raise ValueError("a length is negative")
+                lengths += [] if row else [(at, length, n)]
+                at += length.itemsize
+            if name in ("vertex_index", "vertex_indices"):
+                starts.append(at)
+                counts.append(n)
+                kind = each
+            at += n * each.itemsize
+        size = at - begin
+        if row or begin + size * rows > len(body) or not starts:
+            continue
+        if all((np.ndarray(rows, each, body, place, (size,)) == n).all() for place, each, n in lengths):
+            table = np.ndarray((rows, counts[0]), kind, body, starts[0], (size, kind.itemsize))
+            return table.ravel().astype(np.int64), np.full(rows, counts[0]), begin + size * rows
+    found = [np.frombuffer(body, kind, n, start) for n, start in zip(counts, starts, strict=True)]
+    return np.concatenate([np.empty(0, np.int64), *found]).astype(np.int64), np.array(counts, np.int64), at
+
+
+_READERS = {".obj": read_obj, ".stl": read_stl, ".dae": read_collada, ".ply": read_ply}
