@@ -12,7 +12,7 @@ import pytest
 from lirs_validation import Run, validate
 from lirs_validation.analysis.results import read_results
 from lirs_validation.config import RunConfig
-from lirs_validation.drawing import FULL, error_picture
+from lirs_validation.drawing import FULL_COLOR_ERROR, error_picture
 from lirs_validation.experiment.loading import mapper_named, package_versions
 from lirs_validation.experiment.mapper_under_test import LocalMapper, SensorReadings, check_sensors
 from lirs_validation.gui.session.finished_run import read_playback
@@ -266,7 +266,7 @@ def test_heights_that_are_off_stand_out_in_color(still: Run) -> None:
     canvas = Canvas.over((-1.0, -1.0, 1.0, 1.0), 40)
     centers = canvas.centers[::-1].reshape(-1, 2)
     z = world.surface.height_at(centers[:, 0], centers[:, 1]).reshape(canvas.shape)
-    for lift, color in ((2 * FULL, VERMILLION), (-2 * FULL, BLUE), (0.0, "#ffffff")):
+    for lift, color in ((2 * FULL_COLOR_ERROR, VERMILLION), (-2 * FULL_COLOR_ERROR, BLUE), (0.0, "#ffffff")):
         grid = ElevationMap(z + lift, canvas.pixel, (-1.0, -1.0))
         picture = error_picture(canvas, world, grid)
         judged = ~np.isnan(grid.error(world.surface, world.walls))[::-1]
