@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+import scipy  # its modules load on first use
+from numpy.typing import ArrayLike, NDArray
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.display import ShownAsPicture
@@ -114,6 +116,7 @@ class HeightField(ShownAsPicture):
         return angle
 
 
+Number = TypeVar("Number", bound=np.floating[Any])
 STRIP = 512
 """Rows of nodes that are sampled together; all at once would take several times the memory."""
 
@@ -164,3 +167,10 @@ def _sample_columns(values: Float32Array, n: int) -> Float32Array:
     share = (at - left).astype(np.float32)
     out: Float32Array = values[:, left] * (1 - share) + values[:, left + 1] * share
     return out
+
+
+def nearest_values(values: NDArray[Number], missing: BoolArray) -> NDArray[Number]:
+    """Return a copy of a grid whose missing values are those of the nearest other node."""
+    nearest = scipy.ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    filled: NDArray[Number] = values[tuple(nearest)]
+    return filled

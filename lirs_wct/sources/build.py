@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,22 +13,15 @@ from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.formats.elevation import FLATTEST, STEEPEST
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.ground import Ground, LaserMap, Terrain
+from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.navigation import FOOTPRINTS
-from lirs_wct.sources.frame import Window, cut_nodes, cut_surface, leveled, sample_spacing
+from lirs_wct.sources.frame import Reading, cut_terrain
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.point_cloud import read_point_cloud
-from lirs_wct.sources.source import (
-    BuildOptions,
-    Source,
-    SourceKind,
-    find_source,
-    warn_of_shape,
-    warn_of_useless,
-)
+from lirs_wct.sources.source import BuildOptions, Source, SourceKind, find_source, warn_without_effect
 from lirs_wct.world import World
 
 SPAWN_AREA = 200.0
@@ -48,34 +41,31 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
         ConfigError: an option does not fit the source.
     """
     options = options or BuildOptions()
-    found = find_source(source, options)
-    if found.kind is SourceKind.LOG:
-        raise LogSourceError(f"{found.path}: a log is mapped before it is a world")
-    warn_of_useless(found, options)
-    world = _build_from(found, options)
-    exact = world.walls is not None or world.overhangs
-    warn_of_shape(found, options, world.surface.size, exact)
-    warn_of_result(found, world)
+    site = find_source(source, options)
+    if site.kind is SourceKind.LOG:
+        raise LogSourceError(f"{site.path}: a log is mapped before it is a world")
+    warn_without_effect(site, options)
+    if site.kind is SourceKind.FOLDER:
+        world = _load_world(site, options)
+    else:
+        ground, scale, place = READERS[site.kind](site, options)
+        world = World(site.name, ground, scale=scale, source=site.identity, start=options.start, place=place)
+        world = _with_spawn_poses(world)
+    warn_of_result(site, options, world)
     for texture in (options.texture, options.wall_texture):
         checked_texture(texture, options.max_pixels)
     return world.with_export(options)
 
 
-def _build_from(found: Source, options: BuildOptions) -> World:
-    if found.kind is SourceKind.FOLDER:
-        return _load_world(found, options)
-    ground: Ground
-    place = None
-    if found.kind is SourceKind.MESH:
-        ground, scale, place = read_mesh_source(found.path, options)
-    elif found.kind is SourceKind.CLOUD:
-        ground, scale, place = read_point_cloud(found.path, options)
-    elif found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
-        ground, scale, place = read_laser_map(found, options)
-    else:
-        ground, scale, place = read_terrain(found, options)
-    world = World(found.name, ground, scale=scale, source=found.identity, start=options.start, place=place)
-    return _with_spawn_poses(world)
+READERS: dict[SourceKind, Callable[[Source, BuildOptions], Reading]] = {
+    SourceKind.BUNDLED: read_terrain,
+    SourceKind.PICTURE: read_terrain,
+    SourceKind.MAP: read_laser_map,
+    SourceKind.MAP_PICTURE: read_laser_map,
+    SourceKind.MESH: read_mesh_source,
+    SourceKind.CLOUD: read_point_cloud,
+}
+"""Readers of the sources that are files, and of bundled worlds."""
 
 
 def _load_world(source: Source, options: BuildOptions) -> World:
@@ -88,15 +78,8 @@ def _load_world(source: Source, options: BuildOptions) -> World:
         return world if options.start is None else _with_spawn_poses(world)
     if isinstance(world.ground, LaserMap) or world.overhangs:
         raise ConfigError(f"{source.path}: --window cuts a built terrain only; give the world's own source")
-    ground, lift = _cut(world.ground, options.window)
+    ground, lift = cut_terrain(world.ground, options.window)
     return _with_spawn_poses(replace(world, ground=ground, place=world.place and world.place.raised(lift)))
-
-
-def _cut(ground: Ground, window: Window) -> tuple[Terrain, float]:
-    """Return a square of a ground with its lowest point at z = 0, and the height subtracted, meters."""
-    surface, lift = leveled(cut_surface(ground.surface, window))
-    spacing = sample_spacing(ground.surface, surface)
-    return Terrain(surface, cut_nodes(ground.no_ground, ground.surface, surface), spacing), lift
 
 
 def _with_spawn_poses(world: World) -> World:
@@ -113,7 +96,7 @@ def _with_spawn_poses(world: World) -> World:
         west, south, east, north = world.surface.bounds
         middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
         x, y = min(max(middle.x, west), east), min(max(middle.y, south), north)
-        place = replace(world, ground=_cut(world.ground, (x, y, SPAWN_AREA))[0])
+        place = replace(world, ground=cut_terrain(world.ground, (x, y, SPAWN_AREA))[0])
     resolution = 0.1 if world.walls is not None else max(0.1, max(place.surface.size) / SPAWN_CELLS)
     tried = [(footprint.robot, limits) for footprint in FOOTPRINTS for limits in footprint.limits]
     grids = place.traversable_by([limits for _, limits in tried], resolution)
@@ -159,19 +142,28 @@ def _refused_start(world: World, place: World, start: Pose2, resolution: float) 
     return ConfigError(f"{where}{cause}; {found} ({footprint.robot})")
 
 
-MOST_WALLS = 0.5
+WINDOW_SHARE = 0.98
+"""Share of a window's side above which it counts as inside the world: windows are cut at nodes."""
+MAX_WALLS = 0.5
 """Usual share of wall cells in a map, at most."""
-NARROWEST, WIDEST = 1.0, 100_000.0
+MIN_WIDTH, MAX_WIDTH = 1.0, 100_000.0
 """Usual width, meters."""
-MIDDLE = 0.05
+END_SHARE = 0.05
 """Share of the range at both ends outside which an isolated level leaves no height."""
-ISOLATED = 20.0
+LEVEL_GAP = 20.0
 """Distance of an isolated level from the other heights, multiple of their range."""
 
 
-def warn_of_result(source: Source, world: World) -> None:
-    """Warn of each figure of a world that is unusual; nothing is refused."""
-    for line in unusual_figures(world, source.kind):
+def warn_of_result(source: Source, options: BuildOptions, world: World) -> None:
+    """Warn of each figure of a world that is unusual or differs from an option; nothing is refused."""
+    lines, size = list(unusual_figures(world, source.kind)), world.surface.size
+    if options.window is not None and min(size) < WINDOW_SHARE * options.window[2]:
+        x, y, side = options.window
+        window = f"--window {x:g},{y:g},{side:g} reaches beyond the world"
+        lines.insert(0, f"{window}, {size[0]:.4g} x {size[1]:.4g} m of it are left")
+    if options.max_error and (world.walls is not None or world.overhangs):
+        lines.insert(0, "--max-error has no effect: walls and overhangs are written as they are")
+    for line in lines:
         warnings.warn(f"{source.path}: {line}", stacklevel=3)
 
 
@@ -179,9 +171,9 @@ def unusual_figures(world: World, kind: SourceKind) -> Iterator[str]:
     """Yield each unusual figure of a world with its likely cause."""
     width, is_picture = max(world.surface.size), kind is SourceKind.PICTURE
     change = " --size and --scale change it" if kind in (SourceKind.PICTURE, SourceKind.MESH) else ""
-    if not NARROWEST <= width <= WIDEST:
+    if not MIN_WIDTH <= width <= MAX_WIDTH:
         yield (
-            f"the world is {width:.4g} m wide, usual are {NARROWEST:g} m to {WIDEST / 1000:g} km: "
+            f"the world is {width:.4g} m wide, usual are {MIN_WIDTH:g} m to {MAX_WIDTH / 1000:g} km: "
             f"is the {'resolution' if isinstance(world.ground, LaserMap) else 'unit'} right?{change}"
         )
     if isinstance(world.ground, LaserMap):
@@ -205,8 +197,8 @@ def _unusual_map(ground: LaserMap) -> Iterator[str]:
         return
     walls, free = float(grid.occupied.mean()), int(grid.free.sum())
     causes = "occupied_thresh, free_thresh, negate, mode and transparency decide"
-    if walls == 0 or walls > MOST_WALLS:
-        yield f"{walls:.1%} of its cells are walls, usual are above 0 and up to {MOST_WALLS:.0%}: {causes}"
+    if walls == 0 or walls > MAX_WALLS:
+        yield f"{walls:.1%} of its cells are walls, usual are above 0 and up to {MAX_WALLS:.0%}: {causes}"
     if free == 0:
         yield f"none of its {grid.occupied.size} cells is free: {causes}"
 
@@ -214,14 +206,14 @@ def _unusual_map(ground: LaserMap) -> Iterator[str]:
 def _isolated_level(z: Float32Array, says: str) -> Iterator[str]:
     """Yield the heights far outside all others, with a hint."""
     low, high = float(z.min()), float(z.max())
-    margin = MIDDLE * (high - low)
+    margin = END_SHARE * (high - low)
     below, above = z < low + margin, z > high - margin
     if low == high or int(below.sum()) + int(above.sum()) < z.size:
         return
     few, others = (below, above) if below.sum() < above.sum() else (above, below)
     part, rest = z[few], z[others]
     gap = max(float(rest.min() - part.max()), float(part.min() - rest.max()))
-    if np.ptp(rest) > 0 and gap > ISOLATED * np.ptp(rest):
+    if np.ptp(rest) > 0 and gap > LEVEL_GAP * np.ptp(rest):
         side = "below" if few is below else "above"
         yield (
             f"{part.size} of {z.size} heights lie {gap:.4g} m {side} all others, "

@@ -6,52 +6,63 @@ import math
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField, sample_surface
+from lirs_wct.ground import Ground, Terrain
 
-FAR = 10_000.0
+MAX_OFFSET = 10_000.0
 """Distance from the origin, meters, beyond which the center of a source becomes the world's origin."""
-
-
-def local_origin(low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
-    """Return the coordinates of the world's origin: 0, 0 of a source near there.
-
-    Args:
-        low: smallest x and y of the source.
-        high: largest x and y.
-        unit: meters per unit of the coordinates.
-    """
-    if np.abs((low, high)).max() * unit <= FAR:
-        return 0.0, 0.0
-    x, y = ((low + high) / 2).round().tolist()
-    return x, y
-
-
-def warn_of_origin(path: Path, origin: tuple[float, float]) -> None:
-    """Say which coordinates of a far source are the world's origin."""
-    if origin != (0.0, 0.0):
-        x, y = origin
-        warnings.warn(
-            f"{path}: lies far from its origin: its point {x:.0f}, {y:.0f} becomes 0, 0 of the world",
-            stacklevel=4,
-        )
-
-
-Window = tuple[float, float, float]
-"""Center x, y and side, meters."""
-
-
-LARGE, DRIVEN = 200.0, 50.0
-"""A terrain longer than LARGE is driven on a square of DRIVEN, meters."""
+LARGE_SIDE, DRIVEN_SIDE = 200.0, 50.0
+"""Side from which a terrain is driven on a square only, and the side of that square, meters."""
 FEW_CELLS = 16
 """Cells along a window's side below which it is resampled."""
 SAMPLES = 65
 """Nodes along each side of a resampled window."""
+Window = tuple[float, float, float]
+"""Center x, y and side, meters."""
+
+
+class Reading(NamedTuple):
+    """Result of the reader of a source.
+
+    Attributes:
+        ground: Ground in the world's frame.
+        scale: Origin of the meters, a text.
+        place: Georeference; None = unknown.
+    """
+
+    ground: Ground
+    scale: str
+    place: Place | None = None
+
+
+def local_origin(path: Path, low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
+    """Return the coordinates of the world's origin: 0, 0 of a source near there; warn of others.
+
+    The digits of float32 would not suffice for coordinates of a country.
+
+    Args:
+        path: path of the source.
+        low: smallest x and y of the source.
+        high: largest x and y.
+        unit: meters per unit of the coordinates.
+    """
+    if np.abs((low, high)).max() * unit <= MAX_OFFSET:
+        return 0.0, 0.0
+    x, y = ((low + high) / 2).round().tolist()
+    if (x, y) != (0.0, 0.0):
+        warnings.warn(
+            f"{path}: lies far from its origin: its point {x:.0f}, {y:.0f} becomes 0, 0 of the world",
+            stacklevel=3,
+        )
+    return x, y
 
 
 def driven_window(surface: HeightField, start: Pose2 | None) -> Window | None:
@@ -61,11 +72,32 @@ def driven_window(surface: HeightField, start: Pose2 | None) -> Window | None:
         surface: the terrain.
         start: middle of the square; None = the middle of the terrain.
     """
-    if max(surface.size) <= LARGE:
+    if max(surface.size) <= LARGE_SIDE:
         return None
     west, south, east, north = surface.bounds
     middle = start or Pose2((west + east) / 2, (south + north) / 2)
-    return middle.x, middle.y, DRIVEN
+    return middle.x, middle.y, DRIVEN_SIDE
+
+
+def cut_terrain(ground: Ground, window: Window, *, level: bool = True) -> tuple[Terrain, float]:
+    """Return a square of a ground, and the height by which it was lowered to z = 0, meters.
+
+    The terrain names the spacing of the samples where the square is resampled.
+    """
+    whole, no_ground, lift = ground.surface, ground.no_ground, 0.0
+    surface = cut_surface(whole, window)
+    spacing = max(whole.cell) if surface.cell != whole.cell else None
+    if no_ground is not None:
+        col, row = (
+            np.rint((start + cell * np.arange(n) - first) / step).astype(int)
+            for start, cell, n, first, step in zip(
+                *(surface.origin, surface.cell, surface.shape[::-1], whole.origin, whole.cell), strict=True
+            )
+        )
+        no_ground = no_ground[np.ix_(whole.shape[0] - 1 - row[::-1], col)]
+    if level:
+        surface, lift = leveled(surface)
+    return Terrain(surface, no_ground, spacing), lift
 
 
 def cut_surface(surface: HeightField, window: Window) -> HeightField:
@@ -95,26 +127,17 @@ def cut_surface(surface: HeightField, window: Window) -> HeightField:
     )
 
 
-def sample_spacing(whole: HeightField, part: HeightField) -> float | None:
-    """Return the spacing of the whole surface's samples, meters; None if the part keeps them."""
-    return max(whole.cell) if part.cell != whole.cell else None
+def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:
+    """Return the first and last node that cover [low, high], at least two nodes."""
+    first = min(max(math.floor(low / cell + 1e-9), 0), count - 2)
+    last = min(max(math.ceil(high / cell - 1e-9), first + 1), count - 1)
+    return first, last
 
 
 def leveled(surface: HeightField) -> tuple[HeightField, float]:
     """Return a surface with its lowest point at z = 0, and the subtracted height, meters."""
     lowest = surface.z.min()
     return replace(surface, z=surface.z - lowest), float(lowest)
-
-
-def cut_nodes(mask: BoolArray | None, whole: HeightField, part: HeightField) -> BoolArray | None:
-    """Cut the part of a node mask that belongs to a cut surface."""
-    if mask is None:
-        return None
-    rows, cols = part.shape
-    west = round((part.origin[0] - whole.origin[0]) / whole.cell[0])
-    south = round((part.origin[1] - whole.origin[1]) / whole.cell[1])
-    north = whole.shape[0] - south - rows
-    return mask[north : north + rows, west : west + cols]
 
 
 def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
@@ -133,10 +156,3 @@ def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
     part = np.ascontiguousarray(grid.log_odds[low[0] : high[0], low[1] : high[1]])
     shift = Pose2(float(low[1]) * grid.resolution, float(low[0]) * grid.resolution)
     return replace(grid, log_odds=part, origin=grid.origin @ shift)
-
-
-def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:
-    """Return the first and last node that cover [low, high], at least two nodes."""
-    first = min(max(math.floor(low / cell + 1e-9), 0), count - 2)
-    last = min(max(math.ceil(high / cell - 1e-9), first + 1), count - 1)
-    return first, last

@@ -14,12 +14,12 @@ from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap
-from lirs_wct.sources.frame import cut_map, local_origin, warn_of_origin
+from lirs_wct.sources.frame import Reading, cut_map, local_origin
 from lirs_wct.sources.source import UNKNOWN, BuildOptions, Source, SourceKind, Unknown
 
 
-def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str, Place | None]:
-    """Return a map as ground, the origin of its meters as text, and its place.
+def read_laser_map(source: Source, options: BuildOptions) -> Reading:
+    """Read a laser map as walls on a level floor.
 
     Raises:
         SourceError: a file cannot be used.
@@ -31,18 +31,16 @@ def read_laser_map(source: Source, options: BuildOptions) -> tuple[LaserMap, str
         raise ConfigError(f"{source.path}: a map picture without YAML needs --resolution (meters a pixel)")
     else:
         truth = read_map_picture(source.path, options.resolution, options.max_pixels)
-    size = truth.resolution * np.array(truth.shape[::-1])
-    corners = truth.origin.apply(size * ((0, 0), (0, 1), (1, 0), (1, 1)))
-    x, y = local_origin(corners.min(axis=0), corners.max(axis=0))
-    origin = truth.origin
+    size, origin = truth.resolution * np.array(truth.shape[::-1]), truth.origin
+    corners = origin.apply(size * ((0, 0), (0, 1), (1, 0), (1, 1)))
+    x, y = local_origin(source.path, corners.min(axis=0), corners.max(axis=0))
     truth = replace(truth, origin=Pose2(origin.x - x, origin.y - y, origin.yaw))
     if options.window is not None:
         truth = cut_map(truth, options.window)
     truth = without_small_walls(truth, options.speckle)
     walls = walls_of(truth, options.wall_height, options.unknown)
-    warn_of_origin(source.path, (x, y))
     place = Place(CoordinateSystem(), (1.0, 0.0, x, 0.0, 1.0, y)) if (x, y) != (0.0, 0.0) else None
-    return LaserMap(level_floor(walls), walls, truth), f"{truth.resolution:g} m a cell", place
+    return Reading(LaserMap(level_floor(walls), walls, truth), f"{truth.resolution:g} m a cell", place)
 
 
 def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> WallGrid:

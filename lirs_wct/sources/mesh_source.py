@@ -15,38 +15,38 @@ from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import Grid, TriangleMesh, layers, rasterize_heights
-from lirs_wct.ground import MeshGround, Terrain
-from lirs_wct.sources.frame import Window, leveled, local_origin, warn_of_origin
-from lirs_wct.sources.source import BuildOptions
+from lirs_wct.ground import Ground, MeshGround, Terrain
+from lirs_wct.sources.frame import Reading, Window, leveled, local_origin
+from lirs_wct.sources.source import BuildOptions, Source
 
 NODES = 1025
 """Default number of nodes along the longer side."""
-FINEST = 0.02
+MIN_SPACING = 0.02
 """Smallest default node spacing, meters; finer detail does not affect a wheel."""
 UNITLESS = (".stl", ".obj", ".ply")
 """Files that do not state their unit; those of this program name meters in their first bytes."""
-RAISED, RAISED_SHARE = 0.3, 0.25
+OPENING, OPENING_SHARE = 0.3, 0.25
 """Height of an opening that rays and robots pass, meters, or share of the mesh's height if that is less."""
-UPRIGHT, WALLS = 0.1, 0.01
+WALL_NORMAL, WALL_SHARE = 0.1, 0.01
 """Vertical component of a wall's unit normal, at most; area of walls that heights lack, share of all."""
-AROUND = np.ones((3, 3), np.uint8)
+NEIGHBORS = np.ones((3, 3), np.uint8)
 """A node and its neighbors."""
-TALL = 0.1
+TALL_SHARE = 0.1
 """Height of a large mesh from a file with a unit, share of its width, from which millimeters are likely."""
-LOW = 0.5
+LOW_SHARE = 0.5
 """Depth along y of a relief with y up, share of its shorter other side."""
-SLOPED, LEVEL = 0.5, 0.9999
+SLOPE_COSINE, LEVEL_COSINE = 0.5, 0.9999
 """Cosines to y between which a face is a slope: below is a wall, above a floor."""
 RELIEF_SHARE = 0.35
 """Share of slopes in the area of a relief with y up."""
-HEAD = 80
+HEAD_BYTES = 80
 """Bytes of a file that may name its unit."""
-LARGE = 1000.0
+MAX_METERS = 1000.0
 """Longest side from which coordinates without a unit are likely millimeters."""
 
 
-def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshGround, str, Place | None]:
-    """Return a mesh as ground, the origin of its meters as text, and its place.
+def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
+    """Read a mesh: heights from above, and the mesh itself if it is closed or has overhangs.
 
     The mesh keeps its own frame, meters and z up; far from its origin, its center becomes the world's. An
     open mesh without overhangs, or one cut by a window, becomes its heights from above.
@@ -55,7 +55,8 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
         SourceError: the file is unusable, or has no extent in the plane.
         ConfigError: an option does not fit a mesh.
     """
-    mesh, factor = _scale(_outward(read_upright(path, options.up)), options)
+    path = source.path
+    mesh, (sx, sy, _) = _scale(_outward(read_upright(path, options.up)), options)
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
         hint = "; is y up? --up y" if options.up is None and high[2] > low[2] else ""
@@ -66,15 +67,16 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
         _warn_millimeters(path, low, high)
     if options.up is None:
         _warn_of_y_up(path, mesh)
-    mesh, place = _near_origin(path, mesh, factor)
+    place = None
+    x, y = local_origin(path, low[:2], high[:2])
+    if (x, y) != (0.0, 0.0):
+        mesh = replace(mesh, vertices=mesh.vertices - (x, y, low[2]))
+        place = Place(CoordinateSystem(), (1 / sx, 0.0, x / sx, 0.0, 1 / sy, y / sy), float(low[2]))
     surface, overhangs, no_ground = _surface(path, mesh, options)
-    closed = mesh.is_watertight
-    if not closed:
-        way = (
-            "contact is one-sided: on the front of its faces"
-            if overhangs
-            else ("its world is made from its heights seen from above")
-        )
+    is_solid = mesh.is_watertight or overhangs
+    if not mesh.is_watertight:
+        way = "contact is one-sided: on the front of its faces"
+        way = way if overhangs else "its world is made from its heights seen from above"
         warnings.warn(f"{path}: is not closed, {way}", stacklevel=3)
     if options.window is not None:
         if overhangs:
@@ -87,31 +89,20 @@ def read_mesh_source(path: Path, options: BuildOptions) -> tuple[Terrain | MeshG
             "set to the lowest height",
             stacklevel=3,
         )
-    given = options.size or options.height or options.scale or options.z_scale
-    scale = "as given" if given else "the file's own"
-    whole = (closed or overhangs) and options.window is None
-    gaps = no_ground if (closed or overhangs) and no_ground.any() else None
-    return MeshGround(surface, mesh, overhangs, gaps) if whole else Terrain(surface, gaps), scale, place
-
-
-def _near_origin(path: Path, mesh: TriangleMesh, factor: FloatArray) -> tuple[TriangleMesh, Place | None]:
-    """Return a far mesh at a local origin, and its place."""
-    low, high = mesh.bounds
-    x, y = local_origin(low[:2], high[:2])
-    if (x, y) == (0.0, 0.0):
-        return mesh, None
-    warn_of_origin(path, (x, y))
-    sx, sy, _ = factor.tolist()
-    place = Place(CoordinateSystem(), (1 / sx, 0.0, x / sx, 0.0, 1 / sy, y / sy), float(low[2]))
-    return replace(mesh, vertices=mesh.vertices - (x, y, low[2])), place
+    gaps = no_ground if is_solid and no_ground.any() else None
+    ground: Ground = Terrain(surface, gaps)
+    if is_solid and options.window is None:
+        ground = MeshGround(surface, mesh, overhangs, gaps)
+    scaled = options.size or options.height or options.scale or options.z_scale
+    return Reading(ground, "as given" if scaled else "the file's own", place)
 
 
 def _warn_of_y_up(path: Path, mesh: TriangleMesh) -> None:
     """Warn of a low and wide relief along y, which is upright with y up."""
     width, depth, height = np.ptp(mesh.bounds, axis=0).tolist()
     area, along = mesh.face_areas, np.abs(mesh.face_normals[:, 1])
-    sloped = area[(along > SLOPED) & (along < LEVEL)].sum()
-    if depth < LOW * min(width, height) and sloped > RELIEF_SHARE * area.sum():
+    sloped = area[(along > SLOPE_COSINE) & (along < LEVEL_COSINE)].sum()
+    if depth < LOW_SHARE * min(width, height) and sloped > RELIEF_SHARE * area.sum():
         up = "z" if path.suffix.lower() == ".glb" else "y"  # y is up in a GLB
         warnings.warn(
             f"{path}: is {_size(*mesh.bounds)} m and most of its faces look along y: "
@@ -124,10 +115,10 @@ def _warn_millimeters(path: Path, low: FloatArray, high: FloatArray) -> None:
     """Warn of a mesh that is large or high enough for millimeters."""
     side, height = float((high - low)[:2].max()), float((high - low)[2])
     unitless = path.suffix.lower() in UNITLESS
-    if side < LARGE or not (unitless or height > max(LARGE, TALL * side)):
+    if side < MAX_METERS or not (unitless or height > max(MAX_METERS, TALL_SHARE * side)):
         return
     with path.open("rb") as file:
-        if b"meters" in file.read(HEAD):
+        if b"meters" in file.read(HEAD_BYTES):
             return
     warnings.warn(
         f"{path}: is {_size(low, high)} m, as its unit counts as the meter; "
@@ -139,7 +130,7 @@ def _warn_millimeters(path: Path, low: FloatArray, high: FloatArray) -> None:
 def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[HeightField, bool, BoolArray]:
     """Return the heights from above, whether there are overhangs, and the nodes without ground."""
     (west, south), (east, north) = _extent(mesh, options.window)
-    spacing = options.resolution or max(max(east - west, north - south) / (NODES - 1), FINEST)
+    spacing = options.resolution or max(max(east - west, north - south) / (NODES - 1), MIN_SPACING)
     cols, rows = (max(2, round(side / spacing) + 1) for side in (east - west, north - south))
     if rows * cols > options.max_pixels:
         raise ConfigError(
@@ -153,8 +144,8 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
         raise SourceError(f"{path}: has no face that is seen from above")
     overhangs = bool((layers(mesh, grid, (rows, cols)) > (2 if mesh.is_watertight else 1)).any())
     overhangs = overhangs and not _is_stacked(mesh)
-    heights_lack = _has_openings if mesh.is_watertight else _has_thin_walls
-    overhangs = overhangs or heights_lack(mesh, grid, top)
+    has_more = _has_openings if mesh.is_watertight else _has_thin_walls
+    overhangs = overhangs or has_more(mesh, grid, top)
     if no_ground.any():
         top[no_ground] = mesh.bounds[0, 2]
     z = np.ascontiguousarray(top[::-1].astype(np.float32))
@@ -164,15 +155,15 @@ def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[Hei
 def _has_openings(mesh: TriangleMesh, grid: Grid, top: FloatArray) -> bool:
     """Whether space below a closed mesh is open to the side, as in a door."""
     low, high = mesh.bounds[:, 2]
-    least = min(RAISED, RAISED_SHARE * (high - low))
+    least = min(OPENING, OPENING_SHARE * (high - low))
     below = -rasterize_heights(TriangleMesh(mesh.vertices * (1.0, 1.0, -1.0), mesh.faces), grid, top.shape)
     no_ground = np.isnan(top)
     # A node on a side of the mesh sees any height of that side, its neighbors do not.
-    below, top = (cv2.erode(np.nan_to_num(heights, nan=high), AROUND) for heights in (below, top))
+    below, top = (cv2.erode(np.nan_to_num(heights, nan=high), NEIGHBORS) for heights in (below, top))
     below[no_ground] = np.nan
     # A sheet of constant thickness steps on both sides.
     steps = (np.abs(np.diff(below, axis=k)) - np.abs(np.diff(top, axis=k)) > least for k in (0, 1))
-    beside_no_ground = cv2.dilate(no_ground.astype(np.uint8), AROUND) > 0
+    beside_no_ground = cv2.dilate(no_ground.astype(np.uint8), NEIGHBORS) > 0
     return any(step.any() for step in steps) or bool((beside_no_ground & (below - low > least)).any())
 
 
@@ -181,11 +172,11 @@ def _has_thin_walls(mesh: TriangleMesh, grid: Grid, top: FloatArray) -> bool:
     west, south, *spacing = grid
     columns, rows = np.rint((mesh.vertices[:, :2] - (west, south)) / spacing).astype(int).T
     inside = (columns >= 0) & (columns < top.shape[1]) & (rows >= 0) & (rows < top.shape[0])
-    around = cv2.dilate(np.nan_to_num(top, nan=mesh.bounds[0, 2]), AROUND)
+    around = cv2.dilate(np.nan_to_num(top, nan=mesh.bounds[0, 2]), NEIGHBORS)
     hidden = np.zeros(len(mesh.vertices), bool)
-    hidden[inside] = mesh.vertices[inside, 2] > around[rows[inside], columns[inside]] + RAISED
-    walls = hidden[mesh.faces].any(axis=1) & (np.abs(mesh.face_normals[:, 2]) < UPRIGHT)
-    return bool(mesh.face_areas[walls].sum() > WALLS * mesh.face_areas.sum())
+    hidden[inside] = mesh.vertices[inside, 2] > around[rows[inside], columns[inside]] + OPENING
+    walls = hidden[mesh.faces].any(axis=1) & (np.abs(mesh.face_normals[:, 2]) < WALL_NORMAL)
+    return bool(mesh.face_areas[walls].sum() > WALL_SHARE * mesh.face_areas.sum())
 
 
 def _is_stacked(mesh: TriangleMesh) -> bool:

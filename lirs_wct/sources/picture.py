@@ -1,11 +1,11 @@
-"""Reader of elevation rasters and gray pictures as terrain, and the filters before meshing."""
+"""Reader of elevation rasters, gray pictures and bundled worlds as terrain, with filters before meshing."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,116 +25,37 @@ from lirs_wct.formats.elevation import (
 from lirs_wct.formats.picture import check_size
 from lirs_wct.formats.suffixes import ENCODINGS
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.heightfield import HeightField, resample
+from lirs_wct.geometry.heightfield import HeightField, nearest_values, resample
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
-from lirs_wct.sources.frame import Window, cut_surface, leveled, sample_spacing
+from lirs_wct.sources.frame import Reading, Window, cut_terrain
 from lirs_wct.sources.source import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, Source, SourceKind
 
+Rectangle = tuple[slice, slice]
+"""Rows and columns of a raster."""
+GRAY_TOLERANCE = 2
+"""Levels of 255 by which the channels of a gray picture may differ (rounding of color conversions)."""
+LUMA = (0.114, 0.587, 0.299)
+"""Weights of blue, green, red (ITU-R BT.601)."""
+MAP_LEVELS, MAP_SHARE = 5, 0.85
+"""Grays of an occupancy map, and the share of the pixels that they cover."""
+SLOPE_CHANGE = 0.01
+"""Relative change of slopes above which a given extent without given heights causes a warning."""
+BORDER_SHARE, CLIFF_HEIGHT, CLIFF_STEPS = 0.02, 50.0, 10.0
+"""Limits for the lowest value on the border as undeclared "no data": share of the border, height of the cliff
+next to it (meters), and ratio of the cliff to the usual step between neighbors."""
 MEDIAN_WINDOW = 5
 """Side of the median filter, pixels."""
 BILATERAL_REACH, BILATERAL_CONTRAST = 3.0, 0.05
 """Standard deviations of the bilateral filter: pixels, and share of the picture's range."""
-ITERATIONS = 40
-"""Steps on each level of the pyramid; more steps hardly reduce the number of triangles."""
-_COARSEST = 8
-_STEP = 1 / 64
+COARSEST_SIDE, ITERATIONS = 8, 40
+"""Least side of the coarsest level of a pyramid, and steps on each level; more hardly reduce triangles."""
+DESCENT = 1 / 64
 """One over the largest eigenvalue of the squared five-point Laplacian."""
 
 
-def apply_filters(values: Float32Array, options: BuildOptions) -> Float32Array:
-    """Return the values after denoising, smoothing, sharpening and resizing, in this order."""
-    if options.denoise is not None:
-        values = denoise(values, options.denoise)
-    if options.smoothing is not None:
-        values = smooth(values, options.smoothing)
-    if options.sharpness is not None:
-        values = sharpen(values, options.sharpness, max(options.smoothing or 0.0, 1.0))
-    if options.resize is not None:
-        values = resample(values, *options.resize)
-    return values
-
-
-def denoise(values: Float32Array, method: Literal["median", "bilateral"]) -> Float32Array:
-    """Remove single wrong pixels (median), or smooth noise and keep edges (bilateral)."""
-    if method == "median":
-        return np.asarray(cv2.medianBlur(values, MEDIAN_WINDOW), dtype=np.float32)
-    contrast = max(float(np.ptp(values)) * BILATERAL_CONTRAST, 1e-12)
-    return np.asarray(cv2.bilateralFilter(values, -1, contrast, BILATERAL_REACH), dtype=np.float32)
-
-
-def smooth(values: Float32Array, sigma: float) -> Float32Array:
-    """Blur values by a Gaussian of `sigma` pixels; border values are replicated."""
-    blurred = cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(blurred, dtype=np.float32)
-
-
-def sharpen(values: Float32Array, amount: float, sigma: float) -> Float32Array:
-    """Sharpen values by an unsharp mask: add `amount` times the difference to a blur of `sigma` pixels."""
-    sharp: Float32Array = values + np.float32(amount) * (values - smooth(values, sigma))
-    return sharp
-
-
-def dequantize(levels: Float32Array, step: float = 1.0) -> Float32Array:
-    """Return the smoothest surface within half a gray level of every pixel.
-
-    It minimizes the thin-plate energy, the sum of squared Laplacians, under |z - levels| <= step / 2. The
-    method is projected gradients with momentum (Beck and Teboulle 2009, algorithm FISTA; restarted after
-    O'Donoghue and Candes 2015, section 3.2), from coarse to fine: wide terraces converge on coarse levels.
-
-    Args:
-        levels: (rows, cols) gray levels.
-        step: distance of neighboring levels.
-    """
-    half = np.float32(step / 2)
-    pyramid = [levels]
-    while min(pyramid[-1].shape) >= 2 * _COARSEST:
-        rows, cols = pyramid[-1].shape
-        smaller = cv2.resize(pyramid[-1], ((cols + 1) // 2, (rows + 1) // 2), interpolation=cv2.INTER_AREA)
-        pyramid.append(np.asarray(smaller, dtype=np.float32))
-    z = pyramid[-1]
-    for level in reversed(pyramid):
-        if z.shape != level.shape:
-            z = cv2.resize(z, (level.shape[1], level.shape[0]), interpolation=cv2.INTER_CUBIC)
-        z = _smoothest(np.clip(z, level - half, level + half), level - half, level + half)
-    return z
-
-
-def _smoothest(z: Float32Array, low: Float32Array, high: Float32Array) -> Float32Array:
-    """Descend from a surface to smoother ones between two bounds."""
-    ahead, momentum = z, 1.0
-    for _ in range(ITERATIONS):
-        gradient = _laplacian(_laplacian(ahead))
-        gradient *= -_STEP
-        gradient += ahead
-        following = np.clip(gradient, low, high, out=gradient)
-        moved = following - z
-        # A step against the momentum resets the momentum.
-        if np.vdot(ahead - following, moved) > 0:
-            momentum = 1.0
-        after = (1 + (1 + 4 * momentum**2) ** 0.5) / 2
-        moved *= np.float32((momentum - 1) / after)
-        moved += following
-        z, ahead, momentum = following, moved, after
-    return z
-
-
-def _laplacian(z: Float32Array) -> Float32Array:
-    """Return the five-point Laplacian; border values are replicated."""
-    out: Float32Array = cv2.Laplacian(z, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REPLICATE)
-    return out
-
-
-GRAY_TOLERANCE = 2
-"""Levels of 255 by which the channels of a gray picture may differ (rounding of color conversions)."""
-MAP_LEVELS, MAP_SHARE = 5, 0.85
-"""Grays of an occupancy map, and the share of the pixels that they cover."""
-LUMA = (0.114, 0.587, 0.299)
-"""Weights of blue, green, red (ITU-R BT.601)."""
-
-
-def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, Place | None]:
-    """Return a picture or a bundled world as ground, the origin of its meters, its georeference.
+def read_terrain(source: Source, options: BuildOptions) -> Reading:
+    """Read a picture or a bundled world as terrain.
 
     Bright is high, the lowest point is z = 0 unless `zero` is given, and the center is the origin.
 
@@ -146,43 +67,71 @@ def read_terrain(source: Source, options: BuildOptions) -> tuple[Terrain, str, P
         SourceError: the file is unusable, is in color without `grayscale`, or is more than half nodata.
         ConfigError: the window lies outside the terrain, or an option does not fit the picture.
     """
+    path = source.path
     if source.kind is SourceKind.BUNDLED:
-        (surface, scale), place = _read_bundled(source.path, options), None
+        raster, scale, options = _bundled_raster(path, options)
     else:
-        surface, scale, place = _read_picture(source.path, options)
-    spacing = None
-    if options.window is not None:
-        whole, surface = surface, cut_surface(surface, options.window)
-        spacing = sample_spacing(whole, surface)
-        if options.zero is None:
-            surface, lift = leveled(surface)
-            place = place and place.raised(lift)
-    return Terrain(surface, sample_spacing=spacing), scale, place
-
-
-def _read_bundled(path: Path, options: BuildOptions) -> tuple[HeightField, str]:
-    """Make the terrain of a bundled world, which has meters of its own."""
-    bundled = bundled_picture(path.name)
-    rows, cols = bundled.pixels.shape
-    check_size(path, cols, rows, options.max_pixels)
-    size = options.size if options.size or options.resolution else SIZE
-    own = replace(options, size=size, height=options.height or bundled.height)
-    surface, _ = _heights(path, decode_heights(path, Raster(bundled.pixels), options), own)
-    resized = options.size or options.resolution or options.height
-    return surface, "as given" if resized else "as bundled"
-
-
-def _read_picture(path: Path, options: BuildOptions) -> tuple[HeightField, str, Place | None]:
-    sized = bool(options.size or options.resolution)
-    raster = decode_heights(path, read_raster(path, options.max_pixels, sized=sized), options)
+        sized = bool(options.size or options.resolution)
+        raster = read_raster(path, options.max_pixels, sized=sized)
+        raster = _decode_colors(path, raster, options)
+        scale = _scale_text(raster.info, options)
     surface, height = _heights(path, raster, options)
-    warn_slope_change(path, raster, surface, options)
+    _warn_slope_change(path, raster, surface, options)
     if options.kind is None and looks_like_map(raster.pixels):
         warnings.warn(
             f"{path}: looks like a laser map: give its YAML file, or --kind map with --resolution",
             stacklevel=4,
         )
-    return surface, _scale_text(raster.info, options), place_of(raster, surface, height, options)
+    terrain, place = Terrain(surface), _place(raster, surface, height, options)
+    if options.window is not None:
+        terrain, lift = cut_terrain(terrain, options.window, level=options.zero is None)
+        place = place and place.raised(lift)
+    return Reading(terrain, scale, place)
+
+
+def _bundled_raster(path: Path, options: BuildOptions) -> tuple[Raster, str, BuildOptions]:
+    """Return a bundled world's picture, the origin of its meters, and the options with these meters."""
+    bundled = bundled_picture(path.name)
+    rows, cols = bundled.pixels.shape
+    check_size(path, cols, rows, options.max_pixels)
+    resized = options.size or options.resolution or options.height
+    size = options.size if options.size or options.resolution else SIZE
+    own = replace(options, size=size, height=options.height or bundled.height)
+    return Raster(bundled.pixels), "as given" if resized else "as bundled", own
+
+
+def _decode_colors(path: Path, raster: Raster, options: BuildOptions) -> Raster:
+    """Return the raster with colors of elevation tiles decoded to heights.
+
+    Raises:
+        SourceError: the raster has no colors.
+        ConfigError: the extent of the raster is unknown.
+    """
+    if options.encoding == "gray":
+        return raster
+    if raster.pixels.ndim != 3 or raster.pixels.dtype != np.uint8:
+        raise SourceError(f"{path}: {options.encoding} is 8-bit color, this is {raster.pixels.dtype} gray")
+    shape = raster.pixels.shape[:2]
+    georeference = raster.info.georeference or tile_georeference(path, (shape[0], shape[1]))
+    if georeference is None and options.size is None and options.resolution is None:
+        raise ConfigError(
+            f"{path}: its heights are in meters, its extent is not known: give --resolution or --size"
+        )
+    return Raster(decode(raster.pixels, options.encoding), RasterInfo(georeference, unit=1.0))
+
+
+def _scale_text(info: RasterInfo, options: BuildOptions) -> str:
+    """Return the origin of the meters as text."""
+    size = height = "the file's own"
+    if info.georeference is None:
+        size = f"{DEFAULT_SIZE:g} m on the longer side by default"
+    if info.unit is None:
+        height = f"{DEFAULT_HEIGHT:g} m by default"
+    if options.size is not None or options.resolution is not None:
+        size = "as given"
+    if options.height is not None:
+        height = "as given"
+    return size if size == height else f"size {size}, height {height}"
 
 
 def looks_like_map(pixels: NDArray[Any]) -> bool:
@@ -208,48 +157,42 @@ def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightF
     Raises:
         ConfigError: `zero` is given, and the heights are rescaled.
     """
-    info, factor = raster.info, (options.scale or (1.0, 1.0, 1.0))[2] * (options.z_scale or 1.0)
+    info, unit, (sx, sy, sz) = raster.info, raster.info.unit or 1.0, options.scale or (1.0, 1.0, 1.0)
+    factor = sz * (options.z_scale or 1.0)
     own = info.unit is not None and options.height is None and factor == 1.0 and not options.invert
     if options.zero is not None and not own:
         raise ConfigError(f"{path}: the option zero needs the file's own heights, which these are not")
     pixels = _crop(path, raster.pixels, options.crop)
-    unit = info.unit or 1.0
-    width, depth = _extent(pixels.shape, pixel_of(info), options)
-    sx, sy, _ = options.scale or (1.0, 1.0, 1.0)
+    width, depth = _extent(pixels.shape, info, options)
     width, depth = width * sx, depth * sy
-    filled = _fill_holes(
-        path, pixels, info, options, _kept_pixels(pixels.shape, (width, depth), options.window)
-    )
-    above, base = _above(filled, info, options, None if options.zero is None else options.zero / unit)
+    values = _known_heights(path, pixels, info, options, _kept(pixels.shape, (width, depth), options.window))
+    if info.scale != 1.0 or info.offset != 0.0:
+        values = values.astype(np.float64) * info.scale + info.offset
+    if options.invert:
+        np.negative(values, out=values)
+    base = float(values.min()) if options.zero is None else options.zero / unit
+    values -= base
+    above = values.astype(np.float32, copy=False)
     if options.deterrace:
         above = dequantize(above, _level_step(path, pixels) * abs(info.scale))
     above = apply_filters(above, options)
     if options.zero is None:
         lowest = float(above.min())
         above -= np.float32(lowest)
-        above, base = _meters(above, info.unit, options.height, factor), base + lowest
-    else:
-        above *= np.float32(unit)
+        base += lowest
+        relief = above.max()
+        if relief > 0 and (info.unit is None or options.height is not None):
+            # Division first: the highest point is exactly `height`.
+            above /= relief
+            unit = options.height or DEFAULT_HEIGHT
+    above *= np.float32(unit)
+    above *= np.float32(factor)
     rows, cols = above.shape
     try:
         surface = HeightField.centered(above, (width / (cols - 1), depth / (rows - 1)))
     except ConfigError as error:
         raise SourceError(f"{path}: {error}") from error
     return surface, base * unit if own else None
-
-
-def _scale_text(info: RasterInfo, options: BuildOptions) -> str:
-    """Return the origin of the meters as text."""
-    size = height = "the file's own"
-    if info.georeference is None:
-        size = f"{DEFAULT_SIZE:g} m on the longer side by default"
-    if info.unit is None:
-        height = f"{DEFAULT_HEIGHT:g} m by default"
-    if options.size is not None or options.resolution is not None:
-        size = "as given"
-    if options.height is not None:
-        height = "as given"
-    return size if size == height else f"size {size}, height {height}"
 
 
 def _crop(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | None) -> NDArray[Any]:
@@ -263,15 +206,27 @@ def _crop(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | No
     return pixels[row : row + height, col : col + width]
 
 
-def _level_step(path: Path, pixels: NDArray[Any]) -> float:
-    """Return the distance of neighboring gray levels; 257 for 8 bits stored as 16."""
-    if pixels.dtype.kind not in "iu":
-        raise SourceError(f"{path}: holds floating-point heights, --option deterrace=true needs gray levels")
-    steps = np.diff(np.unique(pixels))
-    return float(np.gcd.reduce(steps)) if len(steps) else 1.0
+def _extent(shape: tuple[int, ...], info: RasterInfo, options: BuildOptions) -> tuple[float, float]:
+    """Return width and depth of the ground, meters; n pixels are nodes of n - 1 cells.
+
+    Raises:
+        ConfigError: size and resolution are both given.
+    """
+    if options.size is not None and options.resolution is not None:
+        raise ConfigError("both set the extent of a picture: give one of --size, --resolution")
+    if isinstance(options.size, tuple):
+        return options.size
+    rows, cols = shape[:2]
+    sx, sy = info.georeference.pixel if info.georeference else (1.0, 1.0)
+    if options.resolution is not None:
+        sx = sy = options.resolution
+    elif options.size is not None or info.georeference is None:
+        factor = (options.size or DEFAULT_SIZE) / max((cols - 1) * sx, (rows - 1) * sy)
+        sx, sy = sx * factor, sy * factor
+    return (cols - 1) * sx, (rows - 1) * sy
 
 
-def _kept_pixels(shape: tuple[int, ...], size: tuple[float, float], window: Window | None) -> Rectangle:
+def _kept(shape: tuple[int, ...], size: tuple[float, float], window: Window | None) -> Rectangle:
     """Return the rows and columns of a picture that a window keeps."""
     if window is None:
         return slice(None), slice(None)
@@ -283,35 +238,56 @@ def _kept_pixels(shape: tuple[int, ...], size: tuple[float, float], window: Wind
     return spans[0], spans[1]
 
 
-def _fill_holes(
+def _known_heights(
     path: Path, pixels: NDArray[Any], info: RasterInfo, options: BuildOptions, kept: Rectangle
 ) -> NDArray[np.floating[Any]]:
-    """Return (rows, cols) gray values with filled holes."""
+    """Return (rows, cols) values; a pixel without height takes that of its nearest neighbor.
+
+    Args:
+        path: path of the raster.
+        pixels: (rows, cols) or (rows, cols, 3) pixels.
+        info: units of the pixels.
+        options: declared value of pixels without a height, and whether colors become gray.
+        kept: rows and columns of the world, of which at most half may lack a height.
+
+    Raises:
+        SourceError: more than half of the kept pixels have no height.
+    """
     values = _gray(path, pixels, options.grayscale)
     nodata = info.nodata if options.nodata is None else options.nodata
-    heights = info.unit is not None
     # Unsigned levels have no value for "no data" unless they are heights or the file declares one.
-    if nodata is not None or heights or pixels.dtype.kind != "u":
-        values = fill_nodata(path, values, nodata, kept, search=heights and options.nodata is None)
+    if nodata is not None or info.unit is not None or pixels.dtype.kind != "u":
+        search = info.unit is not None and options.nodata is None
+        missing, codes = missing_heights(values, nodata, search=search)
+        if missing.any():
+            _report_missing(path, values, missing, codes, kept)
+            values = nearest_values(values, missing)
     if nodata is None and info.unit is not None:
         warn_nodata_border(path, values, info.unit)
     return values
 
 
-def _above(
-    values: NDArray[np.floating[Any]], info: RasterInfo, options: BuildOptions, base: float | None
-) -> tuple[Float32Array, float]:
-    """Return (rows, cols) heights above a base, a new array, and the base.
-
-    Both are in the raster's unit of height. The default base is the lowest height.
-    """
-    if info.scale != 1.0 or info.offset != 0.0:
-        values = values.astype(np.float64) * info.scale + info.offset
-    if options.invert:
-        np.negative(values, out=values)
-    base = float(values.min()) if base is None else base
-    values -= base
-    return values.astype(np.float32, copy=False), base
+def _report_missing(
+    path: Path,
+    values: NDArray[np.floating[Any]],
+    missing: NDArray[np.bool_],
+    codes: tuple[float, ...],
+    kept: Rectangle,
+) -> None:
+    """Warn of the number of pixels without a height; refuse more than half of the kept ones."""
+    if missing[kept].mean() > 0.5:
+        raise SourceError(
+            f"{path}: {int(missing[kept].sum())} of {missing[kept].size} pixels have no height (NaN or "
+            "nodata), at most half may lack one; --window X,Y,SIDE keeps a part"
+        )
+    share = f"{int(missing.sum())} of {values.size} pixels have no height (NaN or nodata)"
+    if codes:
+        known = values[~missing]
+        share += (
+            f", {' and '.join(f'{code:g}' for code in codes)} among them: an isolated level, the others are "
+            f"{known.min():.6g} to {known.max():.6g}"
+        )
+    warnings.warn(f"{path}: {share}, filled from their nearest neighbors", stacklevel=3)
 
 
 def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.floating[Any]]:
@@ -342,143 +318,6 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
     return gray
 
 
-def _meters(above: Float32Array, unit: float | None, height: float | None, factor: float) -> Float32Array:
-    """Turn values above the lowest point into meters, in place; a flat picture stays flat."""
-    relief = above.max()
-    if relief > 0 and (unit is None or height is not None):
-        # Division first: the highest point is exactly `height`.
-        above /= relief
-        above *= np.float32(height or DEFAULT_HEIGHT)
-    elif unit is not None:
-        above *= np.float32(unit)
-    above *= np.float32(factor)
-    return above
-
-
-def _extent(
-    shape: tuple[int, ...], pixel: tuple[float, float] | None, options: BuildOptions
-) -> tuple[float, float]:
-    """Return width and depth of the ground, meters; n pixels are nodes of n - 1 cells.
-
-    Raises:
-        ConfigError: size and resolution are both given.
-    """
-    if options.size is not None and options.resolution is not None:
-        raise ConfigError("both set the extent of a picture: give one of --size, --resolution")
-    rows, cols = shape[:2]
-    sx, sy = pixel or (1.0, 1.0)
-    if isinstance(options.size, tuple):
-        return options.size
-    if options.resolution is not None:
-        sx = sy = options.resolution
-    elif options.size is not None or pixel is None:
-        factor = (options.size or DEFAULT_SIZE) / max((cols - 1) * sx, (rows - 1) * sy)
-        sx, sy = sx * factor, sy * factor
-    return (cols - 1) * sx, (rows - 1) * sy
-
-
-Rectangle = tuple[slice, slice]
-"""Rows and columns of a raster."""
-STEEPER = 0.01
-"""Relative change of slopes above which a given extent without given heights causes a warning."""
-BORDER, CLIFF, STEPS = 0.02, 50.0, 10.0
-"""Limits for the lowest value on the border as undeclared "no data": share of the border, height of the cliff
-next to it (meters), and ratio of the cliff to the usual step between neighbors."""
-
-
-def decode_heights(path: Path, raster: Raster, options: BuildOptions) -> Raster:
-    """Return the raster with colors decoded to heights.
-
-    Raises:
-        SourceError: the raster has no colors.
-        ConfigError: the extent of the raster is unknown.
-    """
-    if options.encoding == "gray":
-        return raster
-    if raster.pixels.ndim != 3 or raster.pixels.dtype != np.uint8:
-        raise SourceError(f"{path}: {options.encoding} is 8-bit color, this is {raster.pixels.dtype} gray")
-    shape = raster.pixels.shape[:2]
-    georeference = raster.info.georeference or tile_georeference(path, (shape[0], shape[1]))
-    if georeference is None and options.size is None and options.resolution is None:
-        raise ConfigError(
-            f"{path}: its heights are in meters, its extent is not known: give --resolution or --size"
-        )
-    return Raster(decode(raster.pixels, options.encoding), RasterInfo(georeference, unit=1.0))
-
-
-def pixel_of(info: RasterInfo) -> tuple[float, float] | None:
-    """Return the size of a pixel on the ground, eastward and northward, meters; None if unknown."""
-    return None if info.georeference is None else info.georeference.pixel
-
-
-def place_of(
-    raster: Raster, surface: HeightField, height: float | None, options: BuildOptions
-) -> Place | None:
-    """Return the georeference of the terrain, if the raster has one."""
-    found = raster.info.georeference
-    if found is None:
-        return None
-    left, top, cols, rows = options.crop or (0, 0, *raster.pixels.shape[1::-1])
-    (west, south), (width, depth) = surface.origin, surface.size
-    across, down = (cols - 1) / width, (rows - 1) / depth
-    a, b, _, d, e, _ = found.affine
-    # The column at x = 0, and the row at y = 0, of the whole raster.
-    x0, y0 = found.coordinates(left - west * across, top + (south + depth) * down)
-    return Place(found.system, (a * across, -b * down, x0, d * across, -e * down, y0), height)
-
-
-def warn_slope_change(path: Path, raster: Raster, surface: HeightField, options: BuildOptions) -> None:
-    """Warn if the extent is given and the heights are not, because slopes change."""
-    pixel = pixel_of(raster.info)
-    if pixel is None or options.height or options.z_scale or options.scale:
-        return
-    cols = options.crop[2] if options.crop else raster.pixels.shape[1]
-    steeper = (cols - 1) * pixel[0] / surface.size[0]
-    if abs(steeper - 1) > STEEPER:
-        warnings.warn(
-            f"{path}: slopes become {steeper:.4g} times as steep: the extent was given, the heights stay the "
-            f"file's own ({surface.relief:.4g} m); --height or --scale changes them as well",
-            stacklevel=4,
-        )
-
-
-def fill_nodata(
-    path: Path, values: NDArray[np.floating[Any]], nodata: float | None, kept: Rectangle, *, search: bool
-) -> NDArray[np.floating[Any]]:
-    """Fill every pixel without a height from its nearest neighbor; warn with their number.
-
-    Args:
-        path: path of the raster.
-        values: (rows, cols) pixels.
-        nodata: declared value of pixels without a height.
-        kept: rows and columns of the world, of which at most half may lack a height.
-        search: whether isolated codes mean "no height".
-
-    Raises:
-        SourceError: more than half of the kept pixels have no height.
-    """
-    missing, codes = missing_heights(values, nodata, search=search)
-    count = int(missing.sum())
-    if count == 0:
-        return values
-    if missing[kept].mean() > 0.5:
-        raise SourceError(
-            f"{path}: {int(missing[kept].sum())} of {missing[kept].size} pixels have no height (NaN or "
-            "nodata), at most half may lack one; --window X,Y,SIDE keeps a part"
-        )
-    share = f"{count} of {values.size} pixels have no height (NaN or nodata)"
-    if codes:
-        known = values[~missing]
-        share += (
-            f", {' and '.join(f'{code:g}' for code in codes)} among them: an isolated level, the others are "
-            f"{known.min():.6g} to {known.max():.6g}"
-        )
-    warnings.warn(f"{path}: {share}, filled from their nearest neighbors", stacklevel=3)
-    nearest = scipy.ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    filled: NDArray[np.floating[Any]] = values[tuple(nearest)]
-    return filled
-
-
 def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: float) -> None:
     """Warn of a border of the lowest value next to a cliff, likely undeclared "no data".
 
@@ -488,10 +327,10 @@ def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: floa
         unit: meters per unit of height.
     """
     lowest = values.min()
-    border = np.concatenate((values[0], values[-1], values[1:-1, 0], values[1:-1, -1]))
-    if np.count_nonzero(border == lowest) < max(4, BORDER * border.size):
-        return
     low = values == lowest
+    border = np.concatenate((low[0], low[-1], low[1:-1, 0], low[1:-1, -1]))
+    if np.count_nonzero(border) < max(4, BORDER_SHARE * border.size):
+        return
     label, _ = scipy.ndimage.label(low)
     edge = np.concatenate((label[0], label[-1], label[:, 0], label[:, -1]))
     low = np.isin(label, np.unique(edge[edge > 0]))
@@ -499,12 +338,120 @@ def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: floa
     if not beside.any():
         return
     cliff = float(np.median(values[beside] - lowest)) * unit
-    within = ~low[:, 1:] & ~low[:, :-1]
-    steps = np.abs(np.diff(values, axis=1))[within]
-    usual = float(np.median(steps)) * unit if steps.size else 0.0
-    if cliff > max(CLIFF, STEPS * usual):
+    steps = np.abs(np.diff(values, axis=1))[~low[:, 1:] & ~low[:, :-1]]
+    usual_step = float(np.median(steps)) * unit if steps.size else 0.0
+    if cliff > max(CLIFF_HEIGHT, CLIFF_STEPS * usual_step):
         warnings.warn(
             f"{path}: {int(low.sum())} pixels of {lowest:g} along the border stand beside heights "
             f"{cliff:.0f} m above them; where {lowest:g} means no height, say --option nodata={lowest:g}",
             stacklevel=4,
         )
+
+
+def _warn_slope_change(path: Path, raster: Raster, surface: HeightField, options: BuildOptions) -> None:
+    """Warn if the extent is given and the heights are not, because slopes change."""
+    georeference = raster.info.georeference
+    if georeference is None or options.height or options.z_scale or options.scale:
+        return
+    cols = options.crop[2] if options.crop else raster.pixels.shape[1]
+    steeper = (cols - 1) * georeference.pixel[0] / surface.size[0]
+    if abs(steeper - 1) > SLOPE_CHANGE:
+        warnings.warn(
+            f"{path}: slopes become {steeper:.4g} times as steep: the extent was given, the heights stay the "
+            f"file's own ({surface.relief:.4g} m); --height or --scale changes them as well",
+            stacklevel=4,
+        )
+
+
+def _place(raster: Raster, surface: HeightField, height: float | None, options: BuildOptions) -> Place | None:
+    """Return the georeference of the terrain, if the raster has one."""
+    georeference = raster.info.georeference
+    if georeference is None:
+        return None
+    left, top, cols, rows = options.crop or (0, 0, *raster.pixels.shape[1::-1])
+    (west, south), (width, depth) = surface.origin, surface.size
+    across, down = (cols - 1) / width, (rows - 1) / depth
+    a, b, _, d, e, _ = georeference.affine
+    # The column at x = 0, and the row at y = 0, of the whole raster.
+    x0, y0 = georeference.coordinates(left - west * across, top + (south + depth) * down)
+    return Place(georeference.system, (a * across, -b * down, x0, d * across, -e * down, y0), height)
+
+
+def apply_filters(values: Float32Array, options: BuildOptions) -> Float32Array:
+    """Return the values after denoising, smoothing, sharpening and resizing, in this order.
+
+    Denoising removes single wrong pixels (median), or smooths noise and keeps edges (bilateral). Sharpening
+    adds a multiple of the difference to a blur (unsharp mask).
+    """
+    if options.denoise == "median":
+        values = np.asarray(cv2.medianBlur(values, MEDIAN_WINDOW), np.float32)
+    elif options.denoise == "bilateral":
+        contrast = max(float(np.ptp(values)) * BILATERAL_CONTRAST, 1e-12)
+        values = np.asarray(cv2.bilateralFilter(values, -1, contrast, BILATERAL_REACH), np.float32)
+    if options.smoothing is not None:
+        values = _blur(values, options.smoothing)
+    if options.sharpness is not None:
+        blurred = _blur(values, max(options.smoothing or 0.0, 1.0))
+        values = values + np.float32(options.sharpness) * (values - blurred)
+    if options.resize is not None:
+        values = resample(values, *options.resize)
+    return values
+
+
+def _blur(values: Float32Array, sigma: float) -> Float32Array:
+    blurred = cv2.GaussianBlur(values, (0, 0), sigma, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(blurred, dtype=np.float32)
+
+
+def dequantize(levels: Float32Array, step: float = 1.0) -> Float32Array:
+    """Return the smoothest surface within half a gray level of every pixel.
+
+    It minimizes the thin-plate energy, the sum of squared Laplacians, under |z - levels| <= step / 2. The
+    method is projected gradients with momentum (Beck and Teboulle 2009, algorithm FISTA; restarted after
+    O'Donoghue and Candes 2015, section 3.2), from coarse to fine: wide terraces converge on coarse levels.
+
+    Args:
+        levels: (rows, cols) gray levels.
+        step: distance of neighboring levels.
+    """
+    half = np.float32(step / 2)
+    pyramid = [levels]
+    while min(pyramid[-1].shape) >= 2 * COARSEST_SIDE:
+        rows, cols = pyramid[-1].shape
+        smaller = cv2.resize(pyramid[-1], ((cols + 1) // 2, (rows + 1) // 2), interpolation=cv2.INTER_AREA)
+        pyramid.append(np.asarray(smaller, dtype=np.float32))
+    z = pyramid[-1]
+    for level in reversed(pyramid):
+        if z.shape != level.shape:
+            z = cv2.resize(z, (level.shape[1], level.shape[0]), interpolation=cv2.INTER_CUBIC)
+        z = _smoothest(np.clip(z, level - half, level + half), level - half, level + half)
+    return z
+
+
+def _smoothest(z: Float32Array, low: Float32Array, high: Float32Array) -> Float32Array:
+    """Descend from a surface to smoother ones between two bounds."""
+    ahead, momentum = z, 1.0
+    for _ in range(ITERATIONS):
+        gradient = ahead
+        for _ in range(2):
+            gradient = cv2.Laplacian(gradient, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REPLICATE)
+        gradient *= -DESCENT
+        gradient += ahead
+        following = np.clip(gradient, low, high, out=gradient)
+        moved = following - z
+        # A step against the momentum resets the momentum.
+        if np.vdot(ahead - following, moved) > 0:
+            momentum = 1.0
+        after = (1 + (1 + 4 * momentum**2) ** 0.5) / 2
+        moved *= np.float32((momentum - 1) / after)
+        moved += following
+        z, ahead, momentum = following, moved, after
+    return z
+
+
+def _level_step(path: Path, pixels: NDArray[Any]) -> float:
+    """Return the distance of neighboring gray levels; 257 for 8 bits stored as 16."""
+    if pixels.dtype.kind not in "iu":
+        raise SourceError(f"{path}: holds floating-point heights, --option deterrace=true needs gray levels")
+    steps = np.diff(np.unique(pixels))
+    return float(np.gcd.reduce(steps)) if len(steps) else 1.0

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.checks import Checked, limited
+from lirs_wct.geometry.heightfield import nearest_values
 
 SMOOTH = 2.0
 """Standard deviation of the Gaussian that smooths slopes, nodes."""
@@ -73,37 +73,27 @@ class NodeGrid:
         row, col = np.divmod(node, self.shape[1])
         count = np.bincount(node, minlength=size)
         z, east, north = (
-            np.divide(np.bincount(node, v, size), count, out=np.full(size, np.nan), where=count > 0)
+            np.divide(np.bincount(node, v, size), count, out=np.full(size, np.nan), where=count > 0).reshape(
+                self.shape
+            )
             for v in (
                 xyz[:, 2],
                 (xyz[:, 0] - self.west) / self.spacing - col,
                 (xyz[:, 1] - self.south) / self.spacing - row,
             )
         )
-        level = z
+        level: FloatArray = z
         for _ in range(2):
-            along_y, along_x = np.gradient(_nearest(level.reshape(self.shape)))
-            slope_x, slope_y = (
-                scipy.ndimage.gaussian_filter(g, SMOOTH, mode="nearest") for g in (along_x, along_y)
-            )
-            level = z - slope_x.ravel() * east - slope_y.ravel() * north
-        return np.asarray(level.reshape(self.shape), np.float64)
+            gradient = np.gradient(nearest_values(level, np.isnan(level)))
+            slope_y, slope_x = (scipy.ndimage.gaussian_filter(g, SMOOTH, mode="nearest") for g in gradient)
+            level = z - slope_x * east - slope_y * north
+        return level
 
     def sample(self, values: FloatArray, xy: FloatArray) -> FloatArray:
         """Return (n,) values of the grid at points, linearly interpolated."""
         at = ((xy[:, 1] - self.south) / self.spacing, (xy[:, 0] - self.west) / self.spacing)
-        found: FloatArray = scipy.ndimage.map_coordinates(values, at, order=1, mode="nearest")
-        return found
-
-
-def _nearest(values: FloatArray) -> FloatArray:
-    """Return a copy of the grid with each NaN replaced by its nearest value."""
-    missing = np.isnan(values)
-    if not missing.any():
-        return values.copy()
-    nearest = scipy.ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    found: FloatArray = values[tuple(nearest)]
-    return found
+        sampled: FloatArray = scipy.ndimage.map_coordinates(values, at, order=1, mode="nearest")
+        return sampled
 
 
 def fill_gaps(values: FloatArray) -> FloatArray:
@@ -116,7 +106,7 @@ def fill_gaps(values: FloatArray) -> FloatArray:
         return values
     rim = scipy.ndimage.binary_dilation(missing, np.ones((3, 3), np.bool_)) & ~missing
     known, wanted = np.argwhere(rim), np.argwhere(missing)
-    out = _nearest(values)
+    out = nearest_values(values, missing)
     if np.linalg.matrix_rank(known - known[:1]) == 2:  # not all on a line
         linear = scipy.interpolate.LinearNDInterpolator(known, values[rim])(wanted)
         there = np.isfinite(linear)
@@ -124,15 +114,9 @@ def fill_gaps(values: FloatArray) -> FloatArray:
     return out
 
 
-def gap_distance(missing: BoolArray, spacing: float) -> FloatArray:
-    """Return (rows, cols) distances from each node to the nearest known one, meters."""
-    distance: FloatArray = scipy.ndimage.distance_transform_edt(missing) * spacing
-    return distance
-
-
-MOST_CELLS, SPARSEST = 1e7, 1000.0
+MAX_CELLS, CELLS_PER_POINT = 1e7, 1000.0
 """Cells of the grid, and cells per point, one of which may be exceeded."""
-STEEPEST = 5.0
+MAX_SLOPE = 5.0
 """Slope limit for low outliers, rise over run (section 2.2)."""
 
 
@@ -157,20 +141,8 @@ class Smrf(Checked):
     cell: float = limited(1.0, "(0, inf]")
 
 
-class GroundPoints(NamedTuple):
-    """Ground points of a cloud.
-
-    Attributes:
-        found: (n,) whether a point is on the ground.
-        mountains: share of the area where the terrain's own slope was the limit.
-    """
-
-    found: BoolArray
-    mountains: float
-
-
-def ground_points(xyz: FloatArray, options: Smrf) -> GroundPoints:
-    """Return which of the points (n, 3) are on the ground.
+def ground_points(xyz: FloatArray, options: Smrf) -> tuple[BoolArray, float]:
+    """Return which of the points (n, 3) are on the ground, and the share of mountains in the area.
 
     The grid of lowest points is opened by growing disks. A cell that an opening lowers by more than the slope
     allows is an object. The other cells, with filled gaps, are the provisional ground; the points near it are
@@ -180,18 +152,20 @@ def ground_points(xyz: FloatArray, options: Smrf) -> GroundPoints:
     lowest = grid.lowest(xyz)
     empty = np.isnan(lowest)
     surface = fill_gaps(lowest)
-    wrong = empty | _objects(-surface, STEEPEST, grid.spacing, grid.spacing)
+    wrong = empty | _objects(-surface, MAX_SLOPE, grid.spacing, grid.spacing)
     surface = fill_gaps(np.where(wrong, np.nan, surface))
-    provisional = _provisional(surface, wrong, options.slope, window, grid.spacing)
+    objects = _objects(surface, options.slope, window, grid.spacing)
+    provisional = fill_gaps(np.where(wrong | objects, np.nan, surface))
     around = _mean_slope(provisional, window, grid.spacing)
     mountains = around > options.mountain
     if mountains.any():
         limits = np.where(mountains, around, options.slope)
-        provisional = _provisional(surface, wrong, limits, window, grid.spacing)
+        objects = _objects(surface, limits, window, grid.spacing)
+        provisional = fill_gaps(np.where(wrong | objects, np.nan, surface))
     north, east = np.gradient(provisional, grid.spacing)
     limit = options.threshold + options.scaling * np.hypot(north, east)
     off = np.abs(xyz[:, 2] - grid.sample(provisional, xyz[:, :2]))
-    return GroundPoints(off <= grid.sample(limit, xyz[:, :2]), float(mountains.mean()))
+    return off <= grid.sample(limit, xyz[:, :2]), float(mountains.mean())
 
 
 def node_grid(xyz: FloatArray, options: Smrf) -> tuple[NodeGrid, float]:
@@ -199,15 +173,8 @@ def node_grid(xyz: FloatArray, options: Smrf) -> tuple[NodeGrid, float]:
     sides = np.ptp(xyz[:, :2], axis=0)
     extent = float(sides.min())
     window = min(options.window, extent / 3)
-    coarsest = math.sqrt(float(sides.prod()) / max(MOST_CELLS, SPARSEST * len(xyz)))
+    coarsest = math.sqrt(float(sides.prod()) / max(MAX_CELLS, CELLS_PER_POINT * len(xyz)))
     return NodeGrid.over(xyz[:, :2], max(min(options.cell, extent / 30), window / 36, coarsest)), window
-
-
-def _provisional(
-    surface: FloatArray, wrong: BoolArray, slope: float | FloatArray, window: float, cell: float
-) -> FloatArray:
-    """Return the surface without objects and with filled gaps."""
-    return fill_gaps(np.where(wrong | _objects(surface, slope, window, cell), np.nan, surface))
 
 
 def _mean_slope(surface: FloatArray, window: float, cell: float) -> FloatArray:

@@ -9,6 +9,7 @@ import math
 import re
 import unicodedata
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -47,17 +48,14 @@ CloudSurface = Literal["ground", "top"]
 MAX_SIDE = 32_000
 """Pixels along a side to which a picture may be resized."""
 
-TERRAIN_PANEL, FILTER_PANEL = "Terrain pictures", "Picture filters"
-MAP_PANEL = "Laser maps"
 _PICTURES = {SourceKind.BUNDLED, SourceKind.PICTURE}
 _MESHES = {*_PICTURES, SourceKind.MESH}
 _MAPS = {SourceKind.MAP, SourceKind.MAP_PICTURE}
-_SCALE: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _MESHES}
-_GRAY: dict[str, Any] = {"panel": TERRAIN_PANEL, "kinds": _PICTURES}
-_FILTER: dict[str, Any] = {"panel": FILTER_PANEL, "kinds": _PICTURES}
-_RARE_FILTER: dict[str, Any] = {**_FILTER, "rare": True}
+_SCALE: dict[str, Any] = {"panel": "Terrain pictures", "kinds": _MESHES}
+_GRAY: dict[str, Any] = {"panel": "Terrain pictures", "kinds": _PICTURES}
+_FILTER: dict[str, Any] = {"panel": "Picture filters", "kinds": _PICTURES}
 _CLOUD: dict[str, Any] = {"panel": "Point clouds", "kinds": {SourceKind.CLOUD}, "rare": True}
-_MAP: dict[str, Any] = {"panel": MAP_PANEL, "kinds": _MAPS}
+_MAP: dict[str, Any] = {"panel": "Laser maps", "kinds": _MAPS}
 
 
 def read_factors(text: str, label: str) -> tuple[float, float, float]:
@@ -112,8 +110,8 @@ def _resize(value: tuple[int, int], _: str) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CommonOptions(Options):
-    """Options of any source."""
+class SourceOptions(Options):
+    """Options of any source, of pictures, laser maps, point clouds and meshes."""
 
     name: str | None = option(None, "Name of the world; default: the file's.")
     kind: Literal["picture", "map"] | None = option(None, "Read a picture as terrain or as laser map.")
@@ -134,12 +132,6 @@ class CommonOptions(Options):
     max_pixels: int = option(
         picture.MAX_PIXELS, "Refuse larger pictures before decoding them.", check=positive, rare=True
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class PictureOptions(Options):
-    """Options of a terrain's picture: scale, gray levels and filters."""
-
     size: float | tuple[float, float] | None = option(
         None,
         "Extent in meters: longer side, or width and height. Default 50, or the file's own.",
@@ -199,18 +191,28 @@ class PictureOptions(Options):
         "Keep only this rectangle of the picture, pixels.",
         metavar="X,Y,W,H",
         check=_crop,
-        **_RARE_FILTER,
+        rare=True,
+        **_FILTER,
     )
     resize: tuple[int, int] | None = option(
-        None, "Resample to so many pixels; the meters stay.", metavar="W,H", check=_resize, **_RARE_FILTER
+        None,
+        "Resample to so many pixels; the meters stay.",
+        metavar="W,H",
+        check=_resize,
+        rare=True,
+        **_FILTER,
     )
     deterrace: bool = option(
         False,
         "Remove the stairs of 8 bits: the smoothest surface within half a gray level of every pixel.",
-        **_RARE_FILTER,
+        rare=True,
+        **_FILTER,
     )
     denoise: Literal["median", "bilateral"] | None = option(
-        None, "Filter noise out of the picture: single wrong pixels, or noise beside edges.", **_RARE_FILTER
+        None,
+        "Filter noise out of the picture: single wrong pixels, or noise beside edges.",
+        rare=True,
+        **_FILTER,
     )
     smoothing: float | None = option(
         None,
@@ -228,12 +230,6 @@ class PictureOptions(Options):
         check=positive,
         **_FILTER,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class MapOptions(Options):
-    """Options of a laser map; `resolution` also applies to pictures, meshes and clouds."""
-
     resolution: float | None = option(
         None,
         "Meters a pixel of a picture, a cell of a map picture without YAML or of a log's map, or a cell of "
@@ -250,12 +246,6 @@ class MapOptions(Options):
     speckle: int = option(
         0, "Drop walls of fewer connected cells.", check=within("[0, inf)", "cells"), rare=True, **_MAP
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class CloudOptions(Options):
-    """Options of a point cloud."""
-
     cloud_surface: CloudSurface = option(
         "ground",
         "Which surface of a point cloud is the terrain: the bare ground, or the top of all that is on it.",
@@ -269,12 +259,6 @@ class CloudOptions(Options):
         check=positive,
         **_CLOUD,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class MeshOptions(Options):
-    """Options of a mesh."""
-
     up: Literal["y", "z"] | None = option(
         None,
         "Axis of a mesh file that points up; default: the file's, else z.",
@@ -285,7 +269,7 @@ class MeshOptions(Options):
 
 @documented
 @dataclass(frozen=True, kw_only=True)
-class BuildOptions(ExportOptions, MeshOptions, CloudOptions, MapOptions, PictureOptions, CommonOptions):
+class BuildOptions(ExportOptions, SourceOptions):
     """Options of building a world; None means the source's own value, else the default.
 
     Lengths are meters in the world's frame, angles of poses radians, a crop is column, row, width and height.
@@ -295,20 +279,8 @@ class BuildOptions(ExportOptions, MeshOptions, CloudOptions, MapOptions, Picture
     """
 
 
-def without_effect(options: BuildOptions, kind: SourceKind) -> list[str]:
-    """Return the names of given options that have no effect on a kind of source."""
-    given = changed(options)
-    return [
-        name
-        for name, found in declared(type(options)).items()
-        if name in given and found.kinds is not None and kind not in found.kinds
-    ]
-
-
-LONGEST_NAME = 200
+MAX_NAME = 200
 """Limit of a name, characters: file systems allow 255, and a world's files have endings of up to 40."""
-WHOLE = 0.98
-"""Share of a window's side above which it counts as inside the world: windows are cut at nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,20 +320,16 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
             stacklevel=2,
         )
         kind, path = SourceKind.MAP, beside
-    return Source(kind, path, _name(_stem(path), options))
+    stem = _strip_compression(path).stem if path.is_file() else path.name
+    return Source(kind, path, _name(stem, options))
 
 
 def _yaml_beside(path: Path) -> Path | None:
     """Return the ROS map's YAML of the same name next to a picture, if it names the picture."""
-    for suffix in suffixes.MAPS:
-        found = path.with_suffix(suffix)
-        if found.is_file():
-            try:
-                if map_server.read_metadata(found).image.resolve() == path.resolve():
-                    return found
-            except SourceError:
-                # This YAML is not that of a map.
-                continue
+    for beside in filter(Path.is_file, map(path.with_suffix, suffixes.MAPS)):
+        with suppress(SourceError):  # a YAML other than of a map
+            if map_server.read_metadata(beside).image.resolve() == path.resolve():
+                return beside
     return None
 
 
@@ -377,9 +345,14 @@ def is_bag(path: Path) -> bool:
     return suffixes.is_bag_file(path)
 
 
-def warn_of_useless(source: Source, options: BuildOptions) -> None:
+def warn_without_effect(source: Source, options: BuildOptions) -> None:
     """Warn of given options that have no effect on a source of this kind."""
-    useless = [name.replace("_", "-") for name in without_effect(options, source.kind)]
+    declarations = declared(type(options))
+    useless = [
+        name.replace("_", "-")
+        for name in declarations
+        if name in changed(options) and source.kind not in (declarations[name].kinds or SourceKind)
+    ]
     if useless:
         verb = "has" if len(useless) == 1 else "have"
         warnings.warn(
@@ -387,45 +360,21 @@ def warn_of_useless(source: Source, options: BuildOptions) -> None:
         )
 
 
-def warn_of_shape(source: Source, options: BuildOptions, size: tuple[float, float], exact: bool) -> None:
-    """Warn of a window beyond the world, and of a budget for a mesh that is never simplified.
-
-    Args:
-        source: source of the world.
-        options: given options.
-        size: extent of the world, meters.
-        exact: whether the world is a laser map, or a mesh with overhangs.
-    """
-    if options.max_error and exact:
-        warnings.warn(
-            f"{source.path}: --max-error has no effect: walls and overhangs are written as they are",
-            stacklevel=3,
-        )
-    if options.window is not None and min(size) < WHOLE * options.window[2]:
-        x, y, side = options.window
-        warnings.warn(
-            f"{source.path}: --window {x:g},{y:g},{side:g} reaches beyond the world, {size[0]:.4g} x "
-            f"{size[1]:.4g} m of it are left",
-            stacklevel=3,
-        )
-
-
 def _kind(path: Path, options: BuildOptions) -> SourceKind:
+    suffix = path.suffix.lower()
     if is_bag(path):
         return SourceKind.LOG
     if path.is_dir():
-        if not (path / "world.json").is_file():
-            if "world.json" in read_manifest(path):
-                raise SourceError(f"{path}: is incomplete, its build was broken off: build it again")
-            raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
-        return SourceKind.FOLDER
-    if path.suffix.lower() in suffixes.MAPS:
+        if (path / "world.json").is_file():
+            return SourceKind.FOLDER
+        if "world.json" in read_manifest(path):
+            raise SourceError(f"{path}: is incomplete, its build was broken off: build it again")
+        raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
+    if suffix in suffixes.MAPS:
         return SourceKind.MAP
-    if path.suffix.lower() in suffixes.CLOUDS or (
-        path.suffix.lower() == ".ply" and point_clouds.is_cloud_ply(path)
-    ):
+    if suffix in suffixes.CLOUDS or (suffix == ".ply" and point_clouds.is_cloud_ply(path)):
         return SourceKind.CLOUD
-    if path.suffix.lower() in suffixes.MESHES:
+    if suffix in suffixes.MESHES:
         return SourceKind.MESH
     if is_log(path):
         return SourceKind.LOG
@@ -436,10 +385,6 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
 
 def _strip_compression(path: Path) -> Path:
     return path.with_suffix("") if path.suffix.lower() in (".gz", suffixes.ZSTD) else path
-
-
-def _stem(path: Path) -> str:
-    return _strip_compression(path).stem if path.is_file() else path.name
 
 
 def _name(stem: str, options: BuildOptions) -> str:
@@ -455,6 +400,6 @@ def _name(stem: str, options: BuildOptions) -> str:
             f"{given}: the world is named {name}; names hold letters a to z, digits and _.- alone",
             stacklevel=4,
         )
-    if len(name) > LONGEST_NAME:
-        raise ConfigError(f"--name: a world's name has at most {LONGEST_NAME} characters, got {len(name)}")
+    if len(name) > MAX_NAME:
+        raise ConfigError(f"--name: a world's name has at most {MAX_NAME} characters, got {len(name)}")
     return name

@@ -16,11 +16,8 @@ from lirs_wct.geometry.heightfield import fewer_nodes
 from lirs_wct.ground import Ground, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
 from lirs_wct.progress import Progress, no_progress
-from lirs_wct.sources.build import build_world, warn_of_result
-from lirs_wct.sources.laser_map import read_laser_map
-from lirs_wct.sources.mesh_source import read_mesh_source
+from lirs_wct.sources.build import READERS, build_world, warn_of_result
 from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.point_cloud import read_point_cloud
 from lirs_wct.sources.source import BuildOptions, Source, SourceKind, find_source
 from lirs_wct.world import World
 
@@ -97,7 +94,7 @@ class Construction:
         for texture in (options.texture, options.wall_texture):
             checked_texture(texture, options.max_pixels)
         world = World(found.name, ground, scale=scale).with_export(options)
-        warn_of_result(found, world)
+        warn_of_result(found, options, world)
         return Shown(world, preview_facts(world), source, options)
 
     def build(
@@ -126,18 +123,14 @@ class Construction:
         )
         return Shown(world, built_facts(world), source, options, package)
 
-    def _coarse(self, found: Source, options: BuildOptions) -> tuple[Ground, str]:
-        if found.kind is SourceKind.FOLDER:
-            world = World.load(found.path)
+    def _coarse(self, source: Source, options: BuildOptions) -> tuple[Ground, str]:
+        if source.kind is SourceKind.FOLDER:
+            world = World.load(source.path)
             return world.ground, world.scale
-        if found.kind in (SourceKind.MAP, SourceKind.MAP_PICTURE):
-            return read_laser_map(found, options)[:2]
-        if found.kind is SourceKind.CLOUD:
-            return read_point_cloud(found.path, options)[:2]
-        if found.kind is SourceKind.MESH:
-            return read_mesh_source(found.path, options)[:2]
-        terrain, _, _ = read_terrain(found, options)
-        return Terrain(fewer_nodes(terrain.surface, self._nodes)), "preview"
+        ground, scale, _ = READERS[source.kind](source, options)
+        if READERS[source.kind] is read_terrain:
+            return Terrain(fewer_nodes(ground.surface, self._nodes)), "preview"
+        return ground, scale
 
     def forget(self) -> None:
         """Drop all cached files; a new file may have the name of an old one."""

@@ -1,5 +1,6 @@
 """An option is declared once: command line, help, checks and a run's command are made from that."""
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +16,7 @@ from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.provenance import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.option import option, positive
-from lirs_wct.sources.source import BuildOptions, SourceKind, without_effect
+from lirs_wct.sources.source import BuildOptions, Source, SourceKind, warn_without_effect
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,8 +93,10 @@ def test_a_new_field_is_checked(words: str, message: str) -> None:
 
 def test_a_new_field_knows_its_sources() -> None:
     deep = Flooded(water_level=2.0)
-    assert without_effect(deep, SourceKind.PICTURE) == []
-    assert without_effect(deep, SourceKind.MAP) == ["water_level"]
+    with warnings.catch_warnings(action="error"):
+        warn_without_effect(Source(SourceKind.PICTURE, Path("a.png"), "a"), deep)
+    with pytest.warns(UserWarning, match=r"a\.yaml: water-level has no effect on a laser map"):
+        warn_without_effect(Source(SourceKind.MAP, Path("a.yaml"), "a"), deep)
 
 
 def test_a_new_field_is_in_the_command_of_a_run() -> None:

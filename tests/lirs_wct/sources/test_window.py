@@ -10,7 +10,8 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.sources.frame import cut_map, cut_nodes, cut_surface, leveled
+from lirs_wct.ground import Terrain
+from lirs_wct.sources.frame import cut_map, cut_surface, cut_terrain, leveled
 
 # 61 nodes from x = 10 to 40, 41 nodes from y = -8 to 2.
 Z = np.random.default_rng(3).uniform(5, 9, (41, 61)).astype(np.float32)
@@ -97,17 +98,16 @@ def test_fewer_than_sixteen_cells_are_sampled_anew(
     np.testing.assert_allclose(part.z, whole, atol=1e-5)
 
 
-@given(st.integers(0, 55), st.integers(0, 35), st.integers(2, 9), st.integers(2, 9))
-def test_a_mask_is_cut_as_its_surface_was(col: int, south: int, cols: int, rows: int) -> None:
-    cols, rows = min(cols, 61 - col), min(rows, 41 - south)
-    mask = np.random.default_rng(col).random((41, 61)) < 0.5
-    part = HeightField(
-        np.zeros((rows, cols), np.float32), (0.5, 0.25), (10.0 + 0.5 * col, -8.0 + 0.25 * south)
-    )
-    north = 41 - south - rows
-    expected = mask[north : north + rows, col : col + cols]
-    np.testing.assert_array_equal(cut_nodes(mask, SURFACE, part), expected)
-    assert cut_nodes(None, SURFACE, part) is None
+@given(st.floats(10.0, 40.0), st.floats(-8.0, 2.0), st.floats(0.5, 30.0))
+def test_a_mask_is_cut_as_its_surface_was(x: float, y: float, side: float) -> None:
+    mask = np.random.default_rng(0).random(Z.shape) < 0.5
+    ground, lift = cut_terrain(Terrain(SURFACE, mask), (x, y, side))
+    columns, rows = nodes(ground.surface)
+    col = np.rint((columns - 10.0) / 0.5).astype(int)
+    row = 40 - np.rint((rows + 8.0) / 0.25).astype(int)
+    np.testing.assert_array_equal(ground.no_ground, mask[np.ix_(row, col)])
+    assert ground.sample_spacing == (0.5 if side < 8.0 else None)
+    assert (ground.surface.z.min(), lift > 0) == (0.0, True)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -1,6 +1,7 @@
 """The options that change a picture before it becomes a terrain."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import resample
-from lirs_wct.sources.picture import denoise, sharpen, smooth
+from lirs_wct.sources.picture import apply_filters
 from lirs_wct.sources.source import BuildOptions
 from tests.kit import read_heights as read
 
@@ -25,26 +26,30 @@ def noise(rows: int = 60, cols: int = 80) -> np.ndarray:
     return np.random.default_rng(0).integers(0, 65535, (rows, cols), np.uint16)
 
 
+def filtered(values: np.ndarray, **options: Any) -> np.ndarray:
+    return apply_filters(values, BuildOptions(**options))
+
+
 def test_median_takes_single_wrong_pixels_away() -> None:
     holed = RAMP.copy()
     holed[10, 10] = 500
-    np.testing.assert_allclose(denoise(holed, "median")[3:-3, 3:-3], RAMP[3:-3, 3:-3], atol=1)
+    np.testing.assert_allclose(filtered(holed, denoise="median")[3:-3, 3:-3], RAMP[3:-3, 3:-3], atol=1)
 
 
 def test_bilateral_keeps_edges_and_smooths_noise() -> None:
     step = np.zeros((40, 40), np.float32)
     step[:, 20:] = 100
     noisy = step + np.random.default_rng(1).normal(0, 1, step.shape).astype(np.float32)
-    clean = denoise(noisy, "bilateral")
+    clean = filtered(noisy, denoise="bilateral")
     assert (clean - step).std() < 0.5
     assert (clean[:, 20] - clean[:, 19]).min() > 95
 
 
 def test_smoothing_and_sharpness_pull_against_each_other() -> None:
     rough = noise().astype(np.float32)
-    assert smooth(rough, 2.0).std() < rough.std() / 4
-    assert sharpen(rough, 1.0, 1.0).std() > 1.5 * rough.std()
-    np.testing.assert_allclose(sharpen(RAMP, 2.0, 1.0)[:, 9:-9], RAMP[:, 9:-9], atol=1e-4)
+    assert filtered(rough, smoothing=2.0).std() < rough.std() / 4
+    assert filtered(rough, sharpness=1.0).std() > 1.5 * rough.std()
+    np.testing.assert_allclose(filtered(RAMP, sharpness=2.0)[:, 9:-9], RAMP[:, 9:-9], atol=1e-4)
 
 
 PLANE = RAMP + np.arange(30, dtype=np.float32)[:, None]
