@@ -28,7 +28,7 @@ from lirs_extensions.search.falsify.drives import read_search_limits
 from lirs_validation.logs.map_log import read_trajectory
 from lirs_validation.metrics.trajectory import read_constraints
 from lirs_validation.record.verdict import read_limits
-from lirs_validation.sweep.suites import read_yaml_fields
+from lirs_validation.sweep.tasks import read_yaml_fields
 from lirs_wct.errors import WctError
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.drive_files import read_commands, read_imu, read_tum, read_waypoints

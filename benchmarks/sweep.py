@@ -28,9 +28,9 @@ from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.experiment.run import Run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import RECORD
-from lirs_validation.sweep.engines import Processes, Serial
-from lirs_validation.sweep.experiment import Outcome, SlamExperiment
-from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.engines import Processes
+from lirs_validation.sweep.sweep import Outcome, Serial, Sweep
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.files import MANIFEST, atomic_folder
 from lirs_wct.progress import Progress, no_progress
 
@@ -41,7 +41,7 @@ SPEEDUP, TURNS = 1.8, 2
 
 
 @dataclass(frozen=True)
-class QuickExperiment(SlamExperiment):
+class QuickExperiment(RunTask):
     """An experiment that tells of its progress as a run does, and leaves the files that a real run left.
 
     What the writing took is noted: that is the experiment's, all else the suite's.
@@ -51,9 +51,7 @@ class QuickExperiment(SlamExperiment):
     left: str = ""
     spent: str = ""
 
-    def perform(
-        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
-    ) -> Outcome:
+    def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
         """Link the files, and write the record."""
         assert self.template is not None
         for second in range(int(self.config.seconds)):
@@ -67,7 +65,7 @@ class QuickExperiment(SlamExperiment):
             record.save(folder)
         with Path(self.spent).open("a", encoding="utf-8") as times:
             times.write(f"{time.perf_counter() - begun}\n")
-        return Outcome(experiment=self.name, status="ok", written=True)
+        return Outcome(task=self.name, status="ok", written=True)
 
 
 def main() -> None:
@@ -99,9 +97,7 @@ def main() -> None:
 
 def throughput(count: int, seconds: float) -> dict[str, Any]:
     """Return real experiments a minute by one process and by two, the best of their turns."""
-    experiments = [
-        SlamExperiment(RunConfig(source="medium", seconds=seconds, seed=seed)) for seed in range(count)
-    ]
+    experiments = [RunTask(RunConfig(source="medium", seconds=seconds, seed=seed)) for seed in range(count)]
     best = {1: 0.0, 2: 0.0}
     for jobs in TURNS * tuple(best):
         with tempfile.TemporaryDirectory() as folder:

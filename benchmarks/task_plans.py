@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from lirs_extensions.bench.task_worlds import FileSpec, WorldSpec
+from lirs_extensions.bench.tasks import FileSpec, WorldSpec
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from benchmarks.mrpt import write_rawlog
 from lirs_extensions.bench.tasks import task_set
 from lirs_extensions.search.falsify.drives import SearchLimits, measure
 from lirs_extensions.search.options import FAILURE_FACTOR, FalsifyOptions
-from lirs_validation.sweep.suites import CASE, suite_folders
+from lirs_validation.sweep.tasks import CASE, suite_folders
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
 from tests.benchmark_modules import load_benchmark

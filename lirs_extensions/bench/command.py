@@ -13,8 +13,8 @@ from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 from lirs_wct.option import Options, argument, option, read_pairs
 
 if TYPE_CHECKING:
-    from lirs_extensions.bench.experiment import PolicyResult
     from lirs_extensions.bench.policies import PolicyChoice
+    from lirs_extensions.bench.results import PolicyResult
     from lirs_extensions.bench.tasks import BenchTask, TaskSet
 
 POLICY_HELP = (
@@ -51,15 +51,15 @@ def bench(options: BenchCommand, engine: EngineOptions) -> None:
     lirs-wct bench straight go_to_goal astar --set lirs --task navigation -o out/
     lirs-wct bench my_policy:MyPolicy --set hills -o out/
     """
-    from lirs_extensions.bench.experiment import BenchExperiment
+    from lirs_extensions.bench.episode import EpisodeTask
     from lirs_extensions.bench.tasks import task_set
     from lirs_validation.sweep.sweep import Sweep
 
     tasks, data, output = task_set(options.set), options.data, options.output
     chosen = _with_sources(tasks.chosen(options.task, options.split), data)
     choices = _read_policies(options.policies, options.parameters, chosen[0], data)
-    experiments = [
-        BenchExperiment(
+    episodes = [
+        EpisodeTask(
             set_name=tasks.name,
             set_version=tasks.version,
             task=each,
@@ -70,7 +70,7 @@ def bench(options: BenchCommand, engine: EngineOptions) -> None:
         for policy in choices
         for each in chosen
     ]
-    sweep = Sweep(experiments, output, manifest=manifest_of_command(), retry_failed=engine.retry_failed)
+    sweep = Sweep(episodes, output, manifest=manifest_of_command(), retry_failed=engine.retry_failed)
     try:
         run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
     except OutputError:
@@ -124,8 +124,13 @@ def _show(
     output: Path, tasks: TaskSet, chosen: Sequence[BenchTask], policies: Sequence[PolicyChoice]
 ) -> None:
     """Print the scores of the policies and the table of all, and write them."""
-    from lirs_extensions.bench.bench_table import bench_table, difference_line, score_line, write_scores
-    from lirs_extensions.bench.experiment import read_results
+    from lirs_extensions.bench.results import (
+        bench_table,
+        difference_line,
+        read_results,
+        score_line,
+        write_scores,
+    )
 
     results = read_results(output, tasks, chosen)
     if not results:

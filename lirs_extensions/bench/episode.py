@@ -1,24 +1,35 @@
-"""One episode: a policy on a task, and its score."""
+"""One episode: a policy on a task, its score, and its record as a task of a sweep."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 
 from lirs_envs.env import Observed, RobotEnv
+from lirs_envs.episodes.episodes import TASKS as ENVIRONMENT_TASKS
+from lirs_envs.episodes.observations import GROUPS
 from lirs_envs.policies import Policy
+from lirs_envs.tasks.mapping import COVERED
 from lirs_extensions.bench.policies import PolicyChoice
-from lirs_extensions.bench.scores import coverage_area, distance_share, success_by_path_length
 from lirs_extensions.bench.tasks import BenchTask
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
+from lirs_validation.record.provenance import versions
+from lirs_validation.record.run_record import plain
+from lirs_validation.sweep.sweep import Outcome, Task, read_status
 from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress, no_progress
 
 SPENT = "path driven"
@@ -213,3 +224,190 @@ def episode_metrics(task: BenchTask, log: EpisodeLog) -> dict[str, Any]:
         entry |= {"distance": whole, "progress": float(last["progress"])}
         score = 1.0 if entry["success"] else distance_share(entry["progress"], whole)
     return entry | ({} if log.trace else {"score": score})
+
+
+def success_by_path_length(success: bool, shortest: float, driven: float) -> float:
+    """Return an episode's term of success weighted by path length (SPL).
+
+    See Anderson et al., "On evaluation of embodied navigation agents" (2018).
+
+    Args:
+        success: whether the goal was reached.
+        shortest: length of the shortest path from start to goal over drivable ground, meters.
+        driven: length of the driven path, meters.
+    """
+    return shortest / max(shortest, driven) if success else 0.0
+
+
+def coverage_area(driven: Sequence[float], coverage: Sequence[float], budget: float) -> float:
+    """Return the area under newly covered ground over path length, 0 to 1.
+
+    Ground in the first scan counts as 0, the share that completes the task as 1. After the episode's end the
+    coverage stays constant.
+
+    Args:
+        driven: (n,) meters of path at each step, from 0 at the first scan.
+        coverage: (n,) share of the reachable ground that was seen by then.
+        budget: meters of path over which the area is taken.
+    """
+    first = coverage[0]
+    if first >= COVERED:
+        return 0.0
+    gained: FloatArray = np.clip((np.array(coverage) - first) / (COVERED - first), 0.0, 1.0)
+    at = np.minimum(np.append(np.array(driven, dtype=np.float64), budget), budget)
+    return float(np.trapezoid(np.append(gained, gained[-1]), at) / budget)
+
+
+def distance_share(gained: float, whole: float) -> float:
+    """Return the gained share, 0 to 1, of the distance to the goal."""
+    return float(np.clip(gained / whole, 0.0, 1.0))
+
+
+RECORD, PICTURE = "episode.json", "episode.png"
+SCHEMA = 1
+"""Of an episode's record."""
+NO_METRICS = {"score": 0.0, "success": False, "collision": False, "path_length": 0.0, "time": 0.0}
+"""Metrics of an episode that failed."""
+SPACING = 1.0
+"""Seconds between the poses that a record keeps."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeTask(Task):
+    """A policy on a task.
+
+    Attributes:
+        set_name: name of the task's set.
+        set_version: version of that set.
+        task: task of the episode.
+        policy: policy that is scored.
+        data: folder with the files that do not ship.
+        pictures: whether a picture of the map with the path is written.
+    """
+
+    set_name: str
+    set_version: int
+    task: BenchTask
+    policy: PolicyChoice
+    data: Path | None = None
+    pictures: bool = False
+    marker: ClassVar[str] = RECORD
+
+    @cached_property
+    def name(self) -> str:
+        """Name of its folder."""
+        text = json.dumps(self._identity(), sort_keys=True)
+        digest = hashlib.sha256(text.encode()).hexdigest()[:8]
+        return f"{self.set_name}-{self.task.name}-{self.policy.short}-{digest}"
+
+    @property
+    def world_config(self) -> None:
+        """Return None: an episode makes its world."""
+        return None
+
+    def check(self) -> None:
+        """Check the policy and the files of the world."""
+        _check_policy(self.policy, self.task.task)
+        if self.task.world is not None:
+            self.task.world.places(self.data)
+
+    def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
+        """Run the episode and write its record; a failed policy fails only this episode."""
+        progress("build", 0.0)
+        pictures: list[Any] = []
+        log = run_episode(
+            self.task,
+            self.policy,
+            self.data,
+            progress=progress,
+            picture=pictures.append if self.pictures else None,
+        )
+        outcome = Outcome(
+            task=self.name,
+            status="error" if log.trace else "ok",
+            reason=log.reason,
+            trace=log.trace,
+            written=True,
+        )
+        with atomic_folder(out / self.name) as folder:
+            if pictures:
+                cv2.imwrite(str(folder / PICTURE), pictures[0][..., ::-1])
+            text = self._record(outcome, episode_metrics(self.task, log), _sample_series(log))
+            (folder / RECORD).write_text(text, encoding="utf-8")
+            if outcome.trace:
+                (folder / "error.txt").write_text(outcome.trace, encoding="utf-8")
+        return outcome
+
+    def failure(self, outcome: Outcome) -> str:
+        """Return a record with score 0 and the traceback."""
+        return self._record(outcome, NO_METRICS, {})
+
+    def inputs(self) -> list[Path | None]:
+        """Return the files of the policy."""
+        return [*self.policy.files]
+
+    def is_result(self, folder: Path, entry: Mapping[str, Any]) -> bool:
+        """Whether the picture is there, if one is wanted and the policy did not fail."""
+        drawn = not self.pictures or bool(entry.get("trace")) or (folder / PICTURE).is_file()
+        return drawn and _is_episode(entry)
+
+    @property
+    def observe(self) -> tuple[str, ...]:
+        """Groups of observations that the policy is given."""
+        return self.policy.observe or ENVIRONMENT_TASKS[self.task.task].observe
+
+    def describe(self) -> dict[str, Any]:
+        """Return name, task and policy."""
+        return {"name": self.name} | self._identity()
+
+    def _identity(self) -> dict[str, Any]:
+        return {
+            "set": self.set_name,
+            "set_version": self.set_version,
+            "task": self.task.describe(),
+            "policy": self.policy.name,
+            "arguments": dict(self.policy.arguments),
+        }
+
+    def _record(self, outcome: Outcome, metrics: dict[str, Any], series: dict[str, Any]) -> str:
+        entry = {"schema": SCHEMA} | self._identity()
+        groups = [GROUPS[name] for name in self.observe if name in GROUPS]
+        entry |= {"observe": self.observe, "privileged": any(group.privileged for group in groups)}
+        entry |= {"status": outcome.status, "reason": outcome.reason}
+        entry |= {"metrics": metrics, "trace": outcome.trace, "versions": versions()} | series
+        return json.dumps(entry, indent=1, default=plain) + "\n"
+
+
+@cache
+def _check_policy(policy: PolicyChoice, task: str) -> None:
+    policy.check(task)
+    _ = policy.observe
+
+
+def _sample_series(log: EpisodeLog) -> dict[str, Any]:
+    """Return one pose per second, with the coverage in mapping tasks."""
+    step = max(1, round(SPACING * (len(log.poses) - 1) / max(float(log.last["time"]), 1e-9)))
+    kept = sorted({*range(0, len(log.poses), step), len(log.poses) - 1})
+    series: dict[str, Any] = {"path": [[round(float(v), 3) for v in log.poses[k]] for k in kept]}
+    if log.coverage:
+        driven = log.driven
+        series["coverage"] = [[round(float(driven[k]), 2), round(log.coverage[k], 4)] for k in kept]
+    return series
+
+
+def read_episode(folder: Path) -> dict[str, Any]:
+    """Read the record of an episode.
+
+    Raises:
+        SourceError: it is missing or damaged, or of another schema.
+    """
+    entry = read_status(folder / RECORD)
+    if not _is_episode(entry):
+        raise SourceError(f"{folder / RECORD}: not an episode's record of schema {SCHEMA}")
+    return entry
+
+
+def _is_episode(entry: Mapping[str, Any]) -> bool:
+    names = ("set", "set_version", "task", "policy", "arguments", "trace", "versions", "metrics")
+    whole = entry.get("schema") == SCHEMA and all(name in entry for name in names)
+    return whole and isinstance(entry["metrics"], dict) and isinstance(entry["metrics"].get("score"), float)

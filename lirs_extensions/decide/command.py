@@ -67,7 +67,7 @@ def verdict(
     """
     from lirs_extensions.decide.decide import decide
     from lirs_extensions.decide.page import changes_table, methods_table, write_decision
-    from lirs_validation.sweep.suites import cross
+    from lirs_validation.sweep.tasks import cross
 
     if len(run.get("seed", ())) > 1:
         raise ConfigError(f"--seed is the first seed of the drives: one number, got {len(run['seed'])}")

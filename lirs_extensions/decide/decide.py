@@ -24,8 +24,9 @@ from lirs_validation.driving.choice import make_driver
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import VerdictClass, cause_of, extent_sentences
-from lirs_validation.sweep.experiment import SlamExperiment
-from lirs_validation.sweep.sweep import Sweep, make_executor
+from lirs_validation.sweep.engines import make_executor
+from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct import OccupancyGrid, OutputError
 from slam_baselines.mapper import MAPPERS, short_name
 
@@ -319,7 +320,7 @@ def run_trials(
     """
     done, executor = list(trials), make_executor(engine)
     while time.monotonic() < deadline:
-        drives = [SlamExperiment(c, brief=True) for trial in done for c in trial.next_configs()]
+        drives = [RunTask(c, brief=True) for trial in done for c in trial.next_configs()]
         if not drives:
             break
         sweep = Sweep(drives, out, listed=False, retry_failed=engine.retry_failed)
@@ -337,7 +338,7 @@ def run_trials(
 def _with_results(trial: Trial, out: Path, sweep: Sweep, report: Callable[[Trial], None]) -> Trial:
     """Return a trial with the drives that are finished, in the order of their seeds."""
     while configs := trial.next_configs():
-        name = SlamExperiment(configs[0]).name
+        name = RunTask(configs[0]).name
         if name not in sweep.outcomes:
             break
         entry = read_record(out / name)

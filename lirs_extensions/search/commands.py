@@ -117,8 +117,7 @@ def _tune_target(
         ConfigError: the options give several runs, or an option does not suit the source.
         WctError: the source or a name cannot be used.
     """
-    from lirs_validation.sweep.experiment import SlamExperiment
-    from lirs_validation.sweep.suites import cross
+    from lirs_validation.sweep.tasks import RunTask, cross
     from lirs_wct.sources.source import SourceKind, find_source
 
     configs = cross(source, build=build, **run)
@@ -132,7 +131,7 @@ def _tune_target(
         return MapConfig(log=source, relations=tuning.relations, reference=tuning.reference, **legal)
     if tuning.relations or tuning.reference:
         raise ConfigError(f"{source}: --relations and --reference are for logs, this is none")
-    SlamExperiment(config).check()
+    RunTask(config).check()
     return config
 
 

@@ -16,7 +16,8 @@ from lirs_validation.record.map_record import is_mapped_log
 from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.record.provenance import with_recorded_source
 from lirs_validation.record.run_record import RECORD, read_whole_record
-from lirs_validation.sweep.experiment import MANIFEST, STATUS, read_verdict
+from lirs_validation.sweep.sweep import MANIFEST
+from lirs_validation.sweep.tasks import STATUS, read_verdict
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
 from lirs_wct.errors import reason_of
 from lirs_wct.formats import carmen_log, drive_files, world_json

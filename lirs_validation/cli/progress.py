@@ -28,9 +28,7 @@ from lirs_wct.progress import Progress
 
 if TYPE_CHECKING:
     from lirs_validation.config import EngineOptions
-    from lirs_validation.sweep.engines import Executor
-    from lirs_validation.sweep.experiment import Manifest, Outcome
-    from lirs_validation.sweep.sweep import Sweep
+    from lirs_validation.sweep.sweep import Executor, Manifest, Outcome, Sweep
 
 
 class ExitCode(IntEnum):
@@ -61,7 +59,7 @@ STEPS = {
 }
 """Steps as they are shown; any other stands as it is."""
 SPEED_PERIOD = 3600.0
-"""The time left is estimated from the last so many seconds: experiments take minutes, and differ."""
+"""The time left is estimated from the last so many seconds: tasks take minutes, and differ."""
 SLOW_COMPILATION = 2.0
 """Seconds of compilation after which a line explains it."""
 LINE_PERIOD = 10.0
@@ -80,7 +78,7 @@ def note(text: object, style: str | None = None) -> None:
 
 def manifest_of_command(suite: str | None = None) -> Manifest:
     """Return the manifest of this process's command line."""
-    from lirs_validation.sweep.experiment import Manifest
+    from lirs_validation.sweep.sweep import Manifest
 
     return Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
 
@@ -90,14 +88,14 @@ def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> 
 
     Raises:
         OutputError: a result cannot be written.
-        Exit: an experiment failed.
+        Exit: a task failed.
     """
-    from lirs_validation.sweep.sweep import make_executor
+    from lirs_validation.sweep.engines import make_executor
 
     executor = make_executor(engine)
     if sweep.kept:
         again = f"; {len(sweep.pending)} to run" if sweep.pending else ""
-        note(f"kept {sweep.kept} of {len(sweep.experiments)} from before{again}")
+        note(f"kept {sweep.kept} of {len(sweep.tasks)} from before{again}")
     try:
         for _ in run_with_progress(sweep, executor):
             pass
@@ -162,10 +160,10 @@ def progress_bar(work: str, console: Console = err) -> Iterator[Progress]:
 
 
 def run_with_progress(sweep: Sweep, executor: Executor, console: Console = err) -> Generator[Outcome]:
-    """Run a sweep's experiments under a bar with the time left for all of them.
+    """Run a sweep's tasks under a bar with the time left for all of them.
 
     Raises:
-        WctError: the only experiment cannot be run as it was asked for, or not be written.
+        WctError: the only task cannot be run as it was asked for, or not be written.
     """
     running: dict[str, float] = {}
     done, total = 0, len(sweep.pending)
@@ -184,8 +182,8 @@ def run_with_progress(sweep: Sweep, executor: Executor, console: Console = err) 
             return progress
 
         for outcome in sweep.run(executor, progress_of):
-            running.pop(outcome.experiment, None)
-            notes.end(outcome.experiment)
+            running.pop(outcome.task, None)
+            notes.end(outcome.task)
             done += 1
             bar.update(task, completed=done + sum(running.values()), done=done)
             yield outcome

@@ -20,34 +20,46 @@ Forces, tip-overs and stuck time are reported without a limit: they belong to th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.spatial import ConvexHull
 
-from lirs_envs.placement import check_fit, standing_pose
-from lirs_envs.robot_model import RobotModel
-from lirs_envs.robots.drive import make_controllers
+from lirs_envs.placement import check_fit
+from lirs_envs.robot_model import TIPPED, RobotModel
 from lirs_envs.robots.robot import Robot
-from lirs_envs.simulation import ROW
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_validation.collision import contact_metrics
-from lirs_validation.collision.random_drive import DEEP, MARGIN, PERIOD, drive_at_random
-from lirs_wct import Pose2, SimulationError, World
+from lirs_validation.collision.drives import (
+    MAX_DEPTH,
+    PERIOD,
+    Climb,
+    DeepContact,
+    Leg,
+    climb,
+    drive_at_random,
+)
+from lirs_validation.metrics.world_geometry import mesh_error
+from lirs_wct import TriangleMesh, WallGrid, World
+from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.checks import check_seed, positive
 from lirs_wct.contact import ContactGeometry
+from lirs_wct.contact.parts import PRISM_ERROR, touching_volume
 from lirs_wct.files import write_csv, write_json
 
 STREAM = 21
-"""Which of the seed's random streams the drive is drawn from."""
-SLIDES = 0.05
+"""Random stream of the seed for the drive."""
+MAX_SLIDE = 0.05
 """Meters that a robot may slide in 2 s on its steepest slope.
 
 MuJoCo's friction is soft: a contact creeps in proportion to its load, a Jackal's 9 mm/s on 29 deg.
 """
-CLIMBS = 0.8
+MIN_CLIMB = 0.8
 """Share of the commanded distance that it must come uphill."""
 
 
@@ -75,27 +87,27 @@ class CollisionVerdict:
     """Result of the collision validation of a robot in a world.
 
     Attributes:
-        world: name.
-        robot: name.
-        terrain: contact geometry of the ground.
-        seconds: simulated time driven.
-        seed: of the random drive.
-        driven: meters, in all legs.
-        legs: times that the robot was set down.
-        tip_overs: legs that ended with the robot lying.
-        stuck: seconds that it was commanded to drive, stood upright and came nowhere.
-        force_peak: largest normal force of a contact, newtons.
-        force_mean: mean of the sum of all normal forces while anything touched, newtons.
+        world: Name of the world.
+        robot: Name of the robot.
+        terrain: Contact geometry of the ground.
+        seconds: Simulated time driven.
+        seed: Seed of the random drive.
+        driven: Distance in all legs, meters.
+        legs: Number of times that the robot was set down.
+        tip_overs: Number of legs that ended with the robot lying.
+        stuck: Seconds that it was commanded to drive, stood upright and came nowhere.
+        force_peak: Largest normal force of a contact, newtons.
+        force_mean: Mean of the sum of all normal forces while anything touched, newtons.
         penetration_p999: 99.9 % quantile of the penetration over the steps, meters.
-        penetration_peak: the peak that is worst against its limit, meters.
-        penetration_limit: limit at the speed of that impact, meters.
-        inside_steps: steps in which a body's center was inside ground or wall.
-        energy_gain: energy gained within a second beyond the motors' work where it is worst, joules.
-        energy_limit: its limit there, joules.
-        slope: steepest drivable ground that was found, degrees; None for a robot that flies, or none found.
-        slid: sliding distance there while it should stand, without the rolling of its wheels, meters.
-        climbed: share of the commanded distance that it came up there.
-        diverged: why the simulation could not go on; empty = it could.
+        penetration_peak: Peak that is worst against its limit, meters.
+        penetration_limit: Limit at the speed of that impact, meters.
+        inside_steps: Steps in which a body's center was inside ground or wall.
+        energy_gain: Energy gained within a second beyond the motors' work where it is worst, joules.
+        energy_limit: Limit of the energy there, joules.
+        slope: Steepest drivable ground, degrees; None for a robot that flies, or without such ground.
+        slid: Sliding distance there while it should stand, without the rolling of its wheels, meters.
+        climbed: Share of the commanded distance that it came up there.
+        diverged: Reason why the simulation could not go on; empty = it could.
     """
 
     world: str
@@ -125,7 +137,12 @@ class CollisionVerdict:
         """Every metric that has a limit."""
         peak, limit = 1e3 * self.penetration_peak, 1e3 * self.penetration_limit
         found = [
-            Check(name="penetration, 99.9 %", value=1e3 * self.penetration_p999, limit=1e3 * DEEP, unit="mm"),
+            Check(
+                name="penetration, 99.9 %",
+                value=1e3 * self.penetration_p999,
+                limit=1e3 * MAX_DEPTH,
+                unit="mm",
+            ),
             Check(name="penetration, peak", value=peak, limit=limit, unit="mm"),
             Check(name="centers inside", value=self.inside_steps, limit=0, unit="steps"),
             Check(name="energy gained", value=self.energy_gain, limit=self.energy_limit, unit="J"),
@@ -133,8 +150,8 @@ class CollisionVerdict:
         ]
         if self.slid is not None and self.climbed is not None:
             found += [
-                Check(name="slid on the slope", value=1e3 * self.slid, limit=1e3 * SLIDES, unit="mm"),
-                Check(name="climbed", value=self.climbed, limit=CLIMBS, unit="", least=True),
+                Check(name="slid on the slope", value=1e3 * self.slid, limit=1e3 * MAX_SLIDE, unit="mm"),
+                Check(name="climbed", value=self.climbed, limit=MIN_CLIMB, unit="", least=True),
             ]
         return tuple(found)
 
@@ -165,25 +182,26 @@ def check_collisions(
     body = RobotModel(world, SimulationConfig(robot=robot, contact_geometry=terrain), PERIOD)
     legs = list(drive_at_random(body, world, robot, seconds, np.random.default_rng((seed, STREAM))))
     climbed = None if robot.flies or legs[-1].diverged else climb(body, world, robot)
-    p999, peak = contact_metrics.penetrations(legs)
-    gain = contact_metrics.energy_gain(legs, float(body.model.body_mass.sum()) * body.gravity)
-    force_peak, force_mean = contact_metrics.forces(legs)
+    p999, peak = penetrations(legs)
+    gain = energy_gain(legs, float(body.model.body_mass.sum()) * body.gravity)
+    inside = inside_test(world, body, terrain)
+    force = np.concatenate([leg.force for leg in legs])
     return CollisionVerdict(
         world=world.name,
         robot=robot.name,
         terrain=terrain,
         seconds=sum(len(leg.commanded) for leg in legs) * body.timestep,
         seed=seed,
-        driven=contact_metrics.driven(legs),
+        driven=sum(float(np.linalg.norm(np.diff(leg.position, axis=0), axis=1).sum()) for leg in legs),
         legs=len(legs),
         tip_overs=sum(leg.tipped for leg in legs),
-        stuck=contact_metrics.stuck_seconds(legs),
-        force_peak=force_peak,
-        force_mean=force_mean,
+        stuck=stuck_seconds(legs),
+        force_peak=max(float(leg.peak_force.max(initial=0.0)) for leg in legs),
+        force_mean=float(force[force > 0].mean()) if (force > 0).any() else 0.0,
         penetration_p999=p999,
         penetration_peak=peak.value,
         penetration_limit=peak.limit,
-        inside_steps=contact_metrics.inside_steps(legs, contact_metrics.inside_test(world, body, terrain)),
+        inside_steps=sum(int(inside_steps(leg, inside).sum()) for leg in legs),
         energy_gain=gain.value,
         energy_limit=gain.limit,
         **(dict.fromkeys(Climb._fields) if climbed is None else climbed._asdict()),
@@ -206,110 +224,146 @@ def write_verdicts(folder: Path, verdicts: Sequence[CollisionVerdict]) -> tuple[
     return paths
 
 
-PLACES = 20_000
-"""Free cells that are looked at, at most."""
-TRIES = 20
-"""Of the steepest places, so many are tried: on some an obstacle stands beside the slope."""
-HELD = 2.0
-"""Seconds for which the wheels hold before it climbs."""
-SPEED = 0.3
-"""Meters a second of the climb, or the robot's most."""
+InsideTest = Callable[[FloatArray], BoolArray]
+"""Function of points (n, 3) that returns (n,) whether each is inside ground or wall."""
+MAX_HULLS = 500
+"""Convex parts above which bodies are touched on their surface (see `shell_parts`)."""
+IMPACT = 0.010
+"""Meters of penetration that an impact may reach for each meter a second."""
+ONSET = 0.1
+"""Seconds before a deep contact in which its impact began."""
+WINDOW = 1.0
+"""Seconds over which energy and standing still are looked at."""
+RETURNED = math.exp(-4)
+"""Share of an impact's energy that a critically damped contact gives back."""
+STANDS = 0.1
+"""Below this share of the commanded distance a robot counts as stuck."""
 
 
-class Climb(NamedTuple):
-    """Result of the slope test.
+class Bounded(NamedTuple):
+    """Worst of many values with individual limits, and its limit."""
 
-    Attributes:
-        slope: of the ground under the robot, degrees.
-        slid: sliding distance while it should stand, without the rolling of its wheels, meters.
-        climbed: share of the commanded distance that it came uphill.
+    value: float
+    limit: float
+
+    @property
+    def ratio(self) -> float:
+        """Value over limit."""
+        return self.value / self.limit
+
+
+def penetrations(legs: Sequence[Leg]) -> tuple[float, Bounded]:
+    """Return the 99.9 % quantile and the worst peak of the penetration, meters."""
+    depth = np.concatenate([leg.depth for leg in legs])
+    peaks = [_impact(leg, contact) for leg in legs for contact in leg.deep]
+    return float(np.quantile(depth, 0.999)), worst(peaks or [Bounded(float(depth.max()), MAX_DEPTH)])
+
+
+def _impact(leg: Leg, contact: DeepContact) -> Bounded:
+    """Return a deep contact and the depth that the speed of the impact allows it.
+
+    The speed is the highest at which the robot, as one rigid body, moved there into the ground just before.
     """
+    since = slice(max(0, contact.step - round(ONSET / leg.timestep)), contact.step + 1)
+    arm = contact.point - leg.position[since]
+    speed = -(leg.velocity[since] + np.cross(leg.spin[since], arm)) @ contact.normal
+    return Bounded(contact.depth, max(MAX_DEPTH, IMPACT * float(speed.max())))
 
-    slope: float
-    slid: float
-    climbed: float
 
+def energy_gain(legs: Sequence[Leg], weight: float) -> Bounded:
+    """Return the largest energy gain within a second beyond the motors' work, joules.
 
-def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
-    """Test holding and climbing at the steepest drivable place.
-
-    The place is one robot's length long. None if the robot cannot stand anywhere.
+    The robot's weight is in newtons.
     """
-    for slope, start in _steepest(world, robot):
-        try:
-            body.settle(standing_pose(world, robot, start))
-        except SimulationError:
-            continue
-        return Climb(math.degrees(slope), _slid(body, robot), _climb_share(body, robot, start.yaw))
-    return None
+    return worst(_gain(leg, weight) for leg in legs)
 
 
-def _slid(body: RobotModel, robot: Robot) -> float:
-    """Return meters that a robot slides while it should stand.
-
-    The rolling of its wheels is subtracted.
-
-    A wheel's servo has no integral part: it turns at torque / kv, which says nothing of the contact.
-    """
-    before, angles = body.pose(), body.wheel_angles()
-    body.ctrl[:] = 0.0
-    body.step(round(HELD / body.timestep))
-    rolled = robot.wheel_radius * float(np.mean(np.subtract(body.wheel_angles(), angles)))
-    moved = body.pose().position - before.position
-    return float(np.linalg.norm(moved - rolled * before.rotation[:, 0]))
-
-
-def _climb_share(body: RobotModel, robot: Robot, uphill: float) -> float:
-    """Return the driven share of the commanded distance.
-
-    Both are counted once the robot is up to speed.
-    """
-    controllers, (v, ramp, distance) = make_controllers(robot, body.actuators, [body]), _course(robot)
-    controllers.begin(0)
-    axis = np.array((math.cos(uphill), math.sin(uphill)))
-    before, time, twists = body.pose().position, 0.0, np.array(((v, 0.0, 0.0),))
-    began: float | None = None
-    while time < ramp + distance / v:
-        for piece in body.substeps:
-            dt = piece * body.timestep
-            controllers.update(ROW, twists, np.array((body.rates(),)), dt, body.ctrl[None])
-            body.step(piece)
-            time += dt
-        if began is None and time >= ramp:
-            before, began = body.pose().position, time
-    moved = body.pose().position - before
-    length = math.hypot(float(moved[:2] @ axis), float(moved[2])) if moved[:2] @ axis > 0 else 0.0
-    return length / (v * (time - (began or 0.0)))
+def _gain(leg: Leg, weight: float) -> Bounded:
+    span = max(1, round(WINDOW / leg.timestep))
+    # A window that ends at each step: the filters are centered.
+    size, origin = span + 1, span // 2
+    balance = leg.energy - (np.cumsum(leg.work) - leg.work)
+    gain = balance - minimum_filter1d(balance, size, origin=origin, mode="nearest")
+    # The impact whose energy comes back lies before the lowest point.
+    since = span + round(ONSET / leg.timestep)
+    kinetic = maximum_filter1d(leg.kinetic, since + 1, origin=since // 2, mode="nearest")
+    limit = weight * MAX_DEPTH + RETURNED * kinetic
+    k = int(np.argmax(gain / limit))
+    return Bounded(float(gain[k]), float(limit[k]))
 
 
-def _course(robot: Robot) -> tuple[float, float, float]:
-    """Return speed, time until it is reached, and distance that then counts; m/s, s, m."""
-    v = min(SPEED, robot.max_speed)
-    return v, v / robot.max_acceleration + 0.2, 2 * robot.radius
+def inside_steps(leg: Leg, inside: InsideTest) -> BoolArray:
+    """Return (n,) whether a body's center was inside ground or wall in each step."""
+    bodies = inside(leg.bodies.reshape(-1, 3)).reshape(len(leg.depth), -1)
+    return np.asarray(bodies.any(axis=1))
 
 
-def _steepest(world: World, robot: Robot) -> list[tuple[float, Pose2]]:
-    """Return slopes (radians) and poses facing uphill, from where the climb ends on free ground.
+def stuck_seconds(legs: Sequence[Leg]) -> float:
+    """Return the time that the robot stood upright, was commanded to drive, and came nowhere."""
+    total = 0
+    for leg in legs:
+        span = round(WINDOW / leg.timestep)
+        for k in range(0, len(leg.depth) - span, span):
+            commanded = abs(sum(leg.commanded[k : k + span].tolist())) * leg.timestep
+            moved = float(np.linalg.norm(leg.position[k + span] - leg.position[k]))
+            upright = bool((leg.upright[k : k + span] >= TIPPED).all())
+            total += commanded > 0 and upright and moved < STANDS * commanded
+    return total * WINDOW
 
-    The steepest legal ones come first.
-    """
-    free = world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope)
-    cells = np.argwhere(free.free)
-    x, y = free.centers(cells[:: max(1, len(cells) // PLACES)]).T
-    if len(x) == 0:
-        return []
-    r, z = robot.radius, world.surface.height_at
-    east, north = (z(x + r, y) - z(x - r, y)) / (2 * r), (z(x, y + r) - z(x, y - r)) / (2 * r)
-    slope = np.nan_to_num(np.arctan(np.hypot(east, north)), nan=np.inf)
-    uphill = np.nan_to_num(np.arctan2(north, east))
-    v, ramp, distance = _course(robot)
-    length = v * ramp + distance
-    ends = free.cells(np.stack((x + length * np.cos(uphill), y + length * np.sin(uphill)), axis=-1))
-    held = np.clip(ends, 0, np.array(free.shape) - 1)
-    slope = np.where(free.free[held[:, 0], held[:, 1]] & (held == ends).all(axis=1), slope, np.inf)
-    order = np.argsort(-np.where(slope <= robot.max_slope, slope, -1.0), kind="stable")[:TRIES]
-    return [
-        (float(slope[i]), Pose2(float(x[i]), float(y[i]), float(uphill[i])))
-        for i in order.tolist()
-        if slope[i] <= robot.max_slope
-    ]
+
+def worst(values: Iterable[Bounded]) -> Bounded:
+    """Return the value that is highest against its limit."""
+    return max(values, key=lambda bounded: bounded.ratio)
+
+
+def inside_test(world: World, body: RobotModel, terrain: ContactGeometry) -> InsideTest:
+    """Return a test of points against the contact geometry, independent of MuJoCo's collision detection."""
+    hulls = _hulls(body.model) if terrain == "convex" else []
+    if hulls:
+        # Thin shells of the body lie inside it; parts by CoACD bulge out of it.
+        return partial(_in_hulls, hulls if len(hulls) <= MAX_HULLS else hulls[:1], world.solid)
+    if world.walls is not None:
+        return partial(_in_walls, world.walls)
+    heights, slack = world.surface, 0.0
+    if terrain in ("hfield", "mesh"):
+        heights = body.contact.heights(heights)
+    elif terrain == "prisms":
+        limited = world.export_options.limited or world.solid is not None
+        slack = mesh_error(world) if limited else PRISM_ERROR
+    # Beyond the border the height is NaN, and nothing is below it.
+    return lambda points: points[:, 2] < heights.height_at(points[:, 0], points[:, 1]) - slack
+
+
+def _in_hulls(hulls: Sequence[FloatArray], solid: TriangleMesh | None, points: FloatArray) -> BoolArray:
+    """Return whether points are in a convex part, or in the solid."""
+    inside = np.zeros(len(points), np.bool_)
+    for planes in hulls:
+        inside |= (points @ planes[:, :3].T + planes[:, 3] < 0).all(axis=1)
+    return inside if solid is None else inside | touching_volume(solid, points)
+
+
+def _in_walls(walls: WallGrid, points: FloatArray) -> BoolArray:
+    """Return whether points are in a wall, or under a floor that is there."""
+    cells = np.floor(walls.origin.inverse().apply(points[:, :2]) / walls.resolution).astype(int)
+    col, row = cells.T
+    rows, cols = walls.shape
+    on = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    row, col = np.where(on, row, 0), np.where(on, col, 0)
+    z = points[:, 2]
+    inside: BoolArray = on & (
+        (walls.solid[row, col] & (z < walls.height)) | (walls.floor[row, col] & (z < 0))
+    )
+    return inside
+
+
+def _hulls(model: mujoco.MjModel) -> list[FloatArray]:
+    """Return (n, 4) the outward planes of each convex part."""
+    hulls = []
+    for g in np.flatnonzero((model.geom_bodyid == 0) & (model.geom_contype > 0)).tolist():
+        mesh = int(model.geom_dataid[g])
+        start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[g])
+        corners = model.mesh_vert[start : start + count] @ turn.reshape(3, 3).T + model.geom_pos[g]
+        hulls.append(np.array(ConvexHull(corners).equations))
+    return hulls

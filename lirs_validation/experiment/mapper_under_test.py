@@ -289,15 +289,16 @@ def check_sensors(mapper: MapperUnderTest, config: RunConfig) -> None:
     Any lidar suits a planar mapper: of one with rings it gets the ring nearest the horizon.
 
     Raises:
-        ConfigError: a mapper of point clouds has a planar lidar, or a driver that needs an occupancy map.
+        ConfigError: there is no such lidar, or a mapper of point clouds has a planar one, or a driver that
+            needs an occupancy map.
     """
     # Mapping a log does not load the simulator.
     from lirs_envs.lidar.presets import RING_LIDARS, make_lidar_preset
     from lirs_envs.robots.robot import make_robot
 
+    lidar = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
     if not mapper.reads_clouds:
         return
-    lidar = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
     if lidar.rings == 1:
         raise ConfigError(
             f"mapper {config.mapper} needs a lidar with rings, got {lidar.name}; "
@@ -324,6 +325,7 @@ def start_mapper(config: RunConfig) -> MapperUnderTest:
     """
     if needs_process(config.mapper):
         return MapperProcess(config)
+    interpreter_of(config.mapper, config.mapper_python)
     mapper = mapper_named(config.mapper, config.seed, config.parameters)
     return LocalMapper(mapper, config.mapper, config.attitude)
 

@@ -39,8 +39,8 @@ from lirs_validation.record.run_record import read_record, succeeded
 from lirs_validation.record.verdict import LIMITS, VerdictLimits, class_counts, stored_verdict
 from lirs_validation.report.collision_tables import verdicts_table
 from lirs_validation.report.table import Content, MetricSpread, ReportTable
-from lirs_validation.sweep.experiment import CollisionExperiment, read_verdict
 from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.tasks import CollisionTask, read_verdict
 
 EXTRAPOLATED = "†"
 SECTIONS: dict[Section, str] = {
@@ -308,9 +308,9 @@ def verdicts_by_method(entries: Sequence[Entry]) -> ReportTable:
 
 
 def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:
-    """Yield tables of finished experiments: runs or groups, methods as published, verdicts."""
-    finished = [found for found in sweep.experiments if found.name in sweep.outcomes]
-    checks = [check for check in finished if isinstance(check, CollisionExperiment)]
+    """Yield tables of finished tasks: runs or groups, methods as published, verdicts."""
+    finished = [found for found in sweep.tasks if found.name in sweep.outcomes]
+    checks = [check for check in finished if isinstance(check, CollisionTask)]
     entries = [read_record(sweep.out / run.name) for run in finished if run not in checks]
     groups = by_group(entries)
     if len(groups) < len(entries) or not set(distinguishing_fields(groups)) <= SINGLE:

@@ -1,59 +1,259 @@
-"""Sweep: run the experiments without a result, and keep a folder of results."""
+"""Sweep: run the tasks without a result, and keep a folder of results."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+import json
+import traceback
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, ClassVar, Protocol, get_args
 
-from lirs_validation.config import EngineOptions
-from lirs_validation.sweep.engines import Executor, Processes, ProgressOf, Serial
-from lirs_validation.sweep.experiment import Experiment, Manifest, Outcome
-from lirs_validation.sweep.ray_engine import RayCluster
-from lirs_wct.errors import OutputError, WctError
-from lirs_wct.files import check_writable, remove_leftovers
-from lirs_wct.progress import no_progress
+from lirs_validation.config import RunConfig
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.processes import is_interrupt
+from lirs_validation.record.provenance import damaged_files, is_stale, machine, versions
+from lirs_validation.record.run_record import SUCCEEDED, Status, plain
+from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
+from lirs_wct.files import atomic_folder, check_writable, remove_leftovers, write_json
+from lirs_wct.progress import Progress, no_progress
 
+MANIFEST = "sweep.json"
+MANIFEST_SCHEMA = 1
 ROUNDS = 2
-"""Times that an experiment is run whose results cannot be written."""
+"""Times that a task is run whose results cannot be written."""
+ProgressOf = Callable[[str], Progress]
+"""Function that returns the progress callback of a task by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """Outcome of a task; small enough to keep thousands of them.
+
+    Attributes:
+        task: Name of the task.
+        status: Status of its record.
+        reason: Cause of the status in one line.
+        trace: Traceback of the failure; empty without a failure.
+        bad_input: Whether the user's input cannot be used.
+        written: Whether its folder is written.
+        unwritable: Whether its results could not be written; it is run again.
+    """
+
+    task: str
+    status: Status
+    reason: str = ""
+    trace: str = ""
+    bad_input: bool = False
+    written: bool = False
+    unwritable: bool = False
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether nothing failed."""
+        return self.status in SUCCEEDED
+
+
+def outcome_of(error: BaseException, task: str) -> Outcome:
+    """Return the outcome of a task that raised.
+
+    Raises:
+        KeyboardInterrupt: the error is a Ctrl-C that a compiled kernel wrapped.
+    """
+    if is_interrupt(error):
+        raise KeyboardInterrupt from error
+    ours = isinstance(error, WctError)
+    message = str(error) if ours else ": ".join(filter(None, (type(error).__name__, str(error))))
+    return Outcome(
+        task=task,
+        status="error",
+        reason=" ".join(message.split()),
+        trace="".join(traceback.format_exception(error)),
+        bad_input=ours and not isinstance(error, (MapperError, OutputError)),
+        unwritable=isinstance(error, OutputError),
+    )
+
+
+class Task(ABC):
+    """Unit of a sweep. Every repetition on any machine gives the same folder.
+
+    Attributes:
+        marker: File with `status`, `reason` and `versions`; a folder without it is incomplete.
+    """
+
+    marker: ClassVar[str]
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name of its folder, different from every other task's."""
+
+    @property
+    @abstractmethod
+    def world_config(self) -> RunConfig | None:
+        """Config of its world; None = the task makes its world itself."""
+
+    @abstractmethod
+    def check(self) -> None:
+        """Check everything that can be checked before the world is built.
+
+        Raises:
+            WctError: the task cannot be run as it was asked for.
+        """
+
+    @abstractmethod
+    def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
+        """Do the work and write its folder.
+
+        Raises:
+            WctError: it cannot be done, or not written.
+        """
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """Return the task's entry in `sweep.json`."""
+
+    @abstractmethod
+    def failure(self, outcome: Outcome) -> str:
+        """Return the marker's text for a failed task."""
+
+    @abstractmethod
+    def inputs(self) -> list[Path | None]:
+        """Return the files that decide its result, where they are known."""
+
+    def is_result(self, folder: Path, entry: Mapping[str, Any]) -> bool:
+        """Whether a folder, whose marker holds the entry, is of this very task."""
+        return True
+
+    def attempt(
+        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
+    ) -> Outcome:
+        """Run the task. All exceptions, also `SystemExit`, become outcomes.
+
+        Raises:
+            KeyboardInterrupt: the user or the parent process ends this process.
+        """
+        try:
+            return self.run(out, scenarios, progress, concurrent=concurrent)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            return outcome_of(error, self.name)
+
+    def write_failure(self, out: Path, outcome: Outcome) -> None:
+        """Write the folder of a failed task: its marker, and `error.txt`.
+
+        Raises:
+            OutputError: the folder cannot be written.
+        """
+        with atomic_folder(out / self.name) as folder:
+            (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
+            (folder / self.marker).write_text(self.failure(outcome), encoding="utf-8")
+
+    def find_outcome(self, out: Path) -> Outcome | None:
+        """Return the outcome in a whole and current folder; None = run it."""
+        folder = out / self.name
+        try:
+            entry = read_status(folder / self.marker)
+        except SourceError:
+            return None
+        stale = is_stale(folder / self.marker, entry.get("versions"), self.inputs())
+        if stale or damaged_files(folder, self.marker) or not self.is_result(folder, entry):
+            return None
+        return Outcome(task=self.name, status=entry["status"], reason=entry["reason"], written=True)
+
+
+def read_status(path: Path) -> dict[str, Any]:
+    """Read a JSON file with the `status`, the `reason` and the `versions` of a task.
+
+    Raises:
+        SourceError: it is missing or damaged.
+    """
+    try:
+        entry: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        legal = entry["status"] in get_args(Status) and isinstance(entry["reason"], str)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise SourceError(f"{path}: not an experiment's result, or damaged: {reason_of(error)}") from error
+    if not legal:
+        raise SourceError(f"{path}: damaged: status {entry['status']!r}, reason {entry['reason']!r}")
+    return entry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Manifest:
+    """Content of `sweep.json`: the requested tasks.
+
+    Attributes:
+        command: Command line.
+        suite: Name of the suite; None = the tasks were given one by one.
+        cells: Name, world, config and the suite's tables of each task.
+        versions: Versions of the software.
+        machine: Properties of the machine.
+    """
+
+    command: str = ""
+    suite: str | None = None
+    cells: tuple[dict[str, Any], ...] = ()
+    versions: dict[str, str] = field(default_factory=versions)
+    machine: dict[str, Any] = field(default_factory=machine)
+
+
+class Executor(Protocol):
+    """Interface of an engine: run each task at least once, yield one outcome each."""
+
+    def run(self, tasks: Sequence[Task], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+        """Run tasks into folders of `out`. The caller writes the outcomes of failures."""
+        ...
+
+
+class Serial:
+    """Run one task after the other in this process; real-time factors are valid."""
+
+    def run(self, tasks: Sequence[Task], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+        """Run tasks into folders of `out`."""
+        scenarios = ScenarioCache()
+        for task in tasks:
+            yield task.attempt(out, scenarios, progress_of(task.name), concurrent=False)
 
 
 class Sweep:
-    """Experiments and the folder for their results.
+    """Tasks and the folder for their results.
 
     Args:
-        experiments: experiments to run; of several with one name, the last.
-        out: folder for the experiments' folders and `sweep.json`.
-        manifest: content of `sweep.json` except the experiments.
-        listed: whether `sweep.json` is written.
-        retry_failed: run experiments again that failed before.
+        tasks: Tasks to run; of several with one name, the last.
+        out: Folder for the tasks' folders and `sweep.json`.
+        manifest: Content of `sweep.json` except the tasks.
+        listed: Whether `sweep.json` is written.
+        retry_failed: Whether to run tasks again that failed before.
 
     Attributes:
-        outcomes: outcome of each finished experiment, by name.
-        kept: number of experiments with a result from before.
-        unwritten: experiments whose results could not be written, with the reason.
+        outcomes: Outcome of each finished task, by name.
+        kept: Number of tasks with a result from before.
+        unwritten: Reasons of the tasks whose results could not be written, by name.
 
     Raises:
-        WctError: an experiment cannot be run as it was asked for; nothing has been run then.
+        WctError: one of several tasks cannot be run as it was asked for; nothing has been run then.
     """
 
     def __init__(
         self,
-        experiments: Sequence[Experiment],
+        tasks: Sequence[Task],
         out: Path,
         *,
         manifest: Manifest | None = None,
         listed: bool = True,
         retry_failed: bool = False,
     ) -> None:
-        for experiment in experiments:
-            experiment.check()
-        self.experiments = list({experiment.name: experiment for experiment in experiments}.values())
+        if len(tasks) > 1:  # a single one fails as soon when it is run
+            for task in tasks:
+                task.check()
+        self.tasks = list({task.name: task for task in tasks}.values())
         self.out = out
-        described = tuple(experiment.describe() for experiment in self.experiments)
-        self._manifest = replace(manifest or Manifest(), cells=described) if listed else None
-        remove_leftovers(out / experiment.name for experiment in self.experiments)
-        found = {experiment.name: experiment.find_outcome(out) for experiment in self.experiments}
+        cells = tuple(task.describe() for task in self.tasks)
+        self._manifest = replace(manifest or Manifest(), cells=cells) if listed else None
+        remove_leftovers(out / task.name for task in self.tasks)
+        found = {task.name: task.find_outcome(out) for task in self.tasks}
         self.outcomes = {
             name: outcome
             for name, outcome in found.items()
@@ -63,49 +263,49 @@ class Sweep:
         self.unwritten: dict[str, str] = {}
 
     @property
-    def pending(self) -> list[Experiment]:
-        """Experiments that are still to be run, in their order."""
-        return [experiment for experiment in self.experiments if experiment.name not in self.outcomes]
+    def pending(self) -> list[Task]:
+        """Tasks that are still to be run, in their order."""
+        return [task for task in self.tasks if task.name not in self.outcomes]
 
     @property
     def failed(self) -> bool:
-        """Whether an experiment failed, or was not finished."""
+        """Whether a task failed, or was not finished."""
         return bool(self.pending) or not all(outcome.succeeded for outcome in self.outcomes.values())
 
     def run(
         self, executor: Executor, progress_of: ProgressOf = lambda name: no_progress
     ) -> Iterator[Outcome]:
-        """Run pending experiments; yield each outcome once its folder is written.
+        """Run pending tasks; yield each outcome once its folder is written.
 
         Raises:
-            WctError: the only experiment cannot be run as it was asked for, or `out` not be written.
+            WctError: the only task cannot be run as it was asked for, or `out` not be written.
         """
         if self.pending:
             check_writable(self.out)
         if self.kept:
             self._save_manifest()
         for _ in range(ROUNDS):
-            experiments = {experiment.name: experiment for experiment in self.pending}
+            tasks = {task.name: task for task in self.pending}
             self.unwritten.clear()
-            for outcome in executor.run(list(experiments.values()), self.out, progress_of):
-                settled = self._settle(experiments[outcome.experiment], outcome)
+            for outcome in executor.run(list(tasks.values()), self.out, progress_of):
+                settled = self._settle(tasks[outcome.task], outcome)
                 if settled.written:
-                    self.outcomes[settled.experiment] = settled
+                    self.outcomes[settled.task] = settled
                     self._save_manifest()
                     yield settled
                 else:
-                    self.unwritten[settled.experiment] = settled.reason
+                    self.unwritten[settled.task] = settled.reason
             if not self.unwritten:
                 break
 
-    def _settle(self, experiment: Experiment, outcome: Outcome) -> Outcome:
-        """Write the folder of an experiment that failed outside a run."""
-        if len(self.experiments) == 1 and (outcome.bad_input or outcome.unwritable):
+    def _settle(self, task: Task, outcome: Outcome) -> Outcome:
+        """Write the folder of a task that failed outside a run."""
+        if len(self.tasks) == 1 and (outcome.bad_input or outcome.unwritable):
             raise (OutputError if outcome.unwritable else WctError)(outcome.reason)
         if outcome.written or outcome.unwritable:
             return outcome
         try:
-            experiment.write_failure(self.out, outcome)
+            task.write_failure(self.out, outcome)
         except OutputError as error:
             return replace(outcome, unwritable=True, reason=str(error))
         return replace(outcome, written=True)
@@ -115,16 +315,7 @@ class Sweep:
         if self._manifest is None:
             return
         try:
-            self._manifest.save(self.out)
+            write_json(self.out / MANIFEST, {"schema": MANIFEST_SCHEMA} | vars(self._manifest), plain)
         except OutputError:
-            return  # no room: with the next result then
+            return  # the disk is full: with the next result then
         self._manifest = None
-
-
-def make_executor(options: EngineOptions) -> Executor:
-    """Make a Ray cluster, processes for jobs or a time limit, or `Serial`."""
-    if options.address is not None:
-        return RayCluster(address=options.address, jobs=options.jobs, seconds=options.cell_timeout)
-    if options.jobs in (None, 1) and options.cell_timeout is None:
-        return Serial()
-    return Processes(jobs=options.jobs or 1, seconds=options.cell_timeout)

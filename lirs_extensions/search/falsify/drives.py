@@ -17,15 +17,13 @@ from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.sensors import SensorFaults, SensorNoise, write_noise
 from lirs_extensions.bench.episode import episode_metrics, run_episode
 from lirs_extensions.bench.policies import PolicyChoice
-from lirs_extensions.bench.task_worlds import WorldSpec
-from lirs_extensions.bench.tasks import BenchTask, TaskSet, set_entry
+from lirs_extensions.bench.tasks import BenchTask, TaskSet, WorldSpec, set_entry
 from lirs_extensions.search.case_search import Case, SearchParameter, SearchSpace, TrialArchive, trial_key
 from lirs_extensions.search.options import FAILURE_FACTOR, POLICY_TASK, FalsifyOptions
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.record.verdict import LIMITS, VerdictFigures, classify
-from lirs_validation.sweep.experiment import SlamExperiment
-from lirs_validation.sweep.suites import CASE, case_options, read_yaml_fields
+from lirs_validation.sweep.tasks import CASE, RunTask, case_options, read_yaml_fields
 from lirs_validation.sweep.workers import WorkerPool
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, unknown_name
 from lirs_wct.files import atomic_write
@@ -245,7 +243,7 @@ def check_methods(options: FalsifyOptions) -> None:
         if options.policy is not None:
             PolicyChoice(method).check(POLICY_TASK)
         else:
-            SlamExperiment(RunConfig(source="simple", robot=options.robot, mapper=method)).check()
+            RunTask(RunConfig(source="simple", robot=options.robot, mapper=method)).check()
 
 
 def measure(options: FalsifyOptions, method: str, case: Case, seed: int, returns: float) -> DriveScore:

@@ -31,7 +31,7 @@ from lirs_validation.experiment.run import run
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.report.page import data_url, png, render
 from lirs_validation.report.table import ReportTable
-from lirs_validation.sweep.suites import CASE
+from lirs_validation.sweep.tasks import CASE
 from lirs_wct import MapperError, Pose2, Trajectory, World
 from lirs_wct.drawing.canvas import (
     BLACK,

@@ -43,7 +43,7 @@ from lirs_validation.record.verdict import (
     run_figures,
 )
 from lirs_validation.report.table import ReportTable
-from lirs_validation.sweep.suites import read_yaml_fields
+from lirs_validation.sweep.tasks import read_yaml_fields
 from lirs_validation.sweep.workers import WorkerPool
 from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, unknown_name
 from lirs_wct.files import staged_files, write_json

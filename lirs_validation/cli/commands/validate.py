@@ -31,8 +31,8 @@ from lirs_wct.sources.source import BuildOptions
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict
     from lirs_validation.record.verdict import Verdict
-    from lirs_validation.sweep.experiment import Experiment, SlamExperiment
-    from lirs_validation.sweep.sweep import Sweep
+    from lirs_validation.sweep.sweep import Sweep, Task
+    from lirs_validation.sweep.tasks import RunTask
 
 FEW = 10
 """Folders that are listed one by one."""
@@ -112,8 +112,8 @@ def validate(
     from lirs_validation.record.verdict import read_limits
 
     accepted = read_limits(options.limits) if options.limits is not None else (LIMITS, frozenset[str]())
-    experiments = read_experiments(options, run, build)
-    found = _run(experiments, engine, options.output, options.suite, limits=accepted[0])
+    tasks = read_tasks(options, run, build)
+    found = _run(tasks, engine, options.output, options.suite, limits=accepted[0])
     if options.gate and not all(verdict.kind in {"works", *accepted[1]} for verdict in found):
         raise Exit(ExitCode.GATE_FAILED)
 
@@ -129,23 +129,23 @@ def record(
     Examples:
     lirs-wct record simple --seconds 60 -o run
     """
-    from lirs_validation.sweep.experiment import SlamExperiment
+    from lirs_validation.sweep.tasks import RunTask
 
     bag = {"bag": options.storage, "sensors_only": options.sensors_only, "stand": STAND}
-    experiments, output = read_experiments(options, bag | run, build), options.output
-    if len(experiments) > 1 or not isinstance(experiments[0], SlamExperiment):
-        _run(experiments, engine, output, options.suite)
+    tasks, output = read_tasks(options, bag | run, build), options.output
+    if len(tasks) > 1 or not isinstance(tasks[0], RunTask):
+        _run(tasks, engine, output, options.suite)
         return
     folder = output if output.name else output.resolve()
-    experiment = replace(experiments[0], folder=folder.name)
-    _check_free(folder, experiment)
-    _run((experiment,), engine, folder.parent, options.suite, listed=False)
+    task = replace(tasks[0], folder=folder.name)
+    _check_free(folder, task)
+    _run((task,), engine, folder.parent, options.suite, listed=False)
 
 
-def read_experiments(
+def read_tasks(
     options: ValidateOptions | RecordOptions, run: dict[str, Any], build: BuildOptions
-) -> tuple[Experiment, ...]:
-    """Return the experiments of a suite, or of every combination of the given options.
+) -> tuple[Task, ...]:
+    """Return the tasks of a suite, or of every combination of the given options.
 
     Args:
         options: Sources, or the name of a suite, and the folder for maps of logs.
@@ -155,8 +155,14 @@ def read_experiments(
     Raises:
         ConfigError: neither or both of sources and suite are given, or an option is not legal.
     """
-    from lirs_validation.sweep.experiment import SlamExperiment
-    from lirs_validation.sweep.suites import SUITE_FILES, case_options, cross, make_suite, suite_folders
+    from lirs_validation.sweep.tasks import (
+        SUITE_FILES,
+        RunTask,
+        case_options,
+        cross,
+        make_suite,
+        suite_folders,
+    )
 
     sources, suite = options.sources, options.suite
     if suite is not None and suite.endswith(SUITE_FILES) and not sources:
@@ -166,7 +172,7 @@ def read_experiments(
             raise ConfigError("nothing to validate: name a source (simple, an image, ...) or a --suite")
         sources, build = map_logs(sources, build, options.output)
         crossed = [cross(source, build=build, **(case_options(source) | run)) for source in sources]
-        return tuple(SlamExperiment(config) for configs in crossed for config in configs)
+        return tuple(RunTask(config) for configs in crossed for config in configs)
     clash = [f"--{name}" for name in RUN_AXES if name in run and name not in OF_A_SUITE]
     clash += ["sources"] * bool(sources) + ["options of build"] * (build != BuildOptions())
     if clash:
@@ -175,7 +181,7 @@ def read_experiments(
 
 
 def _run(
-    experiments: Sequence[Experiment],
+    tasks: Sequence[Task],
     engine: EngineOptions,
     out: Path,
     suite: str | None,
@@ -183,17 +189,17 @@ def _run(
     listed: bool = True,
     limits: VerdictLimits = LIMITS,
 ) -> list[Verdict]:
-    """Run experiments, print their tables and verdicts; return the verdicts."""
+    """Run tasks, print their tables and verdicts; return the verdicts."""
     from lirs_validation.sweep.sweep import Sweep
 
     manifest = manifest_of_command(suite)
-    sweep = Sweep(experiments, out, manifest=manifest, listed=listed, retry_failed=engine.retry_failed)
+    sweep = Sweep(tasks, out, manifest=manifest, listed=listed, retry_failed=engine.retry_failed)
     verdicts: list[Verdict] = []
     run_sweep(sweep, engine, lambda: verdicts.extend(_show(sweep, limits)))
     return verdicts
 
 
-def _check_free(folder: Path, experiment: SlamExperiment) -> None:
+def _check_free(folder: Path, task: RunTask) -> None:
     """Refuse a folder that holds something else than this very run: it would be replaced.
 
     Raises:
@@ -203,7 +209,7 @@ def _check_free(folder: Path, experiment: SlamExperiment) -> None:
 
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
-    wanted = run_name(experiment.config, experiment.world)
+    wanted = run_name(task.config, task.world)
     try:
         held = read_record(folder)["name"]
     except SourceError:
@@ -222,7 +228,7 @@ def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
         return []
     for table in sweep_tables(sweep):
         out.print(table)
-    folders = [sweep.out / found.name for found in sweep.experiments if found.name in sweep.outcomes]
+    folders = [sweep.out / found.name for found in sweep.tasks if found.name in sweep.outcomes]
     for folder in folders if len(folders) <= FEW else [sweep.out]:
         say(folder)
     entries = [read_record(folder) for folder in folders if (folder / "record.json").exists()]

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from lirs_extensions.bench.experiment import RECORD
+from lirs_extensions.bench.episode import RECORD
 
 TASK = {
     "task": "navigation",

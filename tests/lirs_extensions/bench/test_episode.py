@@ -9,8 +9,7 @@ import pytest
 
 from lirs_extensions.bench.episode import SPENT, episode_metrics, make_task_env, run_episode
 from lirs_extensions.bench.policies import BASELINES, PolicyChoice
-from lirs_extensions.bench.task_worlds import WorldSpec
-from lirs_extensions.bench.tasks import BenchTask
+from lirs_extensions.bench.tasks import BenchTask, WorldSpec
 from lirs_wct.errors import ConfigError
 
 PLAN = WorldSpec(name="plan", maker="floor plan", options=(("seed", 0),))

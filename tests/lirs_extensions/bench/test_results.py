@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from lirs_envs.episodes.observations import GROUPS
-from lirs_extensions.bench.bench_table import difference_line
-from lirs_extensions.bench.experiment import RECORD, BenchExperiment, read_results, share_of_bound
+from lirs_extensions.bench.episode import RECORD, EpisodeTask
 from lirs_extensions.bench.policies import PolicyChoice
+from lirs_extensions.bench.results import difference_line, read_results, share_of_bound
 from lirs_extensions.bench.tasks import BenchTask, TaskSet
-from lirs_validation.sweep.experiment import Outcome
+from lirs_validation.sweep.sweep import Outcome
 
 COURSE = BenchTask(
     name="a",
@@ -49,10 +49,8 @@ def write(out: Path, policy: str, scores: dict[str, float], **changed: Any) -> N
     """Write records of a policy as the experiment does, with other scores."""
     for task in TASKS:
         if task.name in scores:
-            experiment = BenchExperiment(
-                set_name="mine", set_version=1, task=task, policy=PolicyChoice(policy)
-            )
-            experiment.write_failure(out, Outcome(experiment=experiment.name, status="ok"))
+            experiment = EpisodeTask(set_name="mine", set_version=1, task=task, policy=PolicyChoice(policy))
+            experiment.write_failure(out, Outcome(task=experiment.name, status="ok"))
             path = out / experiment.name / RECORD
             entry = json.loads(path.read_text())
             entry["metrics"]["score"] = scores[task.name]

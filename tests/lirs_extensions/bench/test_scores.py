@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from lirs_extensions.bench.scores import coverage_area, distance_share, score_of, success_by_path_length
+from lirs_extensions.bench.episode import coverage_area, distance_share, success_by_path_length
+from lirs_extensions.bench.results import score_of
 
 
 def test_spl_is_the_shortest_way_over_the_driven_one() -> None:

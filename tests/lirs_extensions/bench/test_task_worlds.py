@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_extensions.bench.task_worlds import FileSpec, WorldSpec, read_world
-from lirs_extensions.bench.tasks import task_set
+from lirs_extensions.bench.tasks import FileSpec, WorldSpec, read_world, task_set
 from lirs_wct.errors import ConfigError, SourceError
 
 YAML = (

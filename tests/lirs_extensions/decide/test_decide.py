@@ -12,7 +12,8 @@ from lirs_extensions.decide.decide import Answer, Trial, TrialDrive, changes, de
 from lirs_extensions.decide.page import failure_place, write_decision
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
-from lirs_validation.sweep.experiment import Outcome, SlamExperiment
+from lirs_validation.sweep.sweep import Outcome
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.formats.drive_files import write_tum
 from lirs_wct.geometry import Pose2, Trajectory
@@ -36,7 +37,7 @@ def driven(room: str, monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
     configs: list[RunConfig] = []
 
     def perform(
-        experiment: SlamExperiment, out: Path, scenarios: object, progress: object, *, concurrent: bool
+        experiment: RunTask, out: Path, scenarios: object, progress: object, *, concurrent: bool
     ) -> Outcome:
         config = experiment.config
         configs.append(config)
@@ -46,14 +47,14 @@ def driven(room: str, monkeypatch: pytest.MonkeyPatch) -> list[RunConfig]:
         folder = saved_whole(out, replace(made, config=config))
         for name in ("truth", "estimate"):
             write_tum(folder / f"{name}.tum", PATH)
-        return Outcome(experiment=experiment.name, status=status, written=True)
+        return Outcome(task=experiment.name, status=status, written=True)
 
     scenario = build_scenario(RunConfig(source=room))
     scenario = replace(scenario, world=replace(scenario.world, name="simple"))
     monkeypatch.setattr(ScenarioCache, "scenario", lambda _, config: replace(scenario, config=config))
     monkeypatch.setattr("lirs_extensions.decide.decide.forecast", lambda *_: 0.7)
-    monkeypatch.setattr(SlamExperiment, "perform", perform)
-    monkeypatch.setattr("lirs_validation.sweep.experiment.damaged_files", lambda *_: [])
+    monkeypatch.setattr(RunTask, "run", perform)
+    monkeypatch.setattr("lirs_validation.sweep.sweep.damaged_files", lambda *_: [])
     return configs
 
 

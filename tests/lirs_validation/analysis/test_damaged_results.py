@@ -14,7 +14,7 @@ from lirs_validation import resolve_source
 from lirs_validation.analysis.results import read_results, recorded_config
 from lirs_validation.report.page import report_of
 from lirs_validation.report.run_tables import results_table
-from lirs_validation.sweep.experiment import SlamExperiment
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import OutputError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.sources.source import BuildOptions
@@ -92,7 +92,7 @@ def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> Non
     """Every value of a record is replaced by nonsense, one at a time."""
     folder = saved_whole(tmp_path, record())
     whole = json.loads((folder / "record.json").read_text())
-    experiment = SlamExperiment(recorded_config(whole))
+    experiment = RunTask(recorded_config(whole))
     assert experiment.find_outcome(tmp_path) is not None
     for place in places(whole):
         for value in NONSENSE:
@@ -128,9 +128,9 @@ def test_nonsense_in_a_manifest_does_not_matter(
 )
 def test_a_collision_check_that_is_nonsense_is_run_again(text: str, tmp_path: Path) -> None:
     from lirs_validation.record.provenance import versions
-    from lirs_validation.sweep.experiment import CollisionExperiment
+    from lirs_validation.sweep.tasks import CollisionTask
 
-    check = CollisionExperiment(source="simple", robot="husky")
+    check = CollisionTask(source="simple", robot="husky")
     folder = tmp_path / check.name
     folder.mkdir()
     (folder / "cell.json").write_text(text)

@@ -14,7 +14,7 @@ from lirs_validation.analysis.score import score
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import same_source, source_files
 from lirs_validation.report.pictures import Painter
-from lirs_validation.sweep.experiment import SlamExperiment
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.geometry.grid import OccupancyGrid
@@ -62,7 +62,7 @@ def test_another_source_of_that_name_is_refused(run: RunFolder, tmp_path: Path) 
 
 
 def test_a_sweep_runs_again_what_another_source_of_that_name_gave(run: RunFolder, tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="hills.png", seconds=4.0))
+    experiment = RunTask(RunConfig(source="hills.png", seconds=4.0))
     assert experiment.name == run.folder.name
     os.utime(run.folder / "record.json", (2e9, 2e9))  # the other picture is older than the record
     assert experiment.find_outcome(tmp_path / "out") is None

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from lirs_validation import read_record
-from lirs_validation.sweep.experiment import Outcome, SlamExperiment
+from lirs_validation.sweep.sweep import Outcome
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import MapperError
 from slam_baselines.mapper import MAPPERS
 from tests.command_line import run_command
@@ -20,14 +21,14 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs that take no time; the one of seed 3 goes wrong."""
 
     def perform(
-        experiment: SlamExperiment, out: Path, scenarios: object, progress: object, *, concurrent: bool
+        experiment: RunTask, out: Path, scenarios: object, progress: object, *, concurrent: bool
     ) -> Outcome:
         if experiment.config.seed == 3:
             raise MapperError("update() must return a finite pose")
         saved_whole(out, replace(record(experiment.world), config=experiment.config))
-        return Outcome(experiment=experiment.name, status="ok", written=True)
+        return Outcome(task=experiment.name, status="ok", written=True)
 
-    monkeypatch.setattr(SlamExperiment, "perform", perform)
+    monkeypatch.setattr(RunTask, "run", perform)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("--suite", "paper", "--size", "3"), "leave out options of build"),
     ],
 )
-@pytest.mark.usefixtures("quick")
 def test_bad_input_is_one_line_before_anything_runs(
     arguments: tuple[str, ...], expected: str, wct: Any, tmp_path: Path
 ) -> None:

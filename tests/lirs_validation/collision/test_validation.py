@@ -15,9 +15,16 @@ from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.cli.app import PROGRAM
-from lirs_validation.collision.contact_metrics import energy_gain, inside_test, penetrations, stuck_seconds
-from lirs_validation.collision.random_drive import PERIOD, ContactRecorder, Leg, places
-from lirs_validation.collision.validation import CollisionVerdict, check_collisions, climb, write_verdicts
+from lirs_validation.collision.drives import PERIOD, ContactRecorder, Leg, climb, places
+from lirs_validation.collision.validation import (
+    CollisionVerdict,
+    check_collisions,
+    energy_gain,
+    inside_test,
+    penetrations,
+    stuck_seconds,
+    write_verdicts,
+)
 from lirs_validation.report.collision_tables import verdicts_table
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError

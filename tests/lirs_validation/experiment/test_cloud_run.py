@@ -20,7 +20,7 @@ from lirs_validation.metrics.elevation import MAX_CLOUDS, CloudSample, Elevation
 from lirs_validation.record.provenance import damaged_files
 from lirs_validation.record.run_record import read_record, schema_error
 from lirs_validation.report.page import page, report_of
-from lirs_validation.sweep.experiment import SlamExperiment
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.formats.drive_files import read_tum
@@ -149,7 +149,7 @@ def test_a_run_by_another_version_of_the_mapper_is_run_again(
     still: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert still.folder is not None
-    experiment, out = SlamExperiment(still.record.config), still.folder.parent
+    experiment, out = RunTask(still.record.config), still.folder.parent
     assert experiment.find_outcome(out) is not None
     monkeypatch.setattr("lirs_validation.sweep.experiment.package_versions", lambda *_: {"kiss-icp": "0.0.1"})
     assert experiment.find_outcome(out) is None
@@ -202,7 +202,7 @@ def test_a_planar_mapper_maps_the_ring_nearest_the_horizon(room: str) -> None:
 def test_what_cannot_work_is_refused_before_the_world_is_built(change: dict[str, Any], message: str) -> None:
     config = replace(RunConfig(source="medium", mapper="own_mappers:Still"), **change)
     with pytest.raises(ConfigError, match=message) as error:
-        SlamExperiment(config).check()
+        RunTask(config).check()
     assert "\n" not in str(error.value)
 
 

@@ -15,9 +15,8 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.mapper_under_test import LocalMapper, MapperProcess
 from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.record.run_record import read_record
-from lirs_validation.sweep.engines import Serial
-from lirs_validation.sweep.experiment import SlamExperiment
-from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.sweep import Serial, Sweep
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -80,7 +79,7 @@ def test_what_a_mapper_changes_by_force_is_its_own_copy(observations: list[Obser
 def test_a_serial_sweep_goes_on_past_a_mapper_that_exits(here: Path, room: str, plain_pictures: None) -> None:
     """`sys.exit` ended the sweep with exit code 0 and nothing written."""
     configs = [RunConfig(source=room, mapper=name, seconds=0.4) for name in ("own_mappers:Exits", "hector")]
-    sweep = Sweep([SlamExperiment(config) for config in configs], here / "out")
+    sweep = Sweep([RunTask(config) for config in configs], here / "out")
     wrong, right = sweep.run(Serial())
     assert (wrong.status, right.status) == ("error", "ok")
     assert wrong.reason.startswith("mapper 'own_mappers:Exits': update() failed for the scan at 0.160 s")

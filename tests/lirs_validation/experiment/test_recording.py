@@ -16,7 +16,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.logs.map_log import run_mapping
 from lirs_validation.map_config import MapConfig
-from lirs_validation.sweep.experiment import SlamExperiment
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import read_manifest
 from lirs_wct.formats.rosbag.reader import read_bag
@@ -173,13 +173,13 @@ def test_a_finished_run_counts_where_its_bag_is_what_is_asked_for(made: Run) -> 
     out = folder_of(made).parent
     config = replace(made.record.config, bag="mcap")
     for same in (config, replace(config, bag=None)):
-        assert SlamExperiment(same).find_outcome(out) is not None
+        assert RunTask(same).find_outcome(out) is not None
     for other in (replace(config, bag="sqlite3"), replace(config, sensors_only=True)):
-        assert SlamExperiment(other).find_outcome(out) is None
+        assert RunTask(other).find_outcome(out) is None
     file = folder_of(made) / "bag.mcap"
     whole = file.read_bytes()
     file.write_bytes(whole[:-9])
-    assert SlamExperiment(config).find_outcome(out) is None
+    assert RunTask(config).find_outcome(out) is None
     file.write_bytes(whole)
     record = folder_of(made) / "record.json"
     assert json.loads(record.read_text())["config"]["bag"] == "mcap"

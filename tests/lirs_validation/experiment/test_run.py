@@ -18,7 +18,7 @@ from lirs_validation.experiment.evaluation import evaluate_rtf, per_second, refe
 from lirs_validation.experiment.run import Run, prepare
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.record.verdict import LOST_SECONDS
-from lirs_validation.sweep.experiment import SlamExperiment
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
 from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.formats.map_server import read_map
@@ -93,8 +93,8 @@ def test_a_reference_physics_that_diverges_has_no_speed(monkeypatch: pytest.Monk
 
 
 def test_a_brief_run_is_complete_without_its_picture(room: str, tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source=room, seconds=0.5), brief=True)
-    experiment.perform(tmp_path, ScenarioCache(), no_progress, concurrent=False)
+    experiment = RunTask(RunConfig(source=room, seconds=0.5), brief=True)
+    experiment.run(tmp_path, ScenarioCache(), no_progress, concurrent=False)
     assert not (tmp_path / experiment.name / "overview.png").exists()
     assert experiment.find_outcome(tmp_path) is not None
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.sweep.experiment import Outcome
+from lirs_validation.sweep.sweep import Outcome, Task
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
 
@@ -39,9 +39,9 @@ class FakeExperiment:
     def check(self) -> None:
         return
 
-    def perform(
-        self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool
-    ) -> Outcome:
+    attempt = Task.attempt  # type: ignore[assignment]
+
+    def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
         first = not self.runs
         with (Path(self.notes) / self.name).open("a") as file:
             file.write(f"{os.getpid()}\n")
@@ -50,7 +50,7 @@ class FakeExperiment:
         with atomic_folder(out / self.name) as folder:
             (folder / "result").write_text(f"{self.name} {concurrent}")
             self._behave(first)
-        return Outcome(experiment=self.name, status="ok", written=True)
+        return Outcome(task=self.name, status="ok", written=True)
 
     def _behave(self, first: bool) -> None:
         match self.manner:
@@ -72,10 +72,10 @@ class FakeExperiment:
     def find_outcome(self, out: Path) -> Outcome | None:
         folder = out / self.name
         if (folder / "result").exists():
-            return Outcome(experiment=self.name, status="ok", written=True)
+            return Outcome(task=self.name, status="ok", written=True)
         if (folder / "failed").exists():
             status, reason = (folder / "failed").read_text().splitlines()[:2]
-            return Outcome(experiment=self.name, status=status, reason=reason, written=True)  # type: ignore[arg-type]
+            return Outcome(task=self.name, status=status, reason=reason, written=True)  # type: ignore[arg-type]
         return None
 
     def describe(self) -> dict[str, Any]:

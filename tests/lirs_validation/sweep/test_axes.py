@@ -6,11 +6,9 @@ from typing import Any
 import pytest
 
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.sweep.engines import Processes, Serial
-from lirs_validation.sweep.experiment import CollisionExperiment, SlamExperiment
-from lirs_validation.sweep.ray_engine import RayCluster
-from lirs_validation.sweep.suites import WALL_LIMIT, cross, make_suite
-from lirs_validation.sweep.sweep import make_executor
+from lirs_validation.sweep.engines import Processes, RayCluster, make_executor
+from lirs_validation.sweep.sweep import Serial
+from lirs_validation.sweep.tasks import WALL_LIMIT, CollisionTask, RunTask, cross, make_suite
 from lirs_wct.errors import ConfigError
 
 
@@ -46,14 +44,14 @@ def test_the_default_of_an_axis_changes_no_digest() -> None:
 
 
 def test_a_name_tells_the_driver() -> None:
-    _, frontier, replay = map(SlamExperiment, cross("simple", driver=("tour", "frontier", "replay:out/a")))
+    _, frontier, replay = map(RunTask, cross("simple", driver=("tour", "frontier", "replay:out/a")))
     assert frontier.name.startswith("simple-husky-hector-frontier-s1-")
     assert replay.name.startswith("simple-husky-hector-replay-s1-")
 
 
 def test_the_papers_suite_has_every_run_of_its_tables_once() -> None:
     experiments = make_suite("paper", seed=(1, 2))
-    runs = [experiment for experiment in experiments if isinstance(experiment, SlamExperiment)]
+    runs = [experiment for experiment in experiments if isinstance(experiment, RunTask)]
     assert len({experiment.name for experiment in experiments}) == len(experiments)
     for table in ("II", "III", "IV"):
         of_table = [experiment.config for experiment in runs if table in experiment.tables]
@@ -69,16 +67,14 @@ def test_the_papers_suite_has_every_run_of_its_tables_once() -> None:
     robots = [experiment.config for experiment in runs if "robots" in experiment.tables]
     assert len(robots) == 3 * 3 * 3 * 2 * 2
     assert {c.robot for c in robots} == {"husky", "turtlebot2", "jackal"}
-    checks = [experiment for experiment in experiments if isinstance(experiment, CollisionExperiment)]
+    checks = [experiment for experiment in experiments if isinstance(experiment, CollisionTask)]
     assert {(c.source, c.robot) for c in checks} == {
         (world, robot)
         for world in ("simple", "medium", "advanced")
         for robot in ("husky", "turtlebot2", "jackal")
     }
     assert all(experiment.config.wall_limit == WALL_LIMIT for experiment in runs)
-    assert {e.config.seconds for e in make_suite("paper", seconds=7.0) if isinstance(e, SlamExperiment)} == {
-        7.0
-    }
+    assert {e.config.seconds for e in make_suite("paper", seconds=7.0) if isinstance(e, RunTask)} == {7.0}
     with pytest.raises(ConfigError, match="unknown suite 'papr'; legal: paper"):
         make_suite("papr")
 

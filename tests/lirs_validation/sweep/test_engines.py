@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines import Serial
-from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.sweep import Serial, Sweep
 from lirs_wct.files import remove_leftovers
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 
@@ -74,7 +73,7 @@ def test_a_killed_sweep_goes_on(kill: signal.Signals, tmp_path: Path) -> None:
     sweep = Sweep(experiments, out)
     assert not any(out.glob(".*"))
     assert sweep.kept == 2
-    assert [outcome.experiment for outcome in sweep.run(Serial())] == ["b"]
+    assert [outcome.task for outcome in sweep.run(Serial())] == ["b"]
     assert not sweep.failed
     assert [len(experiment.runs) for experiment in experiments] == [1, 2, 1]
 

@@ -15,9 +15,9 @@ import pytest
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import source_files
 from lirs_validation.record.run_record import Status, read_record, read_whole_record
-from lirs_validation.sweep.engines import Processes, Serial
-from lirs_validation.sweep.experiment import Outcome, SlamExperiment
-from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.engines import Processes
+from lirs_validation.sweep.sweep import Outcome, Serial, Sweep
+from lirs_validation.sweep.tasks import RunTask
 from lirs_wct import BuildOptions
 from lirs_wct.errors import WctError
 from lirs_wct.files import MANIFEST
@@ -27,7 +27,7 @@ TIMES = {"rtf", "cost", "mapper", "versions"}
 """Of a record, what holds wall times or depends on them; a developer's code may change while engines run."""
 
 
-def saved(experiment: SlamExperiment, out: Path, status: Status = "ok") -> Path:
+def saved(experiment: RunTask, out: Path, status: Status = "ok") -> Path:
     """Write a folder as a finished run leaves it; return its record's file."""
     like = record(status=status)
     world = {
@@ -43,15 +43,15 @@ def edited(file: Path, **changes: Any) -> None:
 
 
 def test_a_finished_run_is_kept(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="simple"))
+    experiment = RunTask(RunConfig(source="simple"))
     assert experiment.find_outcome(tmp_path) is None
     saved(experiment, tmp_path)
-    assert experiment.find_outcome(tmp_path) == Outcome(experiment=experiment.name, status="ok", written=True)
-    assert SlamExperiment(RunConfig(source="simple", seed=2)).find_outcome(tmp_path) is None
+    assert experiment.find_outcome(tmp_path) == Outcome(task=experiment.name, status="ok", written=True)
+    assert RunTask(RunConfig(source="simple", seed=2)).find_outcome(tmp_path) is None
 
 
 def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="simple"))
+    experiment = RunTask(RunConfig(source="simple"))
     file = saved(experiment, tmp_path)
     versions = json.loads(file.read_text())["versions"]
     for changes in (
@@ -76,7 +76,7 @@ def test_a_run_of_another_schema_version_or_code_is_not_kept(tmp_path: Path) -> 
 @pytest.mark.parametrize("name", WITH_RESULTS)
 @pytest.mark.parametrize("how", ["gone", "empty", "cut off"])
 def test_a_run_whose_folder_is_not_whole_is_run_again(name: str, how: str, tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="simple"))
+    experiment = RunTask(RunConfig(source="simple"))
     saved(experiment, tmp_path)
     file = tmp_path / experiment.name / name
     content = file.read_text()
@@ -88,7 +88,7 @@ def test_a_run_whose_folder_is_not_whole_is_run_again(name: str, how: str, tmp_p
 
 def test_a_run_without_a_manifest_is_run_again(tmp_path: Path) -> None:
     """Nobody can tell whether its files are whole."""
-    experiment = SlamExperiment(RunConfig(source="simple"))
+    experiment = RunTask(RunConfig(source="simple"))
     manifest = saved(experiment, tmp_path).with_name(MANIFEST)
     manifest.write_text("\n".join(manifest.read_text().splitlines()[:3]))
     assert experiment.find_outcome(tmp_path) is None
@@ -97,7 +97,7 @@ def test_a_run_without_a_manifest_is_run_again(tmp_path: Path) -> None:
 
 
 def test_sizes_of_files_in_an_older_record_are_ignored(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="simple"))
+    experiment = RunTask(RunConfig(source="simple"))
     file = saved(experiment, tmp_path)
     edited(file, file_sizes={"map.pgm": 0})
     assert read_whole_record(file.parent)["status"] == "ok"
@@ -105,8 +105,8 @@ def test_sizes_of_files_in_an_older_record_are_ignored(tmp_path: Path) -> None:
 
 
 def test_a_failure_whose_trace_is_cut_off_is_run_again(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="simple"))
-    outcome = Outcome(experiment=experiment.name, status="error", reason="it broke", trace="line 7")
+    experiment = RunTask(RunConfig(source="simple"))
+    outcome = Outcome(task=experiment.name, status="error", reason="it broke", trace="line 7")
     experiment.write_failure(tmp_path, outcome)
     assert experiment.find_outcome(tmp_path) == replace(outcome, trace="", written=True)
     (tmp_path / experiment.name / "error.txt").write_text("line")
@@ -116,7 +116,7 @@ def test_a_failure_whose_trace_is_cut_off_is_run_again(tmp_path: Path) -> None:
 def test_a_run_is_done_again_when_its_picture_changed(tmp_path: Path) -> None:
     picture = tmp_path / "dune.png"
     cv2.imwrite(str(picture), np.eye(9, dtype=np.uint8))
-    experiment = SlamExperiment(RunConfig(source=str(picture)))
+    experiment = RunTask(RunConfig(source=str(picture)))
     file = saved(experiment, tmp_path)
     now = picture.stat().st_ctime
     os.utime(file, (now + 10, now + 10))
@@ -126,15 +126,15 @@ def test_a_run_is_done_again_when_its_picture_changed(tmp_path: Path) -> None:
 
 
 def test_a_run_that_hit_a_wall_limit_counts_for_that_limit_only(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="simple", wall_limit=60.0))
+    experiment = RunTask(RunConfig(source="simple", wall_limit=60.0))
     saved(experiment, tmp_path, "wall limit")
     assert experiment.find_outcome(tmp_path) is not None
     for limit in (None, 90.0):
-        other = SlamExperiment(replace(experiment.config, wall_limit=limit))
+        other = RunTask(replace(experiment.config, wall_limit=limit))
         assert other.name == experiment.name
         assert other.find_outcome(tmp_path) is None
     saved(experiment, tmp_path, "ok")
-    assert SlamExperiment(replace(experiment.config, wall_limit=None)).find_outcome(tmp_path) is not None
+    assert RunTask(replace(experiment.config, wall_limit=None)).find_outcome(tmp_path) is not None
 
 
 def test_the_digest_tells_experiments_apart_and_no_more() -> None:
@@ -147,10 +147,10 @@ def test_the_digest_tells_experiments_apart_and_no_more() -> None:
 
 
 def test_a_failure_leaves_a_record_without_figures(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="simple", mapper="their.slam:Slam"))
+    experiment = RunTask(RunConfig(source="simple", mapper="their.slam:Slam"))
     assert experiment.name.startswith("simple-husky-Slam-s1-")
     experiment.write_failure(
-        tmp_path, Outcome(experiment=experiment.name, status="error", reason="it broke", trace="line 7")
+        tmp_path, Outcome(task=experiment.name, status="error", reason="it broke", trace="line 7")
     )
     written = read_record(tmp_path / experiment.name)
     assert (written["status"], written["reason"]) == ("error", "it broke")
@@ -166,13 +166,11 @@ def test_the_name_is_known_before_the_world_is_built(tmp_path: Path) -> None:
     cv2.imwrite(str(picture), np.tile(np.arange(33, dtype=np.uint8), (33, 1)))
     for options in (BuildOptions(), BuildOptions(name="other")):
         world = build_world(picture, options)
-        assert SlamExperiment(RunConfig(source=str(picture), build=options)).world == world.name
+        assert RunTask(RunConfig(source=str(picture), build=options)).world == world.name
         world.save(tmp_path / "folder")
         for again in (BuildOptions(), BuildOptions(name="third")):
             source = str(tmp_path / "folder")
-            assert (
-                SlamExperiment(RunConfig(source=source, build=again)).world == build_world(source, again).name
-            )
+            assert RunTask(RunConfig(source=source, build=again)).world == build_world(source, again).name
 
 
 def assert_same_run(a: Path, b: Path) -> None:
@@ -194,7 +192,7 @@ def assert_same_run(a: Path, b: Path) -> None:
 
 @pytest.mark.slow
 def test_engines_give_the_same_bytes(room: str, tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source=room, mapper="gmapping", seconds=2.0))
+    experiment = RunTask(RunConfig(source=room, mapper="gmapping", seconds=2.0))
     for name, engine in (("a", Serial()), ("b", Processes(jobs=1))):
         assert [o.status for o in Sweep([experiment], tmp_path / name).run(engine)] == ["ok"]
     assert_same_run(tmp_path / "a" / experiment.name, tmp_path / "b" / experiment.name)
@@ -202,7 +200,7 @@ def test_engines_give_the_same_bytes(room: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_cold_cache_gives_the_same_bytes(tmp_path: Path) -> None:
-    experiment = SlamExperiment(RunConfig(source="medium", seconds=1.0))
+    experiment = RunTask(RunConfig(source="medium", seconds=1.0))
     (outcome,) = Sweep([experiment], tmp_path / "warm").run(Serial())
     assert outcome.status == "ok"
     command = [sys.executable, "-m", "lirs_validation", "validate", "medium", "--seconds", "1"]
@@ -214,11 +212,11 @@ def test_a_cold_cache_gives_the_same_bytes(tmp_path: Path) -> None:
 
 def test_a_single_cell_with_a_bad_source_says_so_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "cut.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    experiment = SlamExperiment(RunConfig(source=str(tmp_path / "cut.png")))
+    experiment = RunTask(RunConfig(source=str(tmp_path / "cut.png")))
     with pytest.raises(WctError, match=r"cut\.png: "):
         list(Sweep([experiment], tmp_path / "out").run(Serial()))
     assert not (tmp_path / "out").exists()
-    both = [experiment, SlamExperiment(replace(experiment.config, seed=2))]
+    both = [experiment, RunTask(replace(experiment.config, seed=2))]
     sweep = Sweep(both, tmp_path / "out")
     assert [outcome.status for outcome in sweep.run(Serial())] == ["error", "error"]
     assert "cut.png: " in read_record(tmp_path / "out" / experiment.name)["reason"]

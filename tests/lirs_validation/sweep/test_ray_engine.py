@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from lirs_validation.config import EngineOptions
-from lirs_validation.sweep.ray_engine import perform_remotely, ray_session
-from lirs_validation.sweep.sweep import Sweep, make_executor
+from lirs_validation.sweep.engines import make_executor, perform_remotely, ray_session
+from lirs_validation.sweep.sweep import Sweep
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment
 
@@ -29,9 +29,7 @@ def test_a_cluster_of_two_workers_survives_the_death_of_one(
     sweep = Sweep(experiments, tmp_path / "out")
     outcomes = list(sweep.run(make_executor(EngineOptions(address="local", jobs=2))))
 
-    assert sorted(outcome.experiment for outcome in outcomes) == [
-        experiment.name for experiment in experiments
-    ]
+    assert sorted(outcome.task for outcome in outcomes) == [experiment.name for experiment in experiments]
     assert [sweep.outcomes[experiment.name].status for experiment in experiments] == ["ok"] * 4 + [
         "error"
     ] + ["ok"] * 3

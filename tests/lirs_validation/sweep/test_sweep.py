@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from lirs_validation.sweep.engines import Processes, Serial
-from lirs_validation.sweep.experiment import Manifest
-from lirs_validation.sweep.sweep import Sweep
+from lirs_validation.sweep.engines import Processes
+from lirs_validation.sweep.sweep import Manifest, Serial, Sweep
 from lirs_wct.errors import OutputError, WctError
 from tests.lirs_validation.sweep.fake_experiments import FakeExperiment, Manner
 
@@ -84,7 +83,7 @@ def test_failed_cells_are_run_again_when_asked(tmp_path: Path, notes: str) -> No
 def test_no_room_costs_the_experiment_a_second_run_and_others_nothing(tmp_path: Path, notes: str) -> None:
     asked = experiments(notes, "good", "no room once", "good")
     sweep = Sweep(asked, tmp_path / "out")
-    order = [outcome.experiment for outcome in sweep.run(Serial())]
+    order = [outcome.task for outcome in sweep.run(Serial())]
     assert order == ["0-good", "2-good", "1-no_room_once"]
     assert not sweep.failed
     assert [len(experiment.runs) for experiment in asked] == [1, 2, 1]
@@ -133,7 +132,7 @@ def test_processes_lose_no_experiment_whatever_happens_to_them(tmp_path: Path, n
     engine = Processes(jobs=2, seconds=15.0)
     sweep = Sweep(asked, tmp_path / "out")
     outcomes = list(sweep.run(engine, lambda name: lambda *message: reported.append((name, *message))))
-    assert sorted(outcome.experiment for outcome in outcomes) == [experiment.name for experiment in asked]
+    assert sorted(outcome.task for outcome in outcomes) == [experiment.name for experiment in asked]
     statuses = [sweep.outcomes[experiment.name].status for experiment in asked]
     assert statuses == ["ok", "ok", "error", "ok", "timeout", "error", "ok", "ok"]
     assert [len(experiment.runs) for experiment in asked] == [1, 2, 1, 1, 1, 2, 1, 1]

@@ -1,6 +1,7 @@
-"""Random drive of a robot at full speed, with a log of each step.
+"""Drives of the collision validation: at random at full speed, and up the steepest slope.
 
-The robot hits walls, falls off ledges, tips over and is set down again.
+In the random drive the robot hits walls, falls off ledges, tips over and is set down again; each step is
+logged.
 """
 
 from __future__ import annotations
@@ -26,26 +27,26 @@ from lirs_wct import Pose2, SimulationError, World
 from lirs_wct.arrays import FloatArray
 from lirs_wct.navigation import largest_area
 
-DEEP = 0.010
+MAX_DEPTH = 0.010
 """Penetration that a contact may have whatever happens, meters."""
 PERIOD = 0.04
 """Seconds between two looks at the robot's state: a whole number of steps."""
-HELD = 1.6
+COMMAND_SECONDS = 1.6
 """Seconds for which a command is held."""
-FLIGHT = 3.0
-"""Meters a second at which a robot that flies follows terrain."""
-LYING = 1.0
+FLIGHT_SPEED = 3.0
+"""Speed at which a robot that flies follows terrain, m/s."""
+LYING_SECONDS = 1.0
 """Seconds for which a robot that has tipped is driven on: its body must not sink either."""
-LONGEST = 10.0
+LEG_SECONDS = 10.0
 """Seconds after which a robot is set down elsewhere."""
 PLACES, TRIES = 8, 64
-"""Places of each kind, and how many are tried."""
-MARGIN = 0.1
+"""Number of places of each kind, and of tries to find them."""
+CLEARANCE = 0.1
 """Meters beyond the robot's radius that are free where it is set down."""
 
 
 class DeepContact(NamedTuple):
-    """Contact deeper than `DEEP`.
+    """Contact deeper than `MAX_DEPTH`.
 
     Its step, depth in meters, (3,) point, (3,) normal out of the ground.
     """
@@ -64,22 +65,22 @@ class Leg:
     where MuJoCo finds contacts.
 
     Attributes:
-        position: (n, 3) of base_link, meters.
-        upright: (n,) cosine of the angle by which the robot leans.
-        velocity: (n, 3) of base_link in the world, m/s.
-        spin: (n, 3) turn rate in the world, rad/s.
+        position: (n, 3) positions of base_link, meters.
+        upright: (n,) cosines of the angle by which the robot leans.
+        velocity: (n, 3) velocities of base_link in the world, m/s.
+        spin: (n, 3) turn rates in the world, rad/s.
         bodies: (n, bodies, 3) centers of mass of all moving bodies, meters.
-        depth: (n,) deepest penetration, meters; 0 without contact.
-        peak_force: (n,) largest normal force of a contact, newtons.
-        force: (n,) sum of all normal forces, newtons.
-        energy: (n,) kinetic, potential and of springs, joules.
-        kinetic: (n,) kinetic energy alone, joules.
-        work: (n,) done by the motors during the step, joules.
-        commanded: (n,) wanted speed ahead, m/s.
-        deep: deepest contact of each step where it is deeper than `DEEP`.
-        timestep: seconds.
-        tipped: whether it ended lying.
-        diverged: why the simulation could not go on; empty = it could.
+        depth: (n,) deepest penetrations, meters; 0 without contact.
+        peak_force: (n,) largest normal forces of a contact, newtons.
+        force: (n,) sums of all normal forces, newtons.
+        energy: (n,) kinetic, potential and spring energies, joules.
+        kinetic: (n,) kinetic energies, joules.
+        work: (n,) works of the motors during the step, joules.
+        commanded: (n,) wanted speeds ahead, m/s.
+        deep: Deepest contact of each step where it is deeper than `MAX_DEPTH`.
+        timestep: Duration of a step, seconds.
+        tipped: Whether it ended lying.
+        diverged: Reason why the simulation could not go on; empty = it could.
     """
 
     position: FloatArray
@@ -174,7 +175,7 @@ class ContactRecorder:
         contact = data.contact
         depth = -contact.dist
         i = int(depth.argmax())
-        if depth[i] > DEEP:
+        if depth[i] > MAX_DEPTH:
             # MuJoCo's normal points from the first geom to the second.
             out = contact.frame[i, :3] * (1.0 if self._own[contact.geom[i, 1]] else -1.0)
             self._deep.append(DeepContact(len(self._rows), float(depth[i]), contact.pos[i].copy(), out))
@@ -195,7 +196,7 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
     if world.start is not None:
         standing_pose(world, robot, world.start)
         return [world.start]
-    free = world.driven(world.traversable(clearance=robot.radius + MARGIN, max_slope=robot.max_slope))
+    free = world.driven(world.traversable(clearance=robot.radius + CLEARANCE, max_slope=robot.max_slope))
     inside = cv2.erode(free.free.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
     edge = free.centers(np.argwhere(largest_area(free.free) & (inside == 0)))
     beside = [
@@ -207,7 +208,7 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
         for starts in (world.starts(free, PLACES), beside)
     ]
     if not any(found):
-        raise no_room(world.name, world, robot, MARGIN)
+        raise no_room(world.name, world, robot, CLEARANCE)
     return [start for pair in zip_longest(*found) for start in pair if start is not None]
 
 
@@ -220,7 +221,7 @@ def drive_at_random(
         ConfigError: the robot can stand nowhere.
     """
     starts = places(world, robot, rng)
-    left, longest = math.ceil(seconds / body.timestep), round(LONGEST / body.timestep)
+    left, longest = math.ceil(seconds / body.timestep), round(LEG_SECONDS / body.timestep)
     for start in cycle(starts):
         body.settle(standing_pose(world, robot, start))
         leg = _leg(body, world, robot, min(left, longest), rng)
@@ -234,7 +235,7 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
     controllers = make_controllers(robot, body.actuators, [body], [world.surface], [None])
     controllers.begin(0)
     recorder, command = ContactRecorder(body), Twist()
-    every, tipped, rest = round(HELD / body.timestep), False, steps
+    every, tipped, rest = round(COMMAND_SECONDS / body.timestep), False, steps
     while len(recorder) < steps and rest > 0:
         for piece in body.substeps:
             if len(recorder) % every < piece:
@@ -252,17 +253,121 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
         if not world.surface.contains(x, y) or _fallen(body, world):
             break
         if not tipped and body.tipped:
-            tipped, rest = True, min(rest, round(LYING / body.timestep))
+            tipped, rest = True, min(rest, round(LYING_SECONDS / body.timestep))
     return recorder.leg(tipped=tipped)
 
 
 def _command(robot: Robot, rng: np.random.Generator) -> Twist:
     """Return full speed ahead or, one time in three, back; straight or in a curve."""
     ahead, turn = float(rng.choice((-1.0, 1.0, 1.0))), float(rng.uniform(-1, 1) * rng.integers(2))
-    speed = min(robot.max_speed, FLIGHT) if robot.flies else robot.max_speed
+    speed = min(robot.max_speed, FLIGHT_SPEED) if robot.flies else robot.max_speed
     return Twist(ahead * speed, turn * robot.max_turn_rate)
 
 
 def _fallen(body: RobotModel, world: World) -> bool:
     """Whether the robot fell into a hole of the floor."""
     return body.pose().z < float(world.surface.z.min()) - 1.0
+
+
+MAX_SLOPE_CELLS = 20_000
+"""Free cells that are searched for slopes."""
+SLOPE_TRIES = 20
+"""Steepest places that are tried: on some an obstacle stands beside the slope."""
+HOLD_SECONDS = 2.0
+"""Seconds for which the wheels hold before it climbs."""
+CLIMB_SPEED = 0.3
+"""Speed of the climb, m/s; at most the robot's own."""
+
+
+class Climb(NamedTuple):
+    """Result of the slope test.
+
+    Attributes:
+        slope: Slope of the ground under the robot, degrees.
+        slid: Sliding distance while it should stand, without the rolling of its wheels, meters.
+        climbed: Share of the commanded distance that it came uphill.
+    """
+
+    slope: float
+    slid: float
+    climbed: float
+
+
+def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
+    """Test holding and climbing at the steepest drivable place.
+
+    The place is one robot's length long. None if the robot cannot stand anywhere.
+    """
+    for slope, start in _steepest(world, robot):
+        try:
+            body.settle(standing_pose(world, robot, start))
+        except SimulationError:
+            continue
+        return Climb(math.degrees(slope), _slid(body, robot), _climb_share(body, robot, start.yaw))
+    return None
+
+
+def _slid(body: RobotModel, robot: Robot) -> float:
+    """Return meters that a robot slides while it should stand, without the rolling of its wheels.
+
+    A wheel's servo has no integral part: it turns at torque / kv, which says nothing of the contact.
+    """
+    before, angles = body.pose(), body.wheel_angles()
+    body.ctrl[:] = 0.0
+    body.step(round(HOLD_SECONDS / body.timestep))
+    rolled = robot.wheel_radius * float(np.mean(np.subtract(body.wheel_angles(), angles)))
+    moved = body.pose().position - before.position
+    return float(np.linalg.norm(moved - rolled * before.rotation[:, 0]))
+
+
+def _climb_share(body: RobotModel, robot: Robot, uphill: float) -> float:
+    """Return the driven share of the commanded distance, both from the moment of full speed on."""
+    controllers, (v, ramp, distance) = make_controllers(robot, body.actuators, [body]), _course(robot)
+    controllers.begin(0)
+    axis = np.array((math.cos(uphill), math.sin(uphill)))
+    before, time, twists = body.pose().position, 0.0, np.array(((v, 0.0, 0.0),))
+    began: float | None = None
+    while time < ramp + distance / v:
+        for piece in body.substeps:
+            dt = piece * body.timestep
+            controllers.update(ROW, twists, np.array((body.rates(),)), dt, body.ctrl[None])
+            body.step(piece)
+            time += dt
+        if began is None and time >= ramp:
+            before, began = body.pose().position, time
+    moved = body.pose().position - before
+    length = math.hypot(float(moved[:2] @ axis), float(moved[2])) if moved[:2] @ axis > 0 else 0.0
+    return length / (v * (time - (began or 0.0)))
+
+
+def _course(robot: Robot) -> tuple[float, float, float]:
+    """Return speed, time until it is reached, and distance that then counts; m/s, s, m."""
+    v = min(CLIMB_SPEED, robot.max_speed)
+    return v, v / robot.max_acceleration + 0.2, 2 * robot.radius
+
+
+def _steepest(world: World, robot: Robot) -> list[tuple[float, Pose2]]:
+    """Return slopes (radians) and poses facing uphill, from where the climb ends on free ground.
+
+    The steepest legal ones come first.
+    """
+    free = world.traversable(clearance=robot.radius + CLEARANCE, max_slope=robot.max_slope)
+    cells = np.argwhere(free.free)
+    x, y = free.centers(cells[:: max(1, len(cells) // MAX_SLOPE_CELLS)]).T
+    if len(x) == 0:
+        return []
+    r, z = robot.radius, world.surface.height_at
+    east, north = (z(x + r, y) - z(x - r, y)) / (2 * r), (z(x, y + r) - z(x, y - r)) / (2 * r)
+    slope = np.nan_to_num(np.arctan(np.hypot(east, north)), nan=np.inf)
+    uphill = np.nan_to_num(np.arctan2(north, east))
+    v, ramp, distance = _course(robot)
+    length = v * ramp + distance
+    ends = free.cells(np.stack((x + length * np.cos(uphill), y + length * np.sin(uphill)), axis=-1))
+    inside = np.clip(ends, 0, np.array(free.shape) - 1)
+    slope = np.where(free.free[inside[:, 0], inside[:, 1]] & (inside == ends).all(axis=1), slope, np.inf)
+    order = np.argsort(-np.where(slope <= robot.max_slope, slope, -1.0), kind="stable")[:SLOPE_TRIES]
+    return [
+        (float(slope[i]), Pose2(float(x[i]), float(y[i]), float(uphill[i])))
+        for i in order.tolist()
+        if slope[i] <= robot.max_slope
+    ]

@@ -1,0 +1,379 @@
+"""Tasks of a sweep: validation runs and collision validations, one by one, in suites and in files."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass, fields
+from functools import cache, cached_property
+from pathlib import Path
+from types import NoneType
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from lirs_envs.robots.robot import make_robot
+from lirs_validation.config import FRONTIER, NOISE_FILES, RUN_AXES, TOUR, RunConfig, run_name
+from lirs_validation.driving.choice import check_driver, driver_files
+from lirs_validation.experiment.loading import own_source_file, package_versions
+from lirs_validation.experiment.mapper_under_test import check_sensors, start_mapper
+from lirs_validation.experiment.run import run
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.record.provenance import same_source, versions, world_files
+from lirs_validation.record.run_record import RECORD, RunRecord, schema_error
+from lirs_validation.sweep.sweep import Outcome, Task
+from lirs_wct import BuildOptions, unknown_name
+from lirs_wct.contact import ContactGeometry
+from lirs_wct.errors import SourceError, reason_of
+from lirs_wct.files import atomic_folder
+from lirs_wct.formats.yaml_text import load_yaml
+from lirs_wct.progress import Progress
+from lirs_wct.sources.source import SourceKind, find_source
+
+if TYPE_CHECKING:
+    from lirs_validation.collision.validation import CollisionVerdict
+
+
+@dataclass(frozen=True)
+class RunTask(Task):
+    """One validation run of a sweep.
+
+    Attributes:
+        config: Configuration of the run.
+        tables: Tables of the suite that its metrics belong to; empty outside suites.
+        folder: Name of its folder; None = the run's unique name.
+        brief: Whether to omit the replay of the physics and the overview picture.
+    """
+
+    config: RunConfig
+    tables: tuple[str, ...] = ()
+    folder: str | None = None
+    brief: bool = False
+    marker: ClassVar[str] = RECORD
+
+    @cached_property
+    def world(self) -> str:
+        """Name of the world, known before the world is built."""
+        return world_name(self.config)
+
+    @cached_property
+    def name(self) -> str:
+        """Name of its folder."""
+        return self.folder or run_name(self.config, self.world)
+
+    @property
+    def world_config(self) -> RunConfig:
+        """Config of the run."""
+        return self.config
+
+    def check(self) -> None:
+        """Check source, robot, lidar, mapper, and the file of the driver."""
+        c = self.config
+        decisive = RunConfig(
+            source="",
+            robot=c.robot,
+            lidar=c.lidar,
+            mapper=c.mapper,
+            parameters=c.parameters,
+            mapper_python=c.mapper_python,
+            driver=FRONTIER if c.driver == FRONTIER else TOUR,
+        )
+        _check_names(decisive)
+        check_driver(c)
+        _ = self.world
+
+    def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
+        """Run the config and write its folder."""
+        record = run(
+            self.config,
+            out=out,
+            progress=progress,
+            scenarios=scenarios,
+            concurrent=concurrent,
+            name=self.folder,
+            brief=self.brief,
+        ).record
+        return Outcome(task=self.name, status=record.status, reason=record.reason, written=True)
+
+    def describe(self) -> dict[str, Any]:
+        """Return name, world and config, and the parts of the suite."""
+        config = asdict(self.config)
+        return {"name": self.name, "world": self.world, "tables": list(self.tables)} | config
+
+    def failure(self, outcome: Outcome) -> str:
+        """Return a record without metrics."""
+        return RunRecord(
+            config=self.config,
+            world={"name": self.world},
+            status=outcome.status,
+            reason=outcome.reason,
+            versions=versions() | self._packages,
+        ).to_json()
+
+    def inputs(self) -> list[Path | None]:
+        """Return the files of world, mapper and driver."""
+        return [*world_files(self.config), own_source_file(self.config.mapper), *driver_files(self.config)]
+
+    def is_result(self, folder: Path, entry: Mapping[str, Any]) -> bool:
+        """Whether config, source, bag, packages and wall limit are those of the record."""
+        config = self.config
+        if schema_error(entry) is not None or entry["name"] != run_name(config, self.world):
+            return False
+        recorded, status = entry["config"], entry["status"]
+        bag = (config.bag, config.sensors_only)
+        same_bag = config.bag is None or (recorded.get("bag"), recorded.get("sensors_only")) == bag
+        return (
+            same_source(config, entry["world"].get("files", ()))
+            and (same_bag or status in ("error", "timeout"))
+            and self._packages.items() <= entry["versions"].items()
+            and (status != "wall limit" or recorded["wall_limit"] == config.wall_limit)
+        )
+
+    @property
+    def _packages(self) -> dict[str, str]:
+        return package_versions(self.config.mapper, self.config.mapper_python)
+
+
+@cache
+def _check_names(config: RunConfig) -> None:
+    with closing(start_mapper(config)) as mapper:
+        check_sensors(mapper, config)
+
+
+def world_name(config: RunConfig) -> str:
+    """Return the name that a config's world will have.
+
+    Raises:
+        SourceError: there is no such source.
+    """
+    source = find_source(config.source, config.build)
+    if source.kind is not SourceKind.FOLDER or config.build.name is not None:
+        return source.name
+    path = source.path / "world.json"
+    try:
+        return str(json.loads(path.read_text(encoding="utf-8"))["name"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise SourceError(f"{path}: damaged: {reason_of(error)}") from error
+
+
+TEXTS = ("world", "robot", "terrain", "diverged")
+"""Fields of a collision verdict that are text."""
+STATUS = "cell.json"
+"""File with the task's outcome and the versions of the code that wrote it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollisionTask(Task):
+    """The collision validation of a robot in a world.
+
+    Attributes:
+        source: Source of the world.
+        robot: Name of the robot.
+        terrain: Contact geometry.
+        seconds: Simulated time of the random drive.
+        seed: Seed of the random drive.
+    """
+
+    source: str
+    robot: str
+    terrain: ContactGeometry = "hfield"
+    seconds: float = 60.0
+    seed: int = 1
+    marker: ClassVar[str] = STATUS
+
+    @property
+    def name(self) -> str:
+        """Name of its folder."""
+        return run_name(self.world_config, world_name(self.world_config))
+
+    @property
+    def world_config(self) -> RunConfig:
+        """Config that gives the world and the name; its mapper is called `collisions`."""
+        return RunConfig(mapper="collisions", **asdict(self))
+
+    def check(self) -> None:
+        """Check that source and robot exist."""
+        make_robot(self.robot)
+        world_name(self.world_config)
+
+    def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
+        """Check the contacts. A metric over its limit is no failure of the task."""
+        from lirs_validation.collision.validation import check_collisions, write_verdicts
+
+        robot = make_robot(self.robot)
+        progress("build", 0.0)
+        world = scenarios.scenario(self.world_config).world
+        progress("collide", 0.0)
+        verdict = check_collisions(world, robot, terrain=self.terrain, seconds=self.seconds, seed=self.seed)
+        outcome = Outcome(task=self.name, status="ok", written=True)
+        with atomic_folder(out / self.name) as folder:
+            write_verdicts(folder, [verdict])
+            (folder / STATUS).write_text(self.failure(outcome), encoding="utf-8")
+        return outcome
+
+    def describe(self) -> dict[str, Any]:
+        """Return name, world and options."""
+        world = world_name(self.world_config)
+        return {"name": self.name, "world": world, "tables": ["collisions"]} | asdict(self)
+
+    def failure(self, outcome: Outcome) -> str:
+        """Return config, outcome and versions."""
+        entry = {"status": outcome.status, "reason": outcome.reason, "versions": versions()}
+        return json.dumps({"config": asdict(self)} | entry, indent=1) + "\n"
+
+    def inputs(self) -> list[Path | None]:
+        """Return the files of the world."""
+        return [*world_files(self.world_config)]
+
+
+def read_verdict(folder: Path) -> CollisionVerdict:
+    """Read the verdict that a collision validation wrote.
+
+    Raises:
+        SourceError: it is missing or damaged.
+    """
+    from lirs_validation.collision.validation import CollisionVerdict
+
+    path = folder / "collisions.json"
+    try:
+        entry = json.loads(path.read_text(encoding="utf-8"))["collisions"][0]
+        verdict = CollisionVerdict(**{f.name: entry[f.name] for f in fields(CollisionVerdict)})
+    except (OSError, ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
+        raise SourceError(f"{path}: not a collision check, or damaged: {reason_of(error)}") from error
+    for name, value in vars(verdict).items():
+        if not isinstance(value, (str, int, float, NoneType)) or isinstance(value, str) != (name in TEXTS):
+            raise SourceError(f"{path}: damaged: {name} is {value!r}")
+    return verdict
+
+
+def cross(
+    sources: str | tuple[str, ...],
+    *,
+    build: BuildOptions | None = None,
+    kind: type[RunConfig] = RunConfig,
+    **options: Any,
+) -> tuple[RunConfig, ...]:
+    """Return the config of every combination, source by source, in the order of RunConfig's fields.
+
+    >>> [(c.mapper, c.seed) for c in cross("simple", mapper=("hector", "gmapping"), seed=(1, 2))]
+    [('hector', 1), ('hector', 2), ('gmapping', 1), ('gmapping', 2)]
+
+    Args:
+        sources: one or several.
+        build: how sources become worlds; None = the defaults.
+        kind: class of the configs.
+        **options: fields of RunConfig; a tuple holds the values to cross, anything else is one value.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+    names = sorted(options, key=[f.name for f in fields(kind)].index)
+    values = [options[name] if isinstance(options[name], tuple) else (options[name],) for name in names]
+    worlds = (sources,) if isinstance(sources, str) else sources
+    shared: dict[str, Any] = {} if build is None else {"build": build}
+    return tuple(
+        kind(source=source, **dict(zip(names, crossing, strict=True)), **shared)
+        for source, *crossing in itertools.product(worlds, *values)
+    )
+
+
+HEIGHTMAP_BASED: dict[str, Any] = {"terrain": "hfield", "rays": "mujoco"}
+SOLID_BASED: dict[str, Any] = {"terrain": "mesh", "rays": "mujoco"}
+OURS: dict[str, Any] = {"terrain": "hfield", "rays": "builtin"}
+"""The paper's two representations of a terrain as MuJoCo has them, and ours."""
+MAPPERS = ("gmapping", "hector", "cartographer")
+ROBOTS = ("husky", "turtlebot2", "jackal")
+TABLES = {"simple": ("II", "fig13a"), "medium": ("III", "fig13b"), "advanced": ("IV", "fig13c")}
+"""Published tables and figures, by world."""
+WALL_LIMIT = 120.0
+"""Wall seconds after which a hopelessly slow drive of the paper's suite is stopped and extrapolated."""
+
+
+def make_paper_suite(**options: Any) -> tuple[Task, ...]:
+    """Return the tasks of the paper's Sections V and III-D, world by world.
+
+    Args:
+        **options: options of every run, in place of the suite's own (`seconds`, `seed`, `wall_limit`).
+    """
+    options = {"wall_limit": WALL_LIMIT} | options
+    tables: dict[RunConfig, tuple[str, ...]] = {}
+    for world, names in TABLES.items():
+        for view in (OURS, SOLID_BASED, HEIGHTMAP_BASED):
+            tables |= dict.fromkeys(cross(world, mapper=MAPPERS, **view, **options), names)
+        for view in (OURS, SOLID_BASED):
+            for config in cross(world, robot=ROBOTS, mapper=MAPPERS, **view, **options):
+                tables[config] = (*tables.get(config, ()), "robots")
+    tasks: list[RunTask | CollisionTask] = [
+        *(RunTask(config, names) for config, names in tables.items()),
+        *(CollisionTask(source=world, robot=robot) for world in TABLES for robot in ROBOTS),
+    ]
+    return tuple(sorted(tasks, key=lambda each: tuple(TABLES).index(each.world_config.source)))
+
+
+SUITES: Mapping[str, Callable[..., tuple[Task, ...]]] = {"paper": make_paper_suite}
+
+
+def make_suite(name: str, **options: Any) -> tuple[Task, ...]:
+    """Return the tasks of a suite (see `make_paper_suite`).
+
+    Raises:
+        ConfigError: there is no such suite, or an option is not legal.
+    """
+    if name not in SUITES:
+        raise unknown_name("suite", name, SUITES)
+    return SUITES[name](**options)
+
+
+CASE = "case.yaml"
+"""File with the options of a run, in the folder of its world."""
+SUITE_FILES = (".yaml", ".yml")
+CASE_OPTIONS = (*RUN_AXES, "seconds", "stand")
+
+
+def case_options(source: str | Path) -> dict[str, Any]:
+    """Return the options of a case's run; empty if the source is no case.
+
+    Raises:
+        SourceError: the file cannot be used; the message begins with its path.
+    """
+    path = Path(source) / CASE
+    if not path.is_file():
+        return {}
+    options = read_yaml_fields(path).get("run")
+    if not isinstance(options, dict) or not set(options) <= set(CASE_OPTIONS):
+        raise SourceError(
+            f"{path}: `run` must hold options of a run ({', '.join(CASE_OPTIONS)}), got {options!r}"
+        )
+    if str(options.get("noise", "")).endswith(NOISE_FILES):
+        options["noise"] = str(path.parent / options["noise"])
+    return options
+
+
+def suite_folders(path: Path) -> tuple[str, ...]:
+    """Return the folders of a suite: the list `cases` of a YAML file.
+
+    Raises:
+        SourceError: the file or a case cannot be used; the message begins with its path.
+    """
+    names = read_yaml_fields(path).get("cases")
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise SourceError(f"{path}: `cases` must be a list of folders, got {names!r}")
+    for name in names:
+        if not (path.parent / name / CASE).is_file():
+            raise SourceError(f"{path}: {name} is no case: it has no {CASE}")
+    return tuple(str(path.parent / name) for name in names)
+
+
+def read_yaml_fields(path: Path) -> Mapping[str, Any]:
+    """Return the names and values of a YAML file.
+
+    Raises:
+        SourceError: it cannot be read, or holds anything else or nothing; the message begins with its path.
+    """
+    try:
+        entry = load_yaml(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SourceError(f"{path}: {reason_of(error)}") from error
+    if not isinstance(entry, dict) or not entry:
+        raise SourceError(f"{path}: must hold names and values, got {entry!r:.40}")
+    return entry
