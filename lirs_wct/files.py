@@ -388,7 +388,7 @@ def referenced_file(owner: Path, name: str) -> Path:
 
     Args:
         owner: file that holds the reference.
-        name: as the owner spells it: a path, `file://` or `model://`.
+        name: Name as the owner spells it: a path, `file://` or `model://`.
 
     Raises:
         SourceError: the name is another URL, or leads out of the owner's folder or package, also through

@@ -37,7 +37,7 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     writers: dict[str, Callable[[Path, TriangleMesh], None]] = {
         ".stl": write_stl,
         ".dae": write_collada,
-        ".obj": write_obj,
+        ".obj": lambda path, mesh: write_obj(path, [("ground", mesh, None)]),
         ".ply": _write_ply,
         ".glb": lambda path, mesh: write_glb(path, [("ground", mesh, None)]),
     }
@@ -145,7 +145,7 @@ def _write_textured(path: Path, mesh: TriangleMesh, picture: Image.Image | None)
     if suffix == ".dae":
         write_collada(path, mesh, texture)
     else:
-        write_obj(path, mesh, texture)
+        write_obj(path, [("ground", mesh, texture)])
 
 
 def _write_beside(path: Path, picture: Image.Image) -> str:

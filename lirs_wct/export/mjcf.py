@@ -381,7 +381,7 @@ def _write_tile(tile: TriangleMesh, stem: str, folder: Path) -> str:
     """Write a mesh and return its file name, which contains its checksum."""
     arrays = (np.ascontiguousarray(a, np.float32) for a in (tile.vertices, tile.uv))
     file = f"{stem}-{_checksum(*arrays)}.obj"
-    write_obj(folder / file, tile)
+    write_obj(folder / file, [("ground", tile, None)])
     return file
 
 

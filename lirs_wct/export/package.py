@@ -16,7 +16,7 @@ from lirs_wct.export.mesh_writer import require_usd, write_parts, write_usd
 from lirs_wct.export.mjcf import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats import gazebo, map_server, picture, world_json
-from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj_parts, write_stl, write_triangles
+from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj, write_stl, write_triangles
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import overview
@@ -140,7 +140,7 @@ def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: S
         write_parts(_mesh_path(world, folder, "dae"), parts, progress=progress)
     if "obj" in kinds:
         steps.begin(f"{world.name}.obj")
-        write_obj_parts(_mesh_path(world, folder, "obj"), [(p.name, p.mesh, p.texture) for p in parts])
+        write_obj(_mesh_path(world, folder, "obj"), [(p.name, p.mesh, p.texture) for p in parts])
     if "glb" in kinds:
         steps.begin(f"{world.name}.glb")
         files = [folder / str(part.texture).removeprefix("../") for part in parts]

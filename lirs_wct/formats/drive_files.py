@@ -1,4 +1,8 @@
-"""Text files of a drive: waypoints, velocity commands, inertial readings, trajectories."""
+"""Text files of a drive: waypoints, velocity commands, inertial readings, trajectories.
+
+A file that is missing, damaged or of another form raises a SourceError, one that cannot be written an
+OutputError.
+"""
 
 from __future__ import annotations
 
@@ -41,11 +45,7 @@ class Commands:
 
 
 def write_commands(path: Path, commands: Commands) -> None:
-    """Write commands; numbers read back exactly.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write commands; numbers read back exactly."""
     lines = [f"{START} {' '.join(map(repr, commands.start.as_array().tolist()))}", COMMANDS_HEADER]
     lines += [",".join(map(repr, row)) for row in commands.rows.tolist()]
     with atomic_write(path) as temporary:
@@ -53,11 +53,7 @@ def write_commands(path: Path, commands: Commands) -> None:
 
 
 def read_commands(path: Path) -> Commands:
-    """Read commands.
-
-    Raises:
-        SourceError: missing or damaged, or not three finite numbers per line.
-    """
+    """Read commands: three finite numbers a line."""
     first, *lines = read_text(path).splitlines() or [""]
     start = _finite(first.removeprefix(START).split())
     if not first.startswith(START) or len(start) != 3:
@@ -66,32 +62,20 @@ def read_commands(path: Path) -> Commands:
 
 
 def write_imu(path: Path, readings: Iterable[Imu]) -> None:
-    """Write inertial readings, gzipped; the same data give the same bytes.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write inertial readings, gzipped; the same data give the same bytes."""
     rows = [reading.row for reading in readings]
     with write_gzipped(path) as zipped:
         np.savetxt(zipped, rows, fmt="%.9g", delimiter=",", header=IMU_HEADER, comments="")
 
 
 def read_imu(path: Path) -> tuple[Imu, ...]:
-    """Read inertial readings, gzipped or not.
-
-    Raises:
-        SourceError: missing, damaged, or not as many numbers a line as the header has names.
-    """
+    """Read inertial readings, gzipped or not: as many finite numbers a line as the header has names."""
     rows = _read_rows(path, read_text(path).splitlines(), IMU_HEADER, 1)
     return tuple(Imu.from_row(*row) for row in rows.tolist())
 
 
 def _read_rows(path: Path, lines: Sequence[str], header: str, number: int) -> FloatArray:
-    """Return the numbers of lines with commas below a header, which stands on the line of a number.
-
-    Raises:
-        SourceError: another header, or a line without as many finite numbers as it has names.
-    """
+    """Return the numbers of lines with commas below a header, which stands on the line of a number."""
     columns = header.count(",") + 1
     if lines[:1] != [header]:
         raise SourceError(f"{path}: line {number}: the header {header} is needed, got {lines[:1]!s:.60}")
@@ -130,10 +114,7 @@ def read_waypoints(path: Path) -> tuple[RoutePoint, ...]:
 
     Text and CSV: one waypoint per line, numbers separated by commas or blanks. `#` begins a comment, and a
     first line `x,y,yaw` is a heading. YAML (`.yaml`, `.yml`): a list of `[x, y]`, `[x, y, yaw]` or
-    `{x: ..., y: ..., yaw: ...}`, plain or under `waypoints:`.
-
-    Raises:
-        SourceError: missing or damaged, fewer than two waypoints, or one without two or three finite numbers.
+    `{x: ..., y: ..., yaw: ...}`, plain or under `waypoints:`. At least two are needed.
     """
     text = read_text(path)
     is_yaml = path.suffix.lower() in (".yaml", ".yml")
@@ -187,11 +168,7 @@ TUM_HEADER = "# stamp[s] x y z[m] qx qy qz qw"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory, rounded to the nanometer and the nanosecond.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write a trajectory, rounded to the nanometer and the nanosecond."""
     rows = np.column_stack(
         (trajectory.stamps, trajectory.positions, np.roll(trajectory.quaternions, -1, axis=1))
     )
@@ -207,9 +184,6 @@ def read_tum(path: Path, scans: FloatArray | None = None) -> Trajectory:
     Args:
         path: Path of the file, gzipped or not.
         scans: (n,) Stamps of the scans, seconds, which a KITTI file lacks.
-
-    Raises:
-        SourceError: missing, damaged, or of another form.
     """
     text = read_text(path, errors="replace")
     lines = [re.split(r"[,\s]+", line.strip(", \t")) for line in text.splitlines() if line.strip(", \t")]

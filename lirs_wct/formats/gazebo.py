@@ -134,8 +134,8 @@ def world_sdf(
 
     Args:
         name: name of the world and of the included model.
-        view: of the user's camera as the window opens; None = Gazebo's, near the origin.
-        place: of the world on the earth.
+        view: View of the user's camera as the window opens; None = Gazebo's, near the origin.
+        place: Place of the world on the earth.
         starts: start poses of robots on the ground. Gazebo classic stores no such poses; a comment holds the
             commands.
     """
@@ -298,7 +298,7 @@ def heightmap_sdf(name: str, surface: HeightField, picture: str, layer: Layer | 
     """Return `model.sdf` of a heightmap model.
 
     Args:
-        name: of the model and of its folder.
+        name: Name of the model and of its folder.
         surface: the surface that the heightmap shows.
         picture: path of the heightmap inside the package.
         layer: texture; None = Gazebo's gray.

@@ -58,7 +58,8 @@ def read_limited(
         timer.cancel()
         process.kill()
     if answer is None:
-        ending = _ending(process.returncode)
+        code = process.returncode
+        ending = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         late = monotonic() - began >= WAIT * seconds or ending.endswith("SIGXCPU")
         reason = f"takes more than {seconds} s" if late else ending
         raise SourceError(f"{path}: cannot be read: its reader {reason}")
@@ -83,10 +84,6 @@ def _receive(process: subprocess.Popen[bytes]) -> tuple[dict[str, Any], list[NDA
                 return None
             arrays.append(array)
     return found, arrays
-
-
-def _ending(code: int) -> str:
-    return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
 
 REFERRING = b"<VRTDataset"

@@ -82,12 +82,9 @@ def checked_content(folder: Path) -> Iterator[None]:
 
 
 def texture_path(name: str, role: str, given: Path | None) -> Path:
-    """Return the path of a texture in a world's folder.
+    """Return the path of a texture in a world's folder, of the user's file or of a generated one.
 
-    Args:
-        name: of the world.
-        role: `texture` of the ground or `wall_texture`.
-        given: the user's file; None = a generated texture.
+    The role is `texture` for the ground, or `wall_texture`.
     """
     stem = name if role == "texture" else f"{name}-walls"
     return TEXTURES / f"{stem}{given.suffix.lower() if given else '.png'}"

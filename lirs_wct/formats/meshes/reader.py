@@ -96,11 +96,7 @@ def read_mesh(path: Path) -> TriangleMesh:
 
 @np.errstate(invalid="ignore", over="ignore")  # such numbers are refused
 def read_document(path: Path) -> Document:
-    """Read the shapes of a mesh file as it states them.
-
-    Raises:
-        SourceError: as `read_mesh` says.
-    """
+    """Read the shapes of a mesh file as it states them; errors are those of `read_mesh`."""
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
     suffix = path.suffix.lower()

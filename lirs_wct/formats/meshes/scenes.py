@@ -73,9 +73,9 @@ class _Shapes:
     """The tree of a document.
 
     Attributes:
-        root: of the tree; tags are without namespaces.
-        notes: simplified parts, a line each.
-        skipped: instances that are not read.
+        root: Root of the tree; tags are without namespaces.
+        notes: Simplified parts, a line each.
+        skipped: Instances that are not read.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -239,11 +239,7 @@ _LISTS, _STRIP, _FAN = 4, 5, 6
 
 
 def read_glb(data: bytes, referenced: Callable[[str], bytes]) -> Document:
-    """Read the instances of a GLB's scene.
-
-    Args:
-        data: of the file.
-        referenced: reads a file that it names.
+    """Read the instances of a GLB's scene; `referenced` reads a file that it names.
 
     Raises:
         ValueError: the file is damaged, or needs an extension that is not read.
@@ -267,7 +263,7 @@ class _Scene:
         self.tree, binary = _chunks(data)
         self.notes, self._visits = list[str](), 0
         self._buffers = [
-            _uri_bytes(b["uri"], referenced) if "uri" in b else b"" if i else binary
+            _read_uri(b["uri"], referenced) if "uri" in b else b"" if i else binary
             for i, b in enumerate(self.tree.get("buffers", []))
         ]
         self._refuse(name for name in self.tree.get("extensionsRequired", []) if not _READ.match(name))
@@ -369,7 +365,7 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     return json.loads(found[_JSON]), found.get(_BINARY, b"")
 
 
-def _uri_bytes(uri: str, referenced: Callable[[str], bytes]) -> bytes:
+def _read_uri(uri: str, referenced: Callable[[str], bytes]) -> bytes:
     head, mark, text = uri.partition("base64,")
     return base64.b64decode(text) if mark and head.startswith("data:") else referenced(uri)
 

@@ -64,7 +64,9 @@ def read_textured(path: Path) -> TexturedMesh:
         if document.looks:
             warnings.warn(f"{path}: its materials and colors cannot be read and are left out", stacklevel=3)
         return TexturedMesh(document.whole, None, vertex_colors=False)
-    return TexturedMesh(mesh, _picture(visual), visual.kind in ("vertex", "face"))
+    material = getattr(visual, "material", None)
+    picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    return TexturedMesh(mesh, picture, visual.kind in ("vertex", "face"))
 
 
 def _load(path: Path) -> trimesh.Trimesh | None:
@@ -106,12 +108,6 @@ def _referenced_files(path: Path) -> Any:
             raise NotImplementedError
 
     return References()
-
-
-def _picture(visual: trimesh.visual.base.Visuals) -> Image.Image | None:
-    material = getattr(visual, "material", None)
-    picture: Image.Image | None = getattr(material, "baseColorTexture", None)
-    return getattr(material, "image", None) if picture is None else picture
 
 
 def png(picture: Image.Image) -> bytes:

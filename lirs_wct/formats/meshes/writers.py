@@ -1,4 +1,4 @@
-"""Mesh files as text and bytes: COLLADA, OBJ, STL and GLB.
+"""Mesh files as text and bytes: COLLADA, OBJ, STL and GLB; an OutputError tells why one cannot be written.
 
 COLLADA documents are streamed a few thousand rows at a time. Z_UP data with a Z_UP tag and meters is upright
 in Gazebo (which ignores the tag) and in other programs. All parts are one geometry: one layer of texture
@@ -241,26 +241,15 @@ def _position_decimals(farthest: FloatArray) -> tuple[int, int, int]:
     return x, y, z
 
 
-_ROWS = 1 << 16
 _METER_DECIMALS, _UNIT_DECIMALS = 6, 5
 
 
-def write_obj(path: Path, mesh: TriangleMesh, texture: str | None = None) -> None:
-    """Write a mesh, with its texture coordinates and normals where it has them.
+def write_obj(path: Path, parts: Sequence[tuple[str, TriangleMesh, str | None]]) -> None:
+    """Write named meshes, with their texture coordinates and normals where they have them.
 
-    Args:
-        path: file; the material is STEM.mtl in the same folder.
-        mesh: in the world frame, z up, meters.
-        texture: path of a picture relative to the file; needs texture coordinates.
-
-    Raises:
-        OutputError: a file cannot be written.
+    A part with texture coordinates may have a picture, a path relative to the file. Each has a material in
+    STEM.mtl in the same folder.
     """
-    write_obj_parts(path, [("ground", mesh, texture)])
-
-
-def write_obj_parts(path: Path, parts: Sequence[tuple[str, TriangleMesh, str | None]]) -> None:
-    """Write (name, mesh, picture) parts, one material each (see `write_obj`)."""
     textured = [(name, mesh, file) for name, mesh, file in parts if file is not None and mesh.uv is not None]
     if textured:
         with atomic_write(path.with_suffix(".mtl")) as temporary:
@@ -309,11 +298,7 @@ _ROWS = 1 << 14
 
 
 def write_stl(path: Path, mesh: TriangleMesh, progress: Progress = no_progress) -> None:
-    """Write a mesh as binary STL.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write a mesh as binary STL."""
     starts = range(0, len(mesh.faces), _ROWS)
     chunks = (mesh.vertices[mesh.faces[i : i + _ROWS]] for i in starts)
     write_triangles(path, len(mesh.faces), chunks, progress)
@@ -329,9 +314,6 @@ def write_triangles(
         count: Number of triangles in all, below 2**32.
         chunks: (n, 3, 3) Corners in meters each.
         progress: Callback for the progress of the file.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         # The header must not begin with "solid", which marks ASCII.
@@ -360,11 +342,7 @@ def _facets(corners: FloatArray) -> Float32Array:
 
 
 def write_glb(path: Path, parts: Sequence[tuple[str, TriangleMesh, Image.Image | None]]) -> None:
-    """Write a GLB of named z-up meshes with their texture pictures inside; y is up, as its standard requires.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write a GLB of named z-up meshes with their pictures inside; y is up, as its standard requires."""
     import trimesh
 
     scene = trimesh.Scene()

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_wct.formats.meshes.writers import write_obj, write_obj_parts
+from lirs_wct.formats.meshes.writers import write_obj
 from lirs_wct.geometry.mesh import TriangleMesh
 
 FACES = np.array(((0, 1, 2), (0, 2, 3)), np.int32)
@@ -26,11 +26,11 @@ def test_a_corner_names_position_texture_and_normal(
     tmp_path: Path, uv: np.ndarray | None, normals: np.ndarray | None, corner: str
 ) -> None:
     mesh = TriangleMesh(CORNERS, FACES, uv, normals)
-    write_obj(tmp_path / "a.obj", mesh)
+    write_obj(tmp_path / "a.obj", [("a", mesh, None)])
     assert faces_of(tmp_path / "a.obj") == [" ".join(corner.format(v + 1) for v in face) for face in FACES]
 
 
 def test_a_second_part_counts_on(tmp_path: Path) -> None:
     mesh = replace(TriangleMesh(CORNERS, FACES), uv=UV)
-    write_obj_parts(tmp_path / "a.obj", [("a", mesh, None), ("b", mesh, None)])
+    write_obj(tmp_path / "a.obj", [("a", mesh, None), ("b", mesh, None)])
     assert faces_of(tmp_path / "a.obj")[2:] == ["5/5 6/6 7/7", "5/5 7/7 8/8"]
