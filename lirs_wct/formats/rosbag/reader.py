@@ -89,6 +89,59 @@ class _Contents:
         """Stamps of the scans, of the odometry and of the inertial readings, seconds."""
         return [m.stamp for m in self.scans], [m[1] for m in self.odometry], [m.stamp for m in self.imu]
 
+    def add_scan(self, line: int, m: Any, stamp: float) -> bool:
+        """Keep a scan with its stated beam geometry; count a scan without one."""
+        ranges = ranges_of(m)
+        beams = beams_of(m, len(ranges)) if len(ranges) else None
+        if beams is None:
+            why = "whose angle_min, angle_max, angle_increment disagree" if len(ranges) else "without beams"
+            self.skipped[f"scan {why}"] += 1
+            self.left_out += 1
+            return False
+        if not math.isfinite(m.time_increment):
+            self.repaired[f"time_increment {m.time_increment:g}: 0 is taken"] += 1
+        if beams.step != m.angle_increment:
+            self.repaired[f"angle_increment {m.angle_increment:g}: derived from angle_min, angle_max"] += 1
+        self.lasers.append(m.header.frame_id)
+        self.scans.append(Message(line, stamp, None, None, ranges))
+        self.beams.append(beams)
+        return True
+
+    def add_cloud(self, line: int, m: Any, stamp: float) -> bool:
+        """Keep the start time of a cloud's sweep without the points; count unusable clouds."""
+        records = records_of(m)
+        if records is None:
+            self.skipped["cloud without legal x, y, z, or shorter than it states"] += 1
+            self.left_out += 1
+            return False
+        self.lasers.append(m.header.frame_id)
+        start = stamp + start_of(records, seconds(m.header.stamp))
+        self.scans.append(Message(line, start, None, None, CLOUD_MARK))
+        return True
+
+    def add_odometry(self, line: int, m: Any, stamp: float) -> bool:
+        """Keep a pose of the odometry; count one that is not finite."""
+        T = pose_of(m.pose.pose.position, m.pose.pose.orientation)
+        if not is_finite(T):
+            self.skipped["pose that is not finite"] += 1
+            return False
+        self.odometry_frames = m.header.frame_id.lstrip("/"), m.child_frame_id.lstrip("/")
+        self.odometry.append((line, stamp, T))
+        return True
+
+    def add_reading(self, _: int, m: Any, stamp: float) -> bool:
+        """Keep an inertial reading, and the deviations that the first one states."""
+        q, w, a = m.orientation, m.angular_velocity, m.linear_acceleration
+        attitude = None if m.orientation_covariance[0] == -1 else (q.w, q.x, q.y, q.z)
+        if not math.isfinite(sum((q.w, q.x, q.y, q.z, w.x, w.y, w.z, a.x, a.y, a.z))):
+            self.skipped["inertial reading that is not finite"] += 1
+            return False
+        if not self.imu:
+            variances = m.angular_velocity_covariance[0], m.linear_acceleration_covariance[0]
+            self.imu_sigmas = math.sqrt(max(0.0, variances[0])), math.sqrt(max(0.0, variances[1]))
+        self.imu.append(_Reading(m.header.frame_id, stamp, attitude, (w.x, w.y, w.z), (a.x, a.y, a.z)))
+        return True
+
 
 def read_bag(
     path: Path, topics: Topics, *, range_max: float | None = None, time: Clock = "header"
@@ -160,22 +213,19 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool, lag: float = 0.0) ->
     transforms = of_robot(scan, of_kinds(bag.kinds, TRANSFORMS))
     static = {name for name in transforms if name.endswith("tf_static")}
     wanted = {scan, odometry, imu, *(static if odometry else transforms)} - {None}
-
+    add = {
+        imu: contents.add_reading,
+        odometry: contents.add_odometry,
+        scan: contents.add_cloud if topics.clouds else contents.add_scan,
+    }
     for line, (topic, received, message) in enumerate(bag.messages(wanted)):
         stamp = None if by_header else received / 1e9 - lag
-        scanned = None if lag else stamp
-        before = len(contents.scans), len(contents.odometry), len(contents.imu)
-        if topic == scan and topics.clouds:
-            _add_cloud(contents, line, message, scanned)
-        elif topic == scan:
-            _add_scan(contents, line, message, scanned)
-        elif topic == odometry:
-            _add_odometry(contents, line, message, stamp)
-        elif topic == imu:
-            _add_reading(contents, message, stamp)
-        else:
+        if topic not in add:
             contents.frames.add(line, message, static=topic in static, received=stamp)
-        if before != (len(contents.scans), len(contents.odometry), len(contents.imu)):
+            continue
+        if stamp is None or (topic == scan and lag):
+            stamp = seconds(message.header.stamp)
+        if add[topic](line, message, stamp):
             contents.received[topic].append(received / 1e9)
     base, lasers = contents.odometry_frames[1], set(contents.lasers)
     unplaced = not base or any(contents.frames.mounts(base, laser, ()) is None for laser in lasers)
@@ -248,17 +298,15 @@ def _mounts(path: Path, c: _Contents, base: str, stamps: Sequence[float]) -> lis
     """
     by_laser: dict[str, list[Pose3]] = {}
     for laser in sorted(set(c.lasers)):
-        found = c.frames.mounts(base, laser, stamps)
-        away = max((float(np.linalg.norm(T.position)) for T in found or ()), default=0.0)
+        mounts = c.frames.mounts(base, laser, stamps)
+        away = max((float(np.linalg.norm(T.position)) for T in mounts or ()), default=0.0)
         if away > MAX_MOUNT_DISTANCE:
             raise SourceError(f"{path}: transforms place {laser} {away:.4g} m from {base}: millimeters?")
-        if found is None:
+        if mounts is None:
             edge = f"{base or 'the base'} to {laser}"
             why = f"no transform from {edge}: the laser is taken to be at the base"
             c.repaired[why] = c.lasers.count(laser)
-        elif moves := _motion_text(found):
-            c.repaired[f"{laser} moves on {base} by {moves}: each scan has its own mount"] = len(found)
-        by_laser[laser] = found or [Pose3()] * len(stamps)
+        by_laser[laser] = mounts or [Pose3()] * len(stamps)
     if len(by_laser) > 1:
         c.repaired[f"scans of several lasers on {c.names[0]}: {', '.join(by_laser)}"] = len(stamps)
     return [by_laser[laser][k] for k, laser in enumerate(c.lasers)]
@@ -274,17 +322,6 @@ def _leveled(c: _Contents, steps: list[Step], mounts: list[Pose3], stamps: list[
     roll, pitch = (np.interp(stamps, [t for _, t, _ in steps], tilt).tolist() for tilt in tilts.T)
     level = [Pose3.from_rpy(0.0, 0.0, 0.0, *angles, 0.0) for angles in zip(roll, pitch, strict=True)]
     return [T_level_base @ T for T_level_base, T in zip(level, mounts, strict=True)]
-
-
-def _motion_text(mounts: Sequence[Pose3]) -> str:
-    """Return the extent of a moving mount in words; empty below 1 mm and 0.1 deg."""
-    if len({id(T) for T in mounts}) == 1:
-        return ""
-    first = mounts[0]
-    shift = max(float(np.linalg.norm(T.position - first.position)) for T in mounts)
-    turns = [abs(float(first.quaternion @ T.quaternion)) for T in mounts]
-    turn = math.degrees(2 * math.acos(min(1.0, min(turns))))
-    return "" if shift < 1e-3 and turn < 0.1 else f"up to {shift:.3f} m and {turn:.1f} deg"
 
 
 def _scans(
@@ -352,62 +389,6 @@ def _topics(c: _Contents) -> tuple[LogTopic, ...]:
         for name, frame, stamps in zip(names, frames, c.stamps, strict=True)
         if stamps
     )
-
-
-def _add_scan(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
-    """Keep a scan with its stated beam geometry; count a scan without one."""
-    ranges = ranges_of(m)
-    beams = beams_of(m, len(ranges)) if len(ranges) else None
-    if beams is None:
-        why = "without beams" if not len(ranges) else "whose angle_min, angle_max, angle_increment disagree"
-        contents.skipped[f"scan {why}"] += 1
-        contents.left_out += 1
-        return
-    if not math.isfinite(m.time_increment):
-        contents.repaired[f"time_increment {m.time_increment:g}: 0 is taken"] += 1
-    if beams.step != m.angle_increment:
-        contents.repaired[f"angle_increment {m.angle_increment:g}: derived from angle_min, angle_max"] += 1
-    contents.lasers.append(m.header.frame_id)
-    time = seconds(m.header.stamp) if stamp is None else stamp
-    contents.scans.append(Message(line, time, None, None, ranges))
-    contents.beams.append(beams)
-
-
-def _add_odometry(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
-    """Keep a pose of the odometry; count one that is not finite."""
-    T = pose_of(m.pose.pose.position, m.pose.pose.orientation)
-    if not is_finite(T):
-        contents.skipped["pose that is not finite"] += 1
-        return
-    contents.odometry_frames = m.header.frame_id.lstrip("/"), m.child_frame_id.lstrip("/")
-    contents.odometry.append((line, seconds(m.header.stamp) if stamp is None else stamp, T))
-
-
-def _add_cloud(contents: _Contents, line: int, m: Any, stamp: float | None) -> None:
-    """Keep the start time of a cloud's sweep without the points; count unusable clouds."""
-    records = records_of(m)
-    if records is None:
-        contents.skipped["cloud without legal x, y, z, or shorter than it states"] += 1
-        contents.left_out += 1
-        return
-    contents.lasers.append(m.header.frame_id)
-    header = seconds(m.header.stamp)
-    time = header if stamp is None else stamp
-    contents.scans.append(Message(line, time + start_of(records, header), None, None, CLOUD_MARK))
-
-
-def _add_reading(contents: _Contents, m: Any, stamp: float | None) -> None:
-    """Keep an inertial reading, and the deviations that the first one states."""
-    q, w, a = m.orientation, m.angular_velocity, m.linear_acceleration
-    attitude = None if m.orientation_covariance[0] == -1 else (q.w, q.x, q.y, q.z)
-    time = seconds(m.header.stamp) if stamp is None else stamp
-    if not math.isfinite(sum((q.w, q.x, q.y, q.z, w.x, w.y, w.z, a.x, a.y, a.z))):
-        contents.skipped["inertial reading that is not finite"] += 1
-        return
-    if not contents.imu:
-        variances = m.angular_velocity_covariance[0], m.linear_acceleration_covariance[0]
-        contents.imu_sigmas = math.sqrt(max(0.0, variances[0])), math.sqrt(max(0.0, variances[1]))
-    contents.imu.append(_Reading(m.header.frame_id, time, attitude, (w.x, w.y, w.z), (a.x, a.y, a.z)))
 
 
 def _in_time(c: _Contents, odometry: list[Message]) -> tuple[list[Message], list[Message]]:
