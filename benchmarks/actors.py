@@ -51,7 +51,7 @@ def measure(world: str, robot: str, actors: int, rounds: int) -> dict[str, float
 
 def _seconds(simulation: Simulation, number: int) -> float:
     """Drive a round of a second; return seconds of processor time."""
-    rng, starts = np.random.default_rng(number + 1), simulation.world.spawn_poses
+    rng, starts = np.random.default_rng(number + 1), simulation.worlds[0].spawn_poses
     simulation.reset(starts[number % len(starts)], seed=number + 1)
     command = Twist(rng.uniform(0.3, 0.8), rng.uniform(-1, 1))
     begun = time.process_time()

@@ -96,7 +96,7 @@ class Recording:
     def __init__(self, steps: int, told: np.ndarray) -> None:
         env = vector(1)
         self.simulation = env.episodes.parts[0].simulation
-        bodies = self.simulation.groups[0].bodies
+        bodies: Any = self.simulation.groups[0].bodies
         self.substeps = bodies.body.substeps
         self.state = bodies._batch.state.copy()
         self.batch = Batch(bodies.body.model, N, 1)
@@ -106,11 +106,11 @@ class Recording:
         self.ranges: list[np.ndarray] = []
         step = bodies.step
 
-        def recorded(ids: Int32Array | None, steps: int) -> dict[int, str]:
+        def recorded(ids: Int32Array | None, steps: int) -> Any:
             self.controls.append(bodies.ctrl.copy())
             return step(ids, steps)
 
-        bodies.step = recorded  # type: ignore[method-assign]
+        bodies.step = recorded
         for k in range(steps):
             env.step(told[k])
             self.poses.append(self.simulation.T_world_base.copy())

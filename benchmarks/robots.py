@@ -42,7 +42,7 @@ def cost(world: World, robot: Robot, terrain: str) -> tuple[float, float]:
             ahead, turn = rng.choice((-1.0, 1.0, 1.0)), rng.uniform(-1, 1) * rng.integers(2)
             command = Twist(ahead * min(robot.max_speed, 3.0), turn * robot.max_turn_rate)
         sim.advance(command)
-        if sim.tipped or sim.off_world:
+        if sim.find_tipped()[0] or sim.off_world()[0]:
             break
     replays = [sim.replay() for _ in range(5)]
     best = min(r.seconds for r in replays) / replays[0].simulated

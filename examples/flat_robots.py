@@ -13,8 +13,7 @@ import numpy as np
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.policies import PolicyContext
 from lirs_envs.robots.robot import make_robot
-from lirs_envs.tasks.navigation import draw_goal
-from lirs_envs.tasks.site import make_site
+from lirs_envs.tasks.site import draw_goal, make_site
 from lirs_wct import World
 from lirs_wct.arrays import FloatArray, njit
 

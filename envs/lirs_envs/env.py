@@ -182,11 +182,5 @@ def make_config(options: dict[str, Any], *others: str) -> EnvConfig:
 
 def snapshot_of(episodes: Episodes, i: int) -> Snapshot:
     """Return the snapshot of episode `i` for rendering."""
-    simulation, goal = episodes.simulation, EpisodeView(episodes, i).goal
-    return Snapshot(
-        world=simulation.worlds[i],
-        config=simulation.config,
-        qpos=simulation.bodies[i].qpos.copy(),
-        walkers=simulation.walkers(i),
-        goal=None if goal is None else Pose2(*goal),
-    )
+    goal = EpisodeView(episodes, i).goal
+    return Snapshot.of(episodes.simulation, i, None if goal is None else Pose2(*goal))

@@ -1,22 +1,25 @@
-"""Robot and world as one compiled MuJoCo model, with state in the world frame."""
+"""Robot and world as one compiled MuJoCo model: state, contacts, and the check for divergence."""
 
 from __future__ import annotations
 
 import math
 import time
+from array import array
+from dataclasses import dataclass, field
+from functools import cache
+from threading import Lock
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from lirs_envs.collisions import check_divergence
 from lirs_envs.props import STATIC_ROBOT, add_props
-from lirs_envs.robots.body_state import BodyState, base_pose
+from lirs_envs.robots.control import BodyState
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import Walkers, add_walkers
-from lirs_wct import ConfigError, HeightField, Pose3, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct import ConfigError, HeightField, Pose3, SimulationError, World
+from lirs_wct.arrays import FloatArray, Int32Array, IntArray, njit
 from lirs_wct.contact.grid import ContactGrid, contact_grid, surface_itself
 from lirs_wct.export.mjcf import world_spec, write_heights
 
@@ -45,23 +48,23 @@ class RobotModel(BodyState):
     """MuJoCo's model and data of one robot in one world.
 
     Attributes:
-        data: state of the model.
-        contact: the grid that wheels touch.
-        timestep: seconds; the largest part of the period that is at most the robot's own.
-        substeps: steps of each control update of one period.
-        wheel_geoms: ids of the geoms that are meant to touch the ground.
+        data: State of the model.
+        contact: Grid that wheels touch.
+        timestep: Longest part of the period that is at most the robot's own step, seconds.
+        substeps: Number of steps of each control update of one period.
+        wheel_geoms: Ids of the geoms that are meant to touch the ground.
         contact_drops: (ngeom,) least height of a geom's center above a contact that is no collision, meters;
             inf = every contact is one (the body), -inf = the geom is not the robot's.
-        actuators: ids of the actuators of the wheels on the left and on the right, or of each rotor.
+        actuators: Ids of the actuators of the wheels on the left and on the right, or of each rotor.
         ctrl: (nu,) controls, to be written: wheel speeds, rad/s, or rotor thrusts, newtons.
         walker_centers: (m, 3) centers of the walkers with a body, to be written.
         force: (3,) the accelerometer's true reading along x, y, z of the base, m/s^2, live.
 
     Args:
-        world: ground and walls.
-        config: robot, props, walkers, contact geometry and height range.
-        period: time from scan to scan, seconds: a whole number of steps.
-        contact_sensors: whether to add sensors of the robot's contacts.
+        world: Ground and walls.
+        config: Robot, props, walkers, contact geometry and height range.
+        period: Time from scan to scan, seconds: a whole number of steps.
+        contact_sensors: Whether the model has sensors of the robot's contacts.
     """
 
     def __init__(
@@ -105,7 +108,6 @@ class RobotModel(BodyState):
     def _make_views(self) -> None:
         """Make views into the data once: making one costs as much as reading it."""
         self.qpos = self.data.qpos
-        self._base, self._posed = self.qpos[:7], (b"", Pose3())
         self.qvel = self.data.qvel
         self.ctrl: FloatArray = self.data.ctrl
         self.force: FloatArray = self.data.sensor("accelerometer").data
@@ -113,7 +115,7 @@ class RobotModel(BodyState):
 
     def __getstate__(self) -> dict[str, Any]:
         # The data holds the model, and a copied view would be an array that is no longer updated.
-        left_out = ("model", "qpos", "qvel", "_base", "ctrl", "force", "walker_centers")
+        left_out = ("model", "qpos", "qvel", "ctrl", "force", "walker_centers")
         return {name: value for name, value in self.__dict__.items() if name not in left_out}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -129,14 +131,6 @@ class RobotModel(BodyState):
         """
         if self._height_range is not None:
             write_heights(self.model, surface, self._height_range)
-
-    def pose(self) -> Pose3:
-        """Return `T_world_base`."""
-        # Called several times per scan: a comparison of states takes a fourth of the time of a new pose.
-        state = self._base.tobytes()
-        if state != self._posed[0]:
-            self._posed = state, base_pose(self.qpos)
-        return self._posed[1]
 
     @property
     def tipped(self) -> bool:
@@ -161,9 +155,9 @@ class RobotModel(BodyState):
         The time is 0 afterwards. A robot that flies begins in the air, with the thrust that carries it.
 
         Args:
-            T_world_base: the pose.
+            T_world_base: Pose of the release.
             walkers: (m, 3) centers of the walkers within its reach, meters; they stand.
-            seconds: time to settle.
+            seconds: Time to settle.
         """
         mujoco.mj_resetData(self.model, self.data)
         if walkers is not None:
@@ -196,10 +190,10 @@ class RobotModel(BodyState):
         Walkers walk on from where they are.
 
         Args:
-            initial: state to begin in.
-            controls: (n, nu) of each control update.
-            walkers: walkers around the robot.
-            reference: whether to take the reference physics' step; a control then is in force at the steps
+            initial: State to begin in.
+            controls: (n, nu) controls of each update.
+            walkers: Walkers around the robot.
+            reference: Whether to take the reference physics' step; a control then is in force at the steps
                 that begin within its update.
 
         Returns:
@@ -297,3 +291,153 @@ def _contact_drops(model: mujoco.MjModel, robot: Robot, wheels: frozenset[int]) 
     rolling = sorted(wheels)
     drops[rolling] = math.cos(robot.max_slope + FACE_MARGIN) * model.geom_size[rolling, 0]
     return drops
+
+
+DIVERGENCE_WARNINGS = {
+    mujoco.mjtWarning.mjWARN_BADQPOS: "a position is not finite or too large",
+    mujoco.mjtWarning.mjWARN_BADQVEL: "a velocity is not finite or too large",
+    mujoco.mjtWarning.mjWARN_BADQACC: "an acceleration is not finite or too large",
+    mujoco.mjtWarning.mjWARN_INERTIA: "the inertia matrix is singular",
+    mujoco.mjtWarning.mjWARN_CONTACTFULL: "there are more contacts than memory for them",
+    mujoco.mjtWarning.mjWARN_CNSTRFULL: "there are more constraints than memory for them",
+}
+COMPILING = Lock()
+"""A kernel is compiled by one thread; a second one would find the compiler disabled."""
+KINDS: IntArray = np.array([int(kind) for kind in DIVERGENCE_WARNINGS], np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collisions:
+    """Contact statistics of a run.
+
+    Attributes:
+        max_penetration: Deepest penetration of ground or walls, meters; the 1 mm of a loaded tyre counts.
+        penetration_p999: 99.9 % quantile of the penetration over the samples, meters.
+        body_contacts: Number of collisions: the body touched something, or a wheel a face steeper than the
+            robot climbs.
+        body_contact_seconds: Duration of the collisions.
+        samples: Number of samples, one each control update.
+    """
+
+    max_penetration: float
+    penetration_p999: float
+    body_contacts: int
+    body_contact_seconds: float
+    samples: int
+
+
+@dataclass
+class ContactMonitor:
+    """Statistics of the contacts after each control update."""
+
+    drops: FloatArray
+    """(ngeom,) see `RobotModel.contact_drops`."""
+    penetrations: array[float] = field(default_factory=lambda: array("d"))
+    body_contacts: int = 0
+    body_seconds: float = 0.0
+    _touching: bool = False
+    _compiled: bool = False
+
+    def record(self, data: mujoco.MjData, dt: float) -> bool:
+        """Record the deepest contact; return whether the robot collides."""
+        if data.ncon == 0:
+            self.penetrations.append(0.0)
+            self._touching = False
+            return False
+        if not self._compiled:
+            compile_contact_state()
+            self._compiled = True
+        contact = data.contact
+        depth, touching = contact_state(contact.dist, contact.geom, contact.pos, data.geom_xpos, self.drops)
+        self.penetrations.append(depth)
+        self.body_contacts += touching and not self._touching
+        self.body_seconds += dt * touching
+        self._touching = touching
+        return self._touching
+
+    def statistics(self) -> Collisions:
+        """Return the statistics so far."""
+        depths = np.array(self.penetrations or (0.0,))
+        return Collisions(
+            max_penetration=float(depths.max()),
+            penetration_p999=float(np.quantile(depths, 0.999)),
+            body_contacts=self.body_contacts,
+            body_contact_seconds=self.body_seconds,
+            samples=len(self.penetrations),
+        )
+
+
+@njit
+def contact_state(
+    distance: FloatArray, pairs: Int32Array, points: FloatArray, centers: FloatArray, drops: FloatArray
+) -> tuple[float, bool]:
+    """Return the deepest contact of the robot, meters, and whether any is a collision.
+
+    A contact has one geom of the robot and one of ground or walls, in either order.
+    """
+    depth, touching = 0.0, False
+    for k in range(len(distance)):
+        for side in range(2):
+            geom = pairs[k, side]
+            if drops[geom] > -np.inf:
+                depth = max(depth, -distance[k])
+                touching |= centers[geom, 2] - points[k, 2] < drops[geom]
+    return depth, touching
+
+
+def compile_contact_state() -> None:
+    """Compile `contact_state` once for arrays of any layout, from any thread.
+
+    A single contact is contiguous in memory, several are not. Without this, the first single contact of a
+    drive would wait for the compiler.
+    """
+    with COMPILING:
+        _compile_contact_state()
+
+
+@cache
+def _compile_contact_state() -> None:
+    contact_state.compile("Tuple((f8, b1))(f8[:], i4[:, :], f8[:, :], f8[:, ::1], f8[::1])")
+    contact_state.disable_compile()
+
+
+def divergence_message(seconds: float, warned: Int32Array) -> str:
+    """Return the message about a divergence, from time and number of warnings of each kind."""
+    reasons = [reason for kind, reason in DIVERGENCE_WARNINGS.items() if warned[kind]]
+    reason = reasons[0] if reasons else "the state is not finite"
+    return f"the simulation diverged at {seconds:.3f} s: {reason}"
+
+
+def describe_divergence(data: mujoco.MjData) -> str:
+    """Return how a simulation has diverged; empty = it has not."""
+    if is_sound(data.warning.number, KINDS, data.qpos, data.qvel):
+        return ""
+    return divergence_message(data.time, data.warning.number)
+
+
+def check_divergence(data: mujoco.MjData) -> None:
+    """Stop a simulation that has diverged.
+
+    Raises:
+        SimulationError: MuJoCo warned, or the state is not finite.
+    """
+    if reason := describe_divergence(data):
+        raise SimulationError(reason)
+
+
+@njit
+def is_sound(warned: Int32Array, kinds: IntArray, qpos: FloatArray, qvel: FloatArray) -> bool:
+    """Return whether a state is finite and MuJoCo gave none of some warnings (n,)."""
+    for kind in kinds:
+        if warned[kind]:
+            return False
+    return bool(is_finite(qpos) and is_finite(qvel))
+
+
+@njit
+def is_finite(values: FloatArray) -> bool:
+    """Return whether all of (n,) values are finite."""
+    finite = True
+    for value in values:  # compiles sooner than np.isfinite(values).all()
+        finite &= math.isfinite(value)
+    return finite

@@ -1,44 +1,44 @@
-"""One robot in one world, stepped from lidar scan to lidar scan, without Gymnasium."""
+"""Robots in worlds, stepped together, without Gymnasium."""
 
 from __future__ import annotations
 
 import math
 import time
 from array import array
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from functools import partial
+from os import getpid
+from typing import Any
 
+import mujoco
 import numpy as np
 
-from lirs_envs.batch.bodies import SingleBody
-from lirs_envs.batch.robot_group import RobotGroup
-from lirs_envs.collisions import Collisions
-from lirs_envs.lidar.lidar import BaseVelocity, Lidar
+from lirs_envs.lidar.lidar import Lidars
 from lirs_envs.lidar.ray_casting import Caster, WalkerCaster, make_caster
 from lirs_envs.placement import check_fit, resolve_start
-from lirs_envs.robot_model import RobotModel
+from lirs_envs.robot_group import RobotGroup, SingleBody, make_groups
+from lirs_envs.robot_model import TIPPED, Collisions, RobotModel
 from lirs_envs.robots.robot import Twist, Waypoint, check_command
-from lirs_envs.sensing.inertial import InertialUnit
-from lirs_envs.sensing.sensors import INERTIAL_STREAM, LIDAR_STREAM, FaultInjector, Observation, sensor_stream
+from lirs_envs.sensing.sensors import LIDAR_STREAM, FaultInjector, Observation, sensor_stream
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_envs.walkers import Walkers
-from lirs_wct import ConfigError, HeightField, Pose2, Pose3, SimulationError, World
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
+from lirs_wct import ConfigError, Pose2, Pose3, SimulationError, World
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
 from lirs_wct.checks import check_seed
 from lirs_wct.contact.grid import ContactGrid
-from lirs_wct.ground import Terrain
+from lirs_wct.export.mjcf import write_heights
 
 ROW = np.zeros(1, np.int64)
 """The row of a single robot."""
-
-
-TRACK_RATE = 50.0
-"""Aimed rate of the odometry between scans, Hz."""
+PARTS = 4
+"""Number of parts of each thread's scans: scans take different times."""
+NOT_RESET = "a simulation must be reset before it is advanced"
 
 
 @dataclass
 class Timing:
-    """Wall-clock seconds of each `advance`: in MuJoCo's step, and in all sensors."""
+    """Wall-clock seconds of each `advance`: in MuJoCo's step, and in sensors and control."""
 
     physics: array[float] = field(default_factory=lambda: array("d"))
     sensors: array[float] = field(default_factory=lambda: array("d"))
@@ -49,9 +49,9 @@ class PhysicsReplay:
     """The recorded controls through MuJoCo's step alone.
 
     Attributes:
-        seconds: wall-clock time.
-        simulated: simulated time, seconds.
-        T_world_base: last pose.
+        seconds: Wall-clock time.
+        simulated: Simulated time, seconds.
+        T_world_base: Last pose.
     """
 
     seconds: float
@@ -65,205 +65,349 @@ class PhysicsReplay:
 
 
 class Simulation:
-    """A robot with its sensors in a world; `reset` comes first.
+    """N robots of one kind with their sensors, each alone in its world.
+
+    Array row i is robot i. A robot's results do not depend on the other robots, their number or the threads.
+
+    By default there is one robot, which is driven by `reset` and `advance` from scan to scan, and whose
+    contacts and controls are recorded. Several are driven by `place` and `drive`; of a lidar with rings they
+    have the planar scan alone.
 
     Attributes:
-        config: robot, sensors and props.
-        preset: specification of the lidar.
-        period: time between two scans, seconds; one `advance`.
-        body: MuJoCo's model of robot and world.
-        caster: ray caster of the lidar against world and props; usable by custom sensors. A new terrain has
-            a new caster.
-        timing: wall-clock seconds since the reset.
+        config: Robot, sensors and props.
+        worlds: World of each robot.
+        period: Time of one `advance` or `drive`, seconds.
+        body: MuJoCo's model of robot and world; own models may differ in friction, mass and heights.
+        groups: Groups of robots; one thread at a time drives a group.
+        places: Group and row in it of each robot.
+        casters: Ray caster of each robot's lidar against world and props; usable by custom sensors.
+        lidar_noise: Noise of each robot's lidar from its next start on.
+        T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the last valid pose of each robot.
+        errors: Reason why each robot cannot go on; empty = it can.
+        timing: Wall-clock seconds of each `advance` since the reset.
 
     Args:
-        seed: seed of all random numbers; same seed and same commands, same bytes.
+        world: World of all robots, until `replace_terrain`.
+        config: Robot, sensors and props.
+        seed: Seed of all random numbers of `reset`; same seed and same commands, same bytes.
+        count: Number of robots, N, in a batch of MuJoCo; None = one, which steps alone.
+        period: Seconds; None = that of the lidar.
+        threads: Number of threads.
+        own_models: Whether each robot of a batch has a MuJoCo model of its own (see `Bodies`).
 
     Raises:
         ConfigError: the seed is no whole number from 0 up, or robot, props or contact geometry do not fit the
             world.
     """
 
-    def __init__(self, world: World, config: SimulationConfig, *, seed: int = 0) -> None:
+    def __init__(
+        self,
+        world: World,
+        config: SimulationConfig,
+        *,
+        seed: int = 0,
+        count: int | None = None,
+        period: float | None = None,
+        threads: int = 1,
+        own_models: bool = False,
+    ) -> None:
         check_fit(world, config.robot)
         check_seed(seed)
-        self.world = world
-        self.config = config
-        self.robot = config.robot
-        self.preset = config.preset
-        self.period = self.preset.period
-        self.body = RobotModel(world, config, self.period)
-        self._bodies = SingleBody(config.robot, self.body, record_motion=config.inertial is not None)
-        self._inertial = None
-        if config.inertial is not None:
-            self._inertial = InertialUnit(config.inertial, self.body.timestep, self.body.gravity)
-        self._row = RobotGroup(config, range(1), self._bodies, world)
-        self._commands = np.zeros((1, 3))
-        self.caster = self._make_caster()
-        self._seed = seed
-        self._begin()
+        self.config, self.robot, self._seed = config, config.robot, seed
+        self.preset = config.preset if count is None else config.preset.planar
+        self.period = self.preset.period if period is None else period
+        self.body = RobotModel(world, config, self.period, contact_sensors=count is not None)
+        if count is None:
+            self.groups = [RobotGroup(config, range(1), SingleBody(config.robot, self.body), world)]
+        else:
+            own_models = own_models or config.height_range is not None
+            self.groups = make_groups(config, self.body, world, count, threads=threads, own_models=own_models)
+        self.places = [(group, k) for group in self.groups for k in range(len(group.rows))]
+        self.worlds = [world] * len(self.places)
+        self._views = [view for group in self.groups for view in group.bodies.views]
+        self._make_casters()
+        self._make_rows()
+        self._threads = WorkThreads(threads)
 
-    def _make_caster(self) -> Caster:
-        config, data = self.config, self.body.data
-        return make_caster(self.world, config.rays, bool(config.props), data, self.walkers)
+    def _make_casters(self) -> None:
+        config = self.config
+        data = self._ray_data = [self.body.data] * self.count
+        # A batch has no data for MuJoCo's rays.
+        self._copies_rays = bool(config.props or config.rays == "mujoco") and self.body not in self._views
+        if self._copies_rays:
+            data[:] = [mujoco.MjData(view.model) for view in self._views]
+        first = self._make_caster(0)
+        alone = self._copies_rays or config.actors
+        self.casters = [first, *((self._make_caster(i) if alone else first) for i in range(1, self.count))]
 
-    @property
-    def walkers(self) -> Walkers | None:
-        """Moving obstacles; None = there are none."""
-        return self._row.walkers[0]
-
-    def _begin(self) -> None:
-        """Restart records, noise and odometry at the robot's present pose."""
-        config, preset = self.config, self.preset
-        lidar = sensor_stream(self._seed, LIDAR_STREAM)
-        noise = config.noise.of_lidar(preset)
-        rolling_scan = config.noise.rolls(preset)
-        mount = self.robot.T_base_laser
-        self._faults = None
-        if config.noise.faults.any:
-            self._faults = FaultInjector(config.noise.faults, self.period, preset.rings, self._seed)
-        self._lidar = Lidar(preset, self.caster, mount, lidar, noise, rolling_scan=rolling_scan)
-        self._row.begin(0, self._seed, self.period)
-        filtered = self.robot.flies or config.noise.odometry.method == "ekf"
-        self._row.track = None if config.inertial is None or filtered else []
-        self._bodies.clear()
-        if self._inertial is not None:
-            self._inertial.begin(self._bodies.motion(), sensor_stream(self._seed, INERTIAL_STREAM))
-        self._initial_state: FloatArray | None = None
-        self._initial_walkers = None if self.walkers is None else self.walkers.state()
+    def _make_rows(self) -> None:
+        config, count = self.config, self.count
+        self._bounds = np.array([world.surface.bounds for world in self.worlds])
+        self.lidar_noise = [config.noise.of_lidar(config.preset)] * count
+        rolls = config.noise.rolls(self.preset)
+        self._lidars = Lidars(self.preset, config.robot.T_base_laser, count, rolling_scan=rolls)
+        self._faults: dict[int, FaultInjector] = {}
+        self._slipped = np.zeros((count, 3))
+        self._stamps = np.zeros(count)
+        self._ticks = np.zeros(count, np.int64)
+        self.errors = [NOT_RESET] * count
+        self.T_world_base: FloatArray = np.tile((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (count, 1))
         self.timing = Timing()
 
-    def reset(self, start: Pose2 | None = None, *, seed: int | None = None) -> Observation:
-        """Place the robot at rest on the ground; restart time, records and odometry.
+    @property
+    def count(self) -> int:
+        """Number of robots, N."""
+        return len(self.worlds)
+
+    def _make_caster(self, i: int) -> Caster:
+        group, k = self.places[i]
+        props = bool(self.config.props)
+        return make_caster(self.worlds[i], self.config.rays, props, self._ray_data[i], group.walkers[k])
+
+    def close(self) -> None:
+        """End the threads; later calls run in the calling thread."""
+        self._threads.close()
+
+    def replace_terrain(self, world: World, i: int = 0) -> None:
+        """Replace the world of robot `i`; a reset comes next.
+
+        Contact ground, lidar surface and possible start poses change together. A new simulation in the same
+        world gives the same results, bit for bit.
+
+        Raises:
+            ConfigError: the config has no height range, or the heights do not fit it or the former world.
+        """
+        if self.config.height_range is None:
+            raise ConfigError(f"the world {self.worlds[i].name!r} cannot be replaced: it has no height range")
+        group, k = self.places[i]
+        write_heights(group.bodies.models[k], world.surface, self.config.height_range)
+        group.bodies.models_changed()
+        self.worlds[i], self._bounds[i], self.errors[i] = world, world.surface.bounds, NOT_RESET
+        group.replace_world(k, world)
+        self.casters[i] = self._make_caster(i)
+
+    def place(self, i: int, start: Pose2, seed: int) -> None:
+        """Place robot `i` at rest on the ground; restart its time, odometry and noise.
+
+        Raises:
+            SimulationError: it cannot stand there.
+        """
+        group, k = self.places[i]
+        self.errors[i] = NOT_RESET
+        group.place(k, self.worlds[i], start, seed)
+        row = np.array((i,))
+        self._read_poses(group, row - group.rows.start)
+        self._lidars.begin(i, self.casters[i], self.lidar_noise[i], sensor_stream(seed, LIDAR_STREAM))
+        if self.config.noise.faults.any:
+            self._faults[i] = FaultInjector(self.config.noise.faults, self.preset, seed)
+        group.begin(k, seed, self.period)
+        self._ticks[i], self.errors[i] = 0, ""
+        self._slip(row)
+        self._scan(row)
+
+    def drive(
+        self, ids: IntArray, commands: FloatArray, after_scan: Callable[[IntArray], None] | None = None
+    ) -> None:
+        """Drive robots for one period.
+
+        A robot that diverges has its `errors` entry set and keeps its readings.
 
         Args:
-            start: start pose; None = the config's, or else the world's first.
-            seed: seed of the noise; None = the former one, which repeats the same run.
+            ids: Rows of the robots, sorted.
+            commands: (N, 3) speeds ahead, m/s, turn rates, rad/s, climbs, m/s; beyond the robot's limits they
+                are clipped.
+            after_scan: Function that gets rows of robots with a new scan, perhaps from several threads at a
+                time.
+        """
+        threads = self._threads.count
+        share = -(-len(ids) // (PARTS * threads if threads > 1 else 1))
+
+        def scan(rows: IntArray) -> tuple[()]:
+            self._scan(rows)
+            if after_scan is not None:
+                after_scan(rows)
+            return ()
+
+        def drive(group: RobotGroup) -> list[Work]:
+            due = self._drive_group(group, ids, commands)
+            return [partial(scan, due[k : k + share]) for k in range(0, len(due), share)]
+
+        self._threads.run([partial(drive, group) for group in self.groups])
+
+    def _drive_group(self, group: RobotGroup, ids: IntArray, commands: FloatArray) -> IntArray:
+        """Drive the robots of a group that are among `ids`; return rows due for scans."""
+        first = group.rows.start
+        local = ids[(ids >= first) & (ids < group.rows.stop)] - first
+        if not len(local):
+            return local
+        for k, error in group.advance(local, commands[first : group.rows.stop]).items():
+            self.errors[first + k] = error
+        local = np.array([k for k in local.tolist() if not self.errors[first + k]], np.int64)
+        self._read_poses(group, local)
+        group.read(local, self.period)
+        rows = local + first
+        self._ticks[rows] += 1
+        self._slip(rows)
+        scans, ticks = self.period * self.preset.rate, self._ticks[rows]
+        # Robots whose lidar has begun a new scan in the period.
+        due: IntArray = rows[np.floor(ticks * scans + 1e-9) > np.floor((ticks - 1) * scans + 1e-9)]
+        return due
+
+    def _read_poses(self, group: RobotGroup, local: IntArray) -> None:
+        _read_poses(local, group.bodies.qpos, self.T_world_base[group.rows.start : group.rows.stop])
+
+    def _slip(self, rows: IntArray) -> None:
+        """Note the odometry with the slip of the faults."""
+        for i in rows.tolist() if self._faults else ():
+            group, k = self.places[i]
+            odometry, imu = Pose2(*group.odometry[k].tolist()), group.imu.reading(k, 0.0)
+            self._slipped[i] = self._faults[i].odometry(odometry, imu).as_array()
+
+    def _scan(self, rows: IntArray) -> None:
+        for i in rows.tolist() if self._copies_rays else ():
+            data = self._ray_data[i]
+            group, k = self.places[i]
+            data.qpos[:], data.mocap_pos[:] = group.bodies.qpos[k], group.bodies.mocap_pos[k]
+        lidars, self._stamps[rows] = self._lidars, self._ticks[rows] * self.period
+        lidars.scan(rows, self.T_world_base, self._views, self._stamps)
+        for i in rows.tolist() if self._faults else ():
+            lidars.ranges[i], lidars.clouds[i] = self._faults[i].scan(lidars.ranges[i], lidars.clouds[i])
+
+    @property
+    def ranges(self) -> Float32Array:
+        """(N, beams) float32 of the last scans (see `LaserScan`)."""
+        return self._lidars.ranges
+
+    @property
+    def odometry(self) -> FloatArray:
+        """(N, 3) `T_odom_base`: x, y, yaw, meters and radians."""
+        return self._slipped if self._faults else np.concatenate([group.odometry for group in self.groups])
+
+    @property
+    def attitude(self) -> FloatArray:
+        """(N, 2) measured roll and pitch, radians."""
+        return np.concatenate([group.imu.attitude for group in self.groups])
+
+    @property
+    def touched(self) -> BoolArray:
+        """(N,) whether the robot collided in the last period (see `RobotModel.contact_drops`)."""
+        return np.concatenate([group.touched for group in self.groups])
+
+    def pose(self, i: int = 0) -> Pose3:
+        """Return the last valid `T_world_base` of robot `i`."""
+        return Pose3(*self.T_world_base[i].tolist())
+
+    def time(self, i: int = 0) -> float:
+        """Return the seconds since robot `i` was reset."""
+        return float(self._ticks[i] * self.period)
+
+    def qpos(self, i: int = 0) -> FloatArray:
+        """Return (nq,) MuJoCo's positions of robot `i` and the props around it, live."""
+        return self._views[i].qpos
+
+    def qvel(self, i: int = 0) -> FloatArray:
+        """Return (nv,) MuJoCo's velocities of robot `i` and the props around it, live."""
+        return self._views[i].qvel
+
+    def walkers(self, i: int = 0) -> FloatArray:
+        """Return (n, 3) centers of the walkers around robot `i`, meters."""
+        group, k = self.places[i]
+        walkers = group.walkers[k]
+        return np.zeros((0, 3)) if walkers is None else walkers.centers.copy()
+
+    def find_tipped(self) -> BoolArray:
+        """Return (N,) whether each robot tilts by more than 60 deg or lies on its back."""
+        x, y = self.T_world_base[:, 4], self.T_world_base[:, 5]
+        return np.asarray(1 - 2 * (x * x + y * y) < TIPPED)
+
+    def off_world(self) -> BoolArray:
+        """Return (N,) whether base_link of each robot is beyond its world's border."""
+        place = self.T_world_base[:, :2]
+        inside = (place >= self._bounds[:, :2]) & (place <= self._bounds[:, 2:])
+        return np.asarray(~inside.all(axis=1))
+
+    def reading(self, i: int = 0) -> Observation:
+        """Return the last sensor readings of robot `i` as arguments of a mapper."""
+        group, k = self.places[i]
+        now, faults = self.time(i), self._faults.get(i)
+        odometry = group.odometry[k] if faults is None else self._slipped[i]
+        tracked = self._ticks[i] and not (faults and faults.faults.slip)
+        return Observation(
+            self._lidars.reading(i, float(self._stamps[i])),
+            Pose2(*odometry.tolist()),
+            group.imu.reading(k, now),
+            self._lidars.clouds[i],
+            group.inertial[k],
+            group.track(k, now, self.period) if tracked else (),
+        )
+
+    def reset(self, start: Pose2 | None = None, *, seed: int | None = None) -> Observation:
+        """Place the one robot at rest on the ground; restart time, records and odometry.
+
+        Args:
+            start: Start pose; None = the config's, or else the world's first.
+            seed: Seed of the noise; None = the former one, which repeats the same run.
 
         Raises:
             ConfigError: the pose is not finite, or the seed no whole number from 0 up.
             SimulationError: the robot cannot stand there.
         """
-        self._initial_state = None
-        start = resolve_start(self.world, self.config.start if start is None else start)
+        self.errors[0] = NOT_RESET
+        start = resolve_start(self.worlds[0], self.config.start if start is None else start)
         seed = self._seed if seed is None else seed
         check_seed(seed)
-        self._row.place(0, self.world, start, seed)
-        self._seed = seed
-        self._begin()
-        self._initial_state = self.body.state()
-        return self._observe()
-
-    def replace_terrain(self, heights: Float32Array, spawn_poses: Sequence[Pose2] = ()) -> None:
-        """Replace the ground of the world; call `reset` next.
-
-        Contact ground, lidar surface and possible start poses change together. A new simulation of the same
-        ground gives the same results, bit for bit.
-
-        Args:
-            heights: (rows, cols) float32 meters, row 0 = north; as many nodes as the world has.
-            spawn_poses: start poses on the new ground.
-
-        Raises:
-            ConfigError: the config has no height range, or the heights do not fit it or the world.
-        """
-        if self.config.height_range is None:
-            raise ConfigError("a terrain can be replaced where the simulation's config has a height_range")
-        former = self.world.surface
-        surface = HeightField(heights.copy(), former.cell, former.origin)
-        self.body.replace_surface(surface)
-        self.world = replace(self.world, ground=Terrain(surface), spawn_poses=tuple(spawn_poses))
-        self._row.replace_world(0, self.world)
-        self.caster = self._make_caster()
-        self._initial_state = None
+        self.place(0, start, seed)
+        self._seed, self.timing = seed, Timing()
+        self._single.clear()
+        walkers = self.groups[0].walkers[0]
+        self._initial = self.body.state(), None if walkers is None else walkers.state()
+        return self.reading()
 
     def advance(self, command: Twist | Waypoint) -> Observation:
-        """Drive for one lidar period; return the sensor readings at its end.
+        """Drive the one robot for one period; return the sensor readings at its end.
 
         Raises:
             ConfigError: the command is not finite.
             SimulationError: the simulation diverged, or was never reset.
         """
-        if self._initial_state is None:
-            raise SimulationError("a simulation must be reset before it is advanced")
+        if self.errors[0]:
+            raise SimulationError(self.errors[0])
         check_command(self.robot, command)
-        row = self._row
-        row.waypoints[0] = command if isinstance(command, Waypoint) else None
-        self._commands[0] = (command.v, command.omega, command.climb) if isinstance(command, Twist) else 0.0
-        failed = row.advance(ROW, self._commands)
-        if failed:
-            raise SimulationError(failed[0])
-        begun = time.perf_counter()
-        row.read(ROW, self.period)
-        observation = self._observe()
-        self.timing.physics.append(row.physics_seconds)
-        self.timing.sensors.append(row.sensor_seconds + time.perf_counter() - begun)
+        begun, group = time.perf_counter(), self.groups[0]
+        group.waypoints[0] = command if isinstance(command, Waypoint) else None
+        twist = (command.v, command.omega, command.climb) if isinstance(command, Twist) else (0.0, 0.0, 0.0)
+        self.drive(ROW, np.array((twist,), np.float64))
+        if self.errors[0]:
+            raise SimulationError(self.errors[0])
+        observation = self.reading()
+        self.timing.physics.append(group.physics_seconds)
+        self.timing.sensors.append(time.perf_counter() - begun - group.physics_seconds)
         return observation
 
-    def _observe(self) -> Observation:
-        body, lidar, stamp = self.body, self._lidar, self.time
-        velocity = BaseVelocity(body.velocity(), body.rates()) if lidar.time_increment else None
-        odometry, imu = self._row.reading(0, stamp)
-        inertial = None if self._inertial is None else self._inertial.read(self._bodies.take_motion())
-        track = self._odometry_track(stamp)
-        if self.preset.rings == 1:
-            scan, cloud = lidar.scan(self.T_world_base, stamp, velocity), None
-        else:
-            scan, cloud = lidar.sweep(self.T_world_base, stamp, velocity)
-        if self._faults is not None:
-            scan, cloud = self._faults.scan(scan, cloud)
-            odometry = self._faults.odometry(odometry, imu)
-            track = () if self._faults.faults.slip else track
-        return Observation(scan, odometry, imu, cloud, inertial, track)
-
-    def _odometry_track(self, stamp: float) -> tuple[tuple[float, Pose2], ...]:
-        """Return and forget stamps and `T_odom_base` near TRACK_RATE since the last scan, without its own."""
-        if not self._row.track:
-            return ()
-        poses, self._row.track = self._row.track, []
-        ends = stamp - self.period + self.body.timestep * np.cumsum(self.body.substeps)
-        every = max(1, round(len(poses) / (TRACK_RATE * self.period)))
-        chosen = range(len(poses) - 1 - every, -1, -every)
-        return tuple((float(ends[k]), Pose2(*poses[k])) for k in reversed(chosen))
-
     @property
-    def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair
-        """True pose of base_link."""
-        return self.body.pose()
-
-    @property
-    def time(self) -> float:
-        """Seconds since the reset."""
-        return len(self._bodies.contacts.penetrations) // len(self.body.substeps) * self.period
+    def _single(self) -> SingleBody:
+        bodies = self.groups[0].bodies
+        assert isinstance(bodies, SingleBody), "one robot that steps alone"
+        return bodies
 
     @property
     def imu_rate(self) -> float | None:
         """Inertial readings a second, Hz; None without `SimulationConfig.inertial`."""
-        return None if self._inertial is None else self._inertial.rate
-
-    @property
-    def tipped(self) -> bool:
-        """Whether the robot tilts by more than 60 deg or lies on its back."""
-        return self.body.tipped
-
-    @property
-    def off_world(self) -> bool:
-        """Whether base_link is beyond the world's border."""
-        (x, y), (west, south, east, north) = self.body.qpos[:2].tolist(), self.world.surface.bounds
-        return not (west <= x <= east and south <= y <= north)
+        return self.groups[0].imu_rate
 
     @property
     def walker_beams(self) -> BoolArray | None:
-        """(beams,) mask of the last scan's beams that hit a walker; None without walkers."""
-        met = self.caster.met if isinstance(self.caster, WalkerCaster) else None
-        return None if met is None else met[self.preset.horizon_beams].copy()
+        """(beams,) mask of the one robot's last beams that hit a walker; None without walkers."""
+        caster = self.casters[0]
+        return caster.met[self.preset.horizon_beams].copy() if isinstance(caster, WalkerCaster) else None
 
     @property
     def walker_points(self) -> BoolArray | None:
         """(n,) mask of the last cloud's points on a walker. None without walkers or cloud."""
-        if not isinstance(self.caster, WalkerCaster) or self.preset.rings == 1:
+        caster = self.casters[0]
+        if not isinstance(caster, WalkerCaster) or self.preset.rings == 1:
             return None
-        return self.caster.met[self._lidar.returned]
+        return caster.met[self._lidars.lidars[0].returned]
 
     @property
     def contact(self) -> ContactGrid:
@@ -272,8 +416,8 @@ class Simulation:
 
     @property
     def collisions(self) -> Collisions:
-        """Contacts since the reset."""
-        return self._bodies.contacts.statistics()
+        """Contacts of the one robot since the reset."""
+        return self._single.contacts.statistics()
 
     @property
     def controls(self) -> FloatArray:
@@ -281,31 +425,87 @@ class Simulation:
 
         There is one row per control update.
         """
-        return self._bodies.controls[:, [side[0] for side in self.body.actuators]]
+        return self._single.controls[:, [side[0] for side in self.body.actuators]]
 
     def replay(self, *, reference: bool = False, seconds: float = math.inf) -> PhysicsReplay:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
 
         Args:
-            seconds: simulated time of the replay from the reset on, rounded up to whole periods, if the drive
+            seconds: Simulated time of the replay from the reset on, rounded up to whole periods, if the drive
                 was longer.
-            reference: whether to use the reference physics (see `RobotModel.replay`), in which the robot may
+            reference: Whether to use the reference physics (see `RobotModel.replay`), in which the robot may
                 take another path.
 
         Raises:
             SimulationError: nothing was driven since the reset, or the reference physics diverged.
         """
-        if self._initial_state is None or not self._bodies.contacts.penetrations:
+        if self.errors[0] or not self._ticks[0]:
             raise SimulationError("nothing was driven since the reset: there is nothing to replay")
-        walkers = self.walkers
+        walkers, (initial, initial_walkers) = self.groups[0].walkers[0], self._initial
         present = None if walkers is None else walkers.state()
-        if walkers is not None and self._initial_walkers is not None:
-            walkers.restore(self._initial_walkers)
+        if walkers is not None and initial_walkers is not None:
+            walkers.restore(initial_walkers)
         try:
-            periods = math.ceil(min(self.time, seconds) / self.period - 1e-9)
-            controls = self._bodies.controls[: periods * len(self.body.substeps)]
-            spent, pose = self.body.replay(self._initial_state, controls, walkers, reference=reference)
+            periods = math.ceil(min(self.time(), seconds) / self.period - 1e-9)
+            controls = self._single.controls[: periods * len(self.body.substeps)]
+            spent, pose = self.body.replay(initial, controls, walkers, reference=reference)
         finally:
             if walkers is not None and present is not None:
                 walkers.restore(present)
         return PhysicsReplay(spent, periods * self.period, pose)
+
+
+@njit
+def _read_poses(rows: IntArray, qpos: FloatArray, out: FloatArray) -> None:
+    """Fill rows of (N, 7) with x, y, z, qw, qx, qy, qz of `T_world_base`."""
+    for i in rows:
+        w, x, y, z = qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6]
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        out[i, 0], out[i, 1], out[i, 2] = qpos[i, 0], qpos[i, 1], qpos[i, 2]
+        out[i, 3], out[i, 4], out[i, 5], out[i, 6] = w / norm, x / norm, y / norm, z / norm
+
+
+Work = Callable[[], Sequence[Any]]
+"""A piece of work; it returns the pieces that depend on it."""
+
+
+class WorkThreads:
+    """Pool of `count` threads; a forked or copied process makes its own."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._pool: ThreadPoolExecutor | None = None
+        self._pid = getpid()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"count": self.count}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(**state)  # type: ignore[misc]
+
+    def close(self) -> None:
+        """End the threads; later work runs in the calling thread."""
+        if self._pool is not None and self._pid == getpid():
+            self._pool.shutdown()
+        self._pool, self.count = None, 1
+
+    def run(self, pieces: Sequence[Work]) -> None:
+        """Do pieces of work, and the pieces that they return, until all are done.
+
+        Several pieces may run at the same time.
+        """
+        if self.count == 1:
+            for piece in pieces:
+                self.run(piece())
+            return
+        if self._pool is None or self._pid != getpid():  # Threads do not survive a fork.
+            self._pool, self._pid = ThreadPoolExecutor(self.count), getpid()
+        pool = self._pool
+        waiting: set[Future[Sequence[Any]]] = {pool.submit(piece) for piece in pieces}
+        try:
+            while waiting:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                for future in done:
+                    waiting |= {pool.submit(piece) for piece in future.result()}
+        finally:
+            wait(waiting)

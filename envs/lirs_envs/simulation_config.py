@@ -10,7 +10,7 @@ from lirs_envs.lidar.ray_casting import Rays, resolve_rays
 from lirs_envs.placement import check_start
 from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.robot import Robot
-from lirs_envs.sensing.inertial import InertialNoise
+from lirs_envs.sensing.imu import InertialNoise
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.walkers import TOUCHABLE
 from lirs_wct import ConfigError, Pose2

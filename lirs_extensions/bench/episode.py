@@ -16,10 +16,9 @@ import cv2
 import numpy as np
 
 from lirs_envs.env import Observed, RobotEnv
-from lirs_envs.episodes.episodes import TASKS as ENVIRONMENT_TASKS
 from lirs_envs.episodes.observations import GROUPS
 from lirs_envs.policies import Policy
-from lirs_envs.tasks.mapping import COVERED
+from lirs_envs.tasks.task import COVERED, TASKS as ENVIRONMENT_TASKS
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.tasks import BenchTask
 from lirs_validation.experiment.scenario import ScenarioCache

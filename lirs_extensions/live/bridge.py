@@ -141,7 +141,7 @@ class Bridge:
         if not received:
             return
         now, last = time.perf_counter(), next(reversed(self._unanswered), 0)
-        stamp = self.client.take(received, self._simulation.time)
+        stamp = self.client.take(received, self._simulation.time())
         if not stamp:
             return
         for scan in [scan for scan in self._unanswered if scan <= stamp]:
@@ -163,7 +163,7 @@ class Bridge:
         self.jitter.append(time.perf_counter() - due)
 
     def _tick(self, observation: Observation, estimate: Pose2 | None) -> BagTick:
-        T_world_base = self._simulation.T_world_base
+        T_world_base = self._simulation.pose()
         if self._T_map_world is None:
             self._T_map_world = Pose3.from_pose2(self._T_map_start @ T_world_base.to_pose2().inverse())
         return bag_tick(observation, self._T_map_world @ T_world_base, estimate)

@@ -16,10 +16,9 @@ import cv2
 import mujoco
 import numpy as np
 
-from lirs_envs.collisions import check_divergence
 from lirs_envs.placement import can_stand, standing_pose
-from lirs_envs.robot_model import RobotModel
-from lirs_envs.robots.drive import make_controllers
+from lirs_envs.robot_model import RobotModel, check_divergence
+from lirs_envs.robots.control import make_controllers
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.simulation import ROW
 from lirs_validation.driving.choice import no_room

@@ -104,7 +104,7 @@ def _map(
     recorder: Recorder | None,
 ) -> Estimate:
     """Map an observation and log it with the truth; return the mapper's estimate."""
-    estimate, T_world_base = mapper.observe(observation), simulation.T_world_base
+    estimate, T_world_base = mapper.observe(observation), simulation.pose()
     masks = (simulation.walker_beams, simulation.walker_points) if simulation.config.actors else (None, None)
     log.add(observation, T_world_base, estimate.pose, *masks)
     if recorder is not None:
@@ -113,9 +113,9 @@ def _map(
 
 
 def _failure(simulation: Simulation, driver: Driver, now: float) -> tuple[Status, str] | None:
-    if simulation.tipped:
+    if simulation.find_tipped()[0]:
         return "tipped", f"the robot tipped over at {now:.1f} s"
-    if simulation.off_world:
+    if simulation.off_world()[0]:
         return "off world", f"the robot left the world at {now:.1f} s"
     if driver.stuck:
         return "stuck", f"the robot made no progress and gave up at {now:.1f} s"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.robots.drive import DriveConfig
+from lirs_envs.robots.control import DriveConfig
 from lirs_envs.robots.robot import Robot, Twist, Waypoint, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
@@ -61,11 +61,11 @@ def test_a_name_that_is_none(name: Any, make: Callable[[Any], object]) -> None:
 )
 def test_a_command_that_cannot_be(command: Any, plane: World, husky: Robot) -> None:
     sim = started(plane, robot=husky)
-    before = sim.T_world_base
+    before = sim.pose()
     with pytest.raises(ConfigError, match=r"a command must|husky drives: it takes a Twist"):
         sim.advance(command)
-    assert sim.T_world_base == before
-    assert sim.time == 0
+    assert sim.pose() == before
+    assert sim.time() == 0
     sim.advance(Twist(np.float32(0.5)))  # type: ignore[arg-type]
 
 

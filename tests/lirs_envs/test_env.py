@@ -226,7 +226,7 @@ def test_an_episode_that_diverges_ends_with_a_valid_observation(plane: World) ->
     env = RobotEnv("navigation", world=plane, observe=[*ALL_GROUPS, "goal"])
     env.reset(seed=0)
     env.step(np.zeros(2, np.float32))
-    env.episodes.simulation.bodies[0].qvel[0] = np.inf
+    env.episodes.simulation.qvel(0)[0] = np.inf
     observation, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert env.observation_space.contains(observation)
     assert np.isfinite(reward)
@@ -308,7 +308,7 @@ def test_randomization_changes_what_it_names(rough: World) -> None:
         env = RobotEnv("mapping", world=rough, randomize=randomize)
         env.reset(seed=seed)
         simulation = env.episodes.simulation
-        model = simulation.bodies[0].model
+        model = simulation.groups[0].bodies.models[0]
         base = model.body("base_link")
         friction = float(model.geom("front_left_wheel").friction[0])
         return friction, float(base.subtreemass[0]), simulation.lidar_noise[0].sigma

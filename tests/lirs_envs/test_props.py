@@ -60,9 +60,9 @@ def test_props_do_not_change_the_robot(plane: World, husky: Robot) -> None:
         sim = started(plane, robot=husky, props=props)
         for k in range(50):
             sim.advance(Twist(1.0, math.sin(k / 10)))
-        ends.append(sim.T_world_base)
+        ends.append(sim.pose())
         assert sim.collisions.body_contacts == 0
-        assert sim.replay().T_world_base == sim.T_world_base
+        assert sim.replay().T_world_base == sim.pose()
     assert ends[0].x == pytest.approx(ends[1].x, abs=1e-4)
     assert ends[0].yaw == pytest.approx(ends[1].yaw, abs=1e-3)
 
@@ -73,7 +73,7 @@ def test_a_fixed_prop_stops_and_a_light_one_yields(plane: World, husky: Robot) -
         sim = started(plane, robot=husky, props=(box,))
         for _ in range(100):
             sim.advance(Twist(1.0))
-        assert (sim.T_world_base.x < 0.85) == stops
+        assert (sim.pose().x < 0.85) == stops
         assert sim.collisions.body_contacts > 0
 
 

@@ -30,20 +30,20 @@ def world_of(name: str) -> World:
 def drive_at_random(sim: Simulation, seconds: float, seed: int = 4) -> float:
     """Drive at full speed, turn at random, back off from obstacles; return the meters driven."""
     rng, robot = np.random.default_rng(seed), sim.robot
-    driven, last = 0.0, sim.T_world_base
+    driven, last = 0.0, sim.pose()
     for k in range(math.ceil(seconds / sim.period)):
         if k % 40 == 0:
             ahead, turn = rng.choice((-1.0, 1.0, 1.0)), rng.uniform(-1, 1) * rng.integers(2)
         sim.advance(Twist(ahead * robot.max_speed, turn * robot.max_turn_rate))
-        here = sim.T_world_base
+        here = sim.pose()
         driven, last = driven + math.hypot(here.x - last.x, here.y - last.y), here
-        if sim.off_world:
+        if sim.off_world()[0]:
             break
-        ground = float(sim.world.surface.height_at(here.x, here.y))
+        ground = float(sim.worlds[0].surface.height_at(here.x, here.y))
         # The center of the body lies above base_link where a robot stands; a lying one may dip it by a rim.
         assert here.z + 0.05 > ground
         assert np.abs(sim.body.data.qvel[:3]).max() < robot.max_speed + 7, "it was thrown"
-        if sim.tipped:
+        if sim.find_tipped()[0]:
             break
     return driven
 
@@ -66,7 +66,9 @@ def test_against_steep_blocks(name: str, rough: World) -> None:
     sim = started(rough, robot=make_robot(name), lidar="lms111")
     assert drive_at_random(sim, 60.0) > 5
     found = sim.collisions
-    assert found.body_contacts > 0 or sim.tipped, "it never met an obstacle, so that nothing was tested"
+    assert found.body_contacts > 0 or sim.find_tipped()[0], (
+        "it never met an obstacle, so that nothing was tested"
+    )
     assert found.penetration_p999 <= 0.010
     assert found.max_penetration <= IMPACT * max(1.0, 2 * sim.robot.max_speed)
 
@@ -96,7 +98,7 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
             sim.body.step(1)
             contact = sim.body.data.contact
             deepest = max(deepest, -min(contact.dist.tolist(), default=0.0))
-            T = sim.T_world_base
+            T = sim.pose()
             # base_link is near the belly's underside, which may graze the ridge while the robot rolls off it.
             assert T.z > float(touched.height_at(T.x, T.y)) - 0.02
         assert deepest <= IMPACT * math.sqrt(2 * 9.81 * 0.5)

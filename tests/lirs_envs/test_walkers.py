@@ -105,7 +105,7 @@ def test_walkers_wait_for_the_robot_and_turn_back(plane: World, husky: Robot) ->
 
 def test_rays_meet_capsules_where_mujoco_s_do(rough: World, husky: Robot) -> None:
     sim = simulation(rough, husky, actors=40, rays="mujoco")
-    centers, rng = sim.walkers.centers, np.random.default_rng(1)
+    centers, rng = sim.walkers(), np.random.default_rng(1)
     sim.advance(Twist(0.5, 0.1))
     sim.body.data.mocap_pos[:] = centers
     mujoco.mj_kinematics(sim.body.model, sim.body.data)
@@ -162,8 +162,8 @@ def test_walker_beams_are_those_that_walkers_shorten(rough: World, husky: Robot)
 def test_a_robot_that_drives_into_a_walker_touches_it(plane: World, husky: Robot) -> None:
     sim = simulation(plane, husky, 60)
     for _ in range(3000):
-        here = sim.T_world_base.to_pose2()
-        offset = sim.walkers.centers[:, :2] - (here.x, here.y)
+        here = sim.pose().to_pose2()
+        offset = sim.walkers()[:, :2] - (here.x, here.y)
         x, y = offset[np.argmin(np.hypot(*offset.T))]
         error = math.remainder(math.atan2(y, x) - here.yaw, math.tau)
         sim.advance(Twist(1.0 if abs(error) < 0.5 else 0.0, 2 * error))
@@ -171,7 +171,7 @@ def test_a_robot_that_drives_into_a_walker_touches_it(plane: World, husky: Robot
             break
     assert sim.collisions.body_contacts == 1
     assert sim.collisions.max_penetration < 0.05
-    distance = np.hypot(*(sim.walkers.centers[:, :2] - (sim.T_world_base.x, sim.T_world_base.y)).T)
+    distance = np.hypot(*(sim.walkers()[:, :2] - (sim.pose().x, sim.pose().y)).T)
     assert distance.min() < husky.radius + RADIUS
 
 
@@ -193,15 +193,15 @@ def test_the_nearest_walkers_have_the_bodies(rough: World, husky: Robot) -> None
         sim.advance(Twist(0.8, 0.2))
     bodies = sim.body.data.mocap_pos
     assert len(bodies) == TOUCHABLE
-    far = np.hypot(*(sim.walkers.centers[:, :2] - (sim.T_world_base.x, sim.T_world_base.y)).T)
-    assert np.array_equal(bodies[:3], sim.walkers.centers[np.argsort(far)[:3]])
+    far = np.hypot(*(sim.walkers()[:, :2] - (sim.pose().x, sim.pose().y)).T)
+    assert np.array_equal(bodies[:3], sim.walkers()[np.argsort(far)[:3]])
     few = simulation(rough, husky, 3)
-    assert sorted(few.body.data.mocap_pos.tolist()) == sorted(few.walkers.centers.tolist())
+    assert sorted(few.body.data.mocap_pos.tolist()) == sorted(few.walkers().tolist())
 
 
 def driven(sim: Simulation, ticks: int = 10) -> bytes:
     scans = [sim.advance(Twist(0.8, 0.4)).scan.ranges.tobytes() for _ in range(ticks)]
-    return b"".join(scans) + sim.body.state().tobytes() + sim.walkers.centers.tobytes()
+    return b"".join(scans) + sim.body.state().tobytes() + sim.walkers().tobytes()
 
 
 def test_the_seed_decides_and_a_reset_repeats(rough: World, husky: Robot) -> None:
@@ -219,9 +219,9 @@ def test_the_seed_decides_and_a_reset_repeats(rough: World, husky: Robot) -> Non
 def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
     sim = simulation(rough, husky, 60)
     driven(sim, 60)
-    here, now = sim.T_world_base, sim.walkers.centers.copy() if sim.walkers else None
+    here, now = sim.pose(), sim.walkers().copy() if sim.walkers else None
     assert sim.replay().T_world_base == here
-    assert np.array_equal(sim.walkers.centers, now)
+    assert np.array_equal(sim.walkers(), now)
     state = sim.body.state()
     sim.replay()
     assert np.array_equal(sim.body.state(), state)
@@ -230,7 +230,7 @@ def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
 def test_walkers_follow_another_terrain(husky: Robot) -> None:
     first, second = (generate("waves", 0.2, np.random.default_rng(seed)) for seed in (1, 2))
     replaced = simulation(first.world(), husky, height_range=HEIGHT_RANGE)
-    replaced.replace_terrain(second.heights, (second.start,))
+    replaced.replace_terrain(second.world())
     fresh = simulation(second.world(), husky, height_range=HEIGHT_RANGE)
     replaced.reset()
     assert driven(replaced) == driven(fresh)

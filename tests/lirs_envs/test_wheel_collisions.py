@@ -10,12 +10,11 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from lirs_envs import collisions
-from lirs_envs.collisions import ContactMonitor, compile_contact_state, contact_state
+from lirs_envs import robot_model as collisions
 from lirs_envs.env import RobotEnv
 from lirs_envs.placement import standing_pose
-from lirs_envs.robot_model import RobotModel
-from lirs_envs.robots.drive import make_controllers
+from lirs_envs.robot_model import ContactMonitor, RobotModel, compile_contact_state, contact_state
+from lirs_envs.robots.control import make_controllers
 from lirs_envs.robots.robot import ROBOTS, Twist, make_robot
 from lirs_envs.simulation import ROW
 from lirs_envs.simulation_config import SimulationConfig
@@ -79,9 +78,9 @@ def test_one_environment_collides_as_a_vector_does(walled: World, T_world_wall: 
 def test_validation_counts_a_wheel_at_a_wall(walled: World, T_world_wall: Pose2) -> None:
     sim = started(walled, T_world_wall @ Pose2(2.0, 0.0), robot=make_robot("jackal"))
     while sim.collisions.body_contacts == 0:
-        assert sim.time < 2.0
+        assert sim.time() < 2.0
         sim.advance(Twist(1.0))
-    assert not sim.tipped
+    assert not sim.find_tipped()[0]
 
 
 @pytest.mark.parametrize("name", GROUND)

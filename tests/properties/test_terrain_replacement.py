@@ -48,8 +48,8 @@ def test_rays_and_physics_are_those_of_a_simulation_made_anew(
 ) -> None:
     replaced = simulation(first, robot)
     driven(replaced, ticks=2)
-    replaced.replace_terrain(second.heights, (second.start,))
-    assert replaced.world.spawn_poses == (second.start,)
+    replaced.replace_terrain(second.world())
+    assert replaced.worlds[0].spawn_poses == (second.start,)
     fresh = simulation(second, robot)
     assert driven(replaced) == driven(fresh)
     assert replaced.contact == fresh.contact
@@ -59,13 +59,13 @@ def test_rays_and_physics_are_those_of_a_simulation_made_anew(
 @given(courses, st.integers(0, 1000))
 def test_mujoco_sees_and_holds_the_heights_that_the_lidar_sees(course: GeneratedTerrain, seed: int) -> None:
     it = simulation(generate("waves", 0.5, np.random.default_rng(0)))
-    it.replace_terrain(course.heights, (course.start,))
+    it.replace_terrain(course.world())
     it.reset()
     surface, rng = course.surface, np.random.default_rng(seed)
     x, y = rng.uniform(-12, 12, (2, 200))
     origins = np.column_stack((x, y, np.full(200, 6.0)))
     down = np.tile((0.0, 0.0, -1.0), (200, 1))
-    builtin = it.caster.ranges(origins, down, math.inf)
+    builtin = it.casters[0].ranges(origins, down, math.inf)
     assert 6.0 - builtin == pytest.approx(surface.height_at(x, y), abs=1e-6)
     touched = mujoco_hits(it.body.model, it.body.data, origins, down, math.inf, groups=(TERRAIN_GROUP,))[0]
     assert touched == pytest.approx(builtin, abs=1e-5)
@@ -76,7 +76,7 @@ def test_a_copy_keeps_its_terrain() -> None:
     it = simulation(first)
     before = driven(it)
     kept = copy.deepcopy(it)
-    it.replace_terrain(second.heights, (second.start,))
+    it.replace_terrain(second.world())
     assert driven(kept) == before
     assert driven(copy.deepcopy(it)) == driven(pickle.loads(pickle.dumps(it))) == driven(simulation(second))
 
@@ -84,23 +84,12 @@ def test_a_copy_keeps_its_terrain() -> None:
 def test_mujoco_rays_follow_the_terrain() -> None:
     first, second = (generate("stones", 0.8, np.random.default_rng(seed)) for seed in (1, 2))
     replaced = simulation(first, rays="mujoco", lidar="lds01")
-    replaced.replace_terrain(second.heights, (second.start,))
+    replaced.replace_terrain(second.world())
     assert driven(replaced, 3) == driven(simulation(second, rays="mujoco", lidar="lds01"), 3)
 
 
-def test_the_callers_array_stays_apart() -> None:
-    it, course = (
-        simulation(generate("gaps", 0.2, np.random.default_rng(1))),
-        generate("gaps", 0.2, np.random.default_rng(2)),
-    )
-    heights = course.heights.copy()
-    it.replace_terrain(heights, (course.start,))
-    heights[:] = 0.0
-    assert np.array_equal(it.world.surface.z, course.heights)
-
-
-def with_shape(*shape: int) -> Float32Array:
-    return np.zeros(shape, np.float32)
+def world_of(heights: Float32Array) -> World:
+    return World("flat", Terrain(HeightField.centered(heights, (0.1, 0.1))))
 
 
 def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
@@ -108,19 +97,19 @@ def test_what_does_not_fit_is_refused_and_changes_nothing() -> None:
     it = simulation(course)
     before = driven(it)
     with pytest.raises(ConfigError, match=r"heights must be \(257, 257\) nodes.*got \(129, 257\)"):
-        it.replace_terrain(with_shape(129, 257))
+        it.replace_terrain(world_of(np.zeros((129, 257), np.float32)))
     with pytest.raises(ConfigError, match=r"within -2.8 to 3.4 m, the height range, got 0.000 to 9.000"):
-        it.replace_terrain(with_shape(257, 257) + np.float32(9) * np.eye(257, dtype=np.float32))
+        it.replace_terrain(world_of(np.float32(9) * np.eye(257, dtype=np.float32)))
     assert driven(it) == before
-    it.replace_terrain(course.heights, (course.start,))
+    it.replace_terrain(course.world())
     with pytest.raises(SimulationError, match="must be reset"):
         it.advance(Twist(0, 0))
 
 
 def test_a_config_says_that_terrains_are_replaced() -> None:
     course, robot = generate("waves", 0.5, np.random.default_rng(1)), make_robot("husky")
-    with pytest.raises(ConfigError, match="config has a height_range"):
-        Simulation(course.world(), SimulationConfig(robot=robot)).replace_terrain(course.heights)
+    with pytest.raises(ConfigError, match="has no height range"):
+        Simulation(course.world(), SimulationConfig(robot=robot)).replace_terrain(course.world())
     for bad in ((1.0, 1.0), (2.0, -1.0), (0.0, math.nan), (0.0,)):
         with pytest.raises(ConfigError, match="height_range must be"):
             SimulationConfig(robot=robot, height_range=bad)  # type: ignore[arg-type]
@@ -129,8 +118,8 @@ def test_a_config_says_that_terrains_are_replaced() -> None:
 
 
 def test_a_flat_world_has_room_for_hills() -> None:
-    flat = World("flat", Terrain(HeightField.centered(with_shape(257, 257), (0.1, 0.1))))
+    flat = world_of(np.zeros((257, 257), np.float32))
     it = Simulation(flat, SimulationConfig(robot=make_robot("husky"), height_range=HEIGHT_RANGE))
     course = generate("slopes", 1.0, np.random.default_rng(3))
-    it.replace_terrain(course.heights, (course.start,))
+    it.replace_terrain(course.world())
     assert driven(it) == driven(simulation(course))

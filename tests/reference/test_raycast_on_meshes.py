@@ -183,9 +183,9 @@ def test_own_body_is_not_seen_among_the_mesh(name: str, gate: World) -> None:
     """MuJoCo's rays straight down through all of the robot, its contact geoms too."""
     sim = Simulation(gate, SimulationConfig(robot=make_robot(name), contact_geometry="convex", rays="mujoco"))
     sim.reset(Pose2(0.0, -2.5))
-    T = sim.T_world_base
+    T = sim.pose()
     for dx in np.linspace(-0.5, 0.5, 21):
-        met = sim.caster.ranges(np.array((T.x + dx, T.y, 1.5)), np.array(((0.0, 0.0, -1.0),)), 10.0)
+        met = sim.casters[0].ranges(np.array((T.x + dx, T.y, 1.5)), np.array(((0.0, 0.0, -1.0),)), 10.0)
         assert met[0] == pytest.approx(1.5, abs=1e-6)
 
 

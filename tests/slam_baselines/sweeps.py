@@ -17,9 +17,9 @@ def drive(scans: int, *, rolling: bool = False) -> tuple[list[Observation], Traj
         robot=make_robot("husky"), lidar="vlp16", noise=SensorNoise(rolling_scan=rolling)
     )
     sim = Simulation(build_world("medium"), config, seed=1)
-    read, poses = [sim.reset()], [sim.T_world_base]
+    read, poses = [sim.reset()], [sim.pose()]
     for _ in range(scans - 1):
         read.append(sim.advance(Twist(0.6, 0.15)))
-        poses.append(sim.T_world_base)
+        poses.append(sim.pose())
     T_map_world: Pose3 = poses[0].inverse()
     return read, Trajectory.from_poses([o.scan.stamp for o in read], poses).moved(T_map_world)

@@ -7,47 +7,28 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.observations import Observations
-from lirs_envs.episodes.randomization import Factors, Randomization
 from lirs_envs.episodes.world_cache import cached_world
 from lirs_envs.generators.terrain import generate, scaled_height_range
-from lirs_envs.placement import check_fit
 from lirs_envs.sensing.sensors import Observation
-from lirs_envs.tasks.mapping import MappingTask
-from lirs_envs.tasks.navigation import NavigationTask
+from lirs_envs.simulation import Simulation
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import make_site
-from lirs_envs.tasks.task import DRAWS, Stage, Task
-from lirs_envs.tasks.traverse import MIXED, CourseScale, TraverseTask, course_scale
+from lirs_envs.tasks.task import DRAWS, MIXED, TASKS, CourseScale, Stage, TraverseTask, course_scale
 from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.checks import within
 
-TASKS: dict[str, type[Task]] = {
-    "mapping": MappingTask,
-    "navigation": NavigationTask,
-    "traverse": TraverseTask,
-}
-"""Tasks by name (see `register_task`)."""
-
-
-def register_task(name: str, task: type[Task]) -> None:
-    """Register a task under a name, which environments then take as `task`.
-
-    Raises:
-        ConfigError: it is no task, or the name belongs to another one.
-    """
-    if not (isinstance(task, type) and issubclass(task, Task)):
-        raise ConfigError(f"a task must be a subclass of lirs_envs.tasks.task.Task, got {task!r}")
-    if TASKS.setdefault(name, task) is not task:
-        raise ConfigError(f"the name {name!r} belongs to another task, {TASKS[name].__qualname__}")
-
-
+Factors = dict[str, tuple[float, float] | None]
+"""Randomized quantities with their ranges."""
+INTERVAL = 5.0
+"""Mean time between two pushes, and between two changes of the slip, seconds."""
+PUSH, SLIP = "pushes", "slip"
 ERROR, TIPPED, LEFT = "error", "tipped over", "left the world"
 """Accidents: reasons for the end of an episode of any task."""
 CLIMB_RATE = 1.0
@@ -60,17 +41,21 @@ class Episodes:
     """N episodes of one task; array row i is robot i and depends on no other.
 
     Attributes:
-        stage: state on which the task acts.
-        action_space: action space of one robot.
+        stage: State on which the task acts.
+        task: The task.
+        observations: Observations that the user chose.
+        action_space: Action space of one robot.
         terminated: (N,) whether the last step ended the episode by the task's rules, or by an accident.
         truncated: (N,) whether the time was up.
-        max_steps: number of steps until an episode is truncated.
+        max_steps: Number of steps until an episode is truncated.
 
     Args:
-        task: its name (see `TASKS`).
-        count: number of robots, N.
-        threads: number of threads.
-        kind: kind of course, for the traverse task only; None = `mixed`.
+        task: Name of the task (see `TASKS`).
+        config: Options.
+        count: Number of robots, N.
+        threads: Number of threads.
+        kind: Kind of course, for the traverse task only; None = `mixed`.
+        max_steps: Number of steps until an episode is truncated; None = by the time limit alone.
     """
 
     def __init__(
@@ -88,15 +73,14 @@ class Episodes:
         scale = course_scale(robot)
         factors = _factors(config, crossing)
         world = _world(config, crossing, scale)
-        check_fit(world, robot)
         self.config, self.count = config, count
-        self.simulation = BatchSimulation(
+        self.simulation = Simulation(
             world,
             replace(config.simulation, height_range=scaled_height_range(*scale) if crossing else None),
             count=count,
             period=1 / config.control_hz,
             threads=threads,
-            own_models=Randomization.needs_own_models(factors),
+            own_models=bool(factors.keys() & {"friction", "mass"}),
         )
         names = TASKS[task].observe if config.observe is None else config.observe
         self.stage = self._make_stage(factors, sees=TASKS[task].needs_seen or "seen_map" in names)
@@ -127,7 +111,7 @@ class Episodes:
     def _make_stage(self, factors: Factors, *, sees: bool) -> Stage:
         robot = self.config.simulation.robot
         site, mount = make_site(self.simulation.worlds[0], robot), robot.T_base_laser
-        beams = self.config.simulation.preset.directions @ mount.rotation.T
+        beams = self.simulation.preset.directions @ mount.rotation.T
         reach = FLYING_REACH if robot.flies else GROUND_REACH
         shape = site.seen.height.shape
         seen = SeenGround(self.count, shape, beams, mount.position, reach) if sees else None
@@ -139,14 +123,16 @@ class Episodes:
             difficulty=np.full(self.count, float(self.config.difficulty)),
             randomize_start="start" in factors,
             randomize_terrain="terrain" in factors,
+            poses=np.zeros((self.count, 4)),
         )
 
     def _make_rows(self, count: int) -> None:
         self.terminated: BoolArray = np.zeros(count, np.bool_)
         self.truncated: BoolArray = np.zeros(count, np.bool_)
         self._steps, self._redrawn = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        # Cost of contact in this episode, at most 0.
         self._contact = np.zeros(count)
-        """Cost of contact in this episode, at most 0."""
+        self._touched: BoolArray = np.zeros(count, np.bool_)
         self._ready: BoolArray = np.zeros(count, np.bool_)
         self._reasons = [""] * count
 
@@ -167,7 +153,7 @@ class Episodes:
             if start is None:
                 continue
             try:
-                self.simulation.reset(i, start, seed)
+                self.simulation.place(i, start, seed)
             except SimulationError as error:
                 reason = f"; of the last one, {error}"
                 if "start" in options or not (self.stage.randomize_start or self.stage.randomize_terrain):
@@ -183,12 +169,13 @@ class Episodes:
     def _begin(self, i: int, redrawn: int) -> None:
         self._redrawn[i], self._steps[i], self._reasons[i] = redrawn, 0, ""
         self.terminated[i] = self.truncated[i] = False
-        self._contact[i] = 0.0
+        self._contact[i], self._touched[i] = 0.0, False
+        _find_poses(self.simulation.T_world_base, self.stage.poses)
         if self.stage.seen is not None:
             self.stage.seen.begin(i, *self.task.ground(i))
             self._see(np.array((i,)))
         self._randomization.begin(i)
-        self.task.begin(i)
+        self.task.begin(i, self.stage.poses)
         self.observations.begin(i)
         self._ready[i] = True
 
@@ -212,8 +199,8 @@ class Episodes:
         """Apply actions for one period; return the rewards (n,).
 
         Args:
-            ids: rows of the robots, sorted.
-            actions: (n, 2 or 3) in [-1, 1], of their largest speed, turn rate, climb; clipped.
+            ids: Rows of the robots, sorted.
+            actions: (n, 2 or 3) shares in [-1, 1] of the largest speed, turn rate, climb; clipped.
 
         Raises:
             ConfigError: the actions have a wrong shape, or one is not finite.
@@ -224,19 +211,21 @@ class Episodes:
         commands = np.zeros((self.count, 3))
         commands[ids, : taken.shape[1]] = taken * self._scale[: taken.shape[1]]
         self._randomization.disturb(ids)
-        self.simulation.advance(ids, commands, self._see if self.stage.seen else None)
-        errors = self.simulation.errors
-        going = np.array([i for i in ids.tolist() if not errors[i]], np.int64)
+        simulation, stage = self.simulation, self.stage
+        simulation.drive(ids, commands, self._see if stage.seen else None)
+        self._touched = simulation.touched
+        _find_poses(simulation.T_world_base, stage.poses)
+        going = np.array([i for i in ids.tolist() if not simulation.errors[i]], np.int64)
         rewards = np.zeros(self.count)
-        rewards[going] = self.task.step(going)
+        rewards[going], ends = self.task.step(going, stage.poses, self._touched)
         self.observations.step(ids)
         self._steps[ids] += 1
-        self._end(ids)
-        for i in ids.tolist():
+        self._end(ids, dict(zip(going.tolist(), ends, strict=True)))
+        for i in ids[self.terminated[ids]].tolist():
             if self._reasons[i] in self._accidents:
                 # A falling robot earns nothing by the ground that its lidar sweeps.
                 rewards[i] = min(rewards[i], 0.0) + self._accidents[self._reasons[i]]
-        effort = self.stage.rewards.effort * self.simulation.period
+        effort = stage.rewards.effort * simulation.period
         cost: FloatArray = self._charge_contact(ids) + effort * (taken**2).mean(axis=1)
         return rewards[ids] + cost
 
@@ -248,34 +237,29 @@ class Episodes:
         """
         if self.task.ends_at_contact:
             return np.zeros(len(ids))
-        weights, period = self.stage.rewards, self.simulation.period
-        before = self._contact[ids]
+        weights, before = self.stage.rewards, self._contact[ids]
         self._contact[ids] = np.maximum(
-            before + weights.contact * period * self.simulation.touched[ids],
+            before + weights.contact * self.simulation.period * self._touched[ids],
             np.minimum(weights.collision, before),
         )
         charged: FloatArray = self._contact[ids] - before
         return charged
 
-    def _end(self, ids: IntArray) -> None:
+    def _end(self, ids: IntArray, ends: Mapping[int, str]) -> None:
+        """End episodes, by the reason of the task or by an accident."""
         simulation = self.simulation
         tipped, off = simulation.find_tipped().tolist(), simulation.off_world().tolist()
         for i in ids.tolist():
-            reason = self.task.end(i)
-            if simulation.errors[i]:
-                reason = ERROR
-            elif tipped[i]:
-                reason = TIPPED
-            elif off[i]:
-                reason = LEFT
-            self.terminated[i] = bool(reason)
-            self.truncated[i] = not reason and self._steps[i] >= self.max_steps
-            self._reasons[i] = "timeout" if self.truncated[i] else reason
+            accident = ERROR if simulation.errors[i] else TIPPED if tipped[i] else LEFT if off[i] else ""
+            reason = accident or ends[i]
+            late = not reason and self._steps[i] >= self.max_steps
+            self.terminated[i], self.truncated[i] = bool(reason), late
+            self._reasons[i] = "timeout" if late else reason
 
     def _see(self, rows: IntArray) -> None:
         simulation, seen = self.simulation, self.stage.seen
         assert seen is not None
-        seen.add(rows, simulation.ranges, simulation.config.preset.range_max, simulation.T_world_base)
+        seen.add(rows, simulation.ranges, simulation.preset.range_max, simulation.T_world_base)
 
     def _check_ready(self, ids: IntArray) -> None:
         if not self._ready[ids].all():
@@ -293,21 +277,18 @@ class Episodes:
 
     def infos(self) -> dict[str, Any]:
         """Return (N, ...) arrays of the entries of `info`."""
-        poses = np.empty((self.count, 3))
-        _planar(self.simulation.T_world_base, poses)
-        reasons = np.array(self._reasons, dtype=object)
-        of_task = self.task.infos()
-        if "success" in of_task:
-            of_task["success"] &= ~np.isin(self._reasons, list(self._accidents))
-            of_task["is_success"] = of_task["success"].copy()  # The name that Stable-Baselines3 logs.
+        figures = self.task.infos()
+        if "success" in figures:
+            figures["success"] &= ~np.isin(self._reasons, list(self._accidents))
+            figures["is_success"] = figures["success"].copy()  # The name that Stable-Baselines3 logs.
         return {
-            "T_world_base": poses,
+            "T_world_base": self.stage.poses[:, (0, 1, 3)],
             "time": self._steps * self.simulation.period,
-            "contact": self.simulation.touched.copy(),
+            "contact": self._touched.copy(),
             "timeout": self.truncated.copy(),
-            "reason": reasons,
+            "reason": np.array(self._reasons, dtype=object),
             "redrawn": self._redrawn.copy(),
-            **of_task,
+            **figures,
         }
 
 
@@ -342,19 +323,90 @@ def check_options(options: Any) -> Mapping[str, Any]:
 
 
 @njit
-def _planar(T_world_base: FloatArray, poses: FloatArray) -> None:
-    """Fill (N, 3) x, y, yaw of poses (N, 7), x, y, z, quaternion."""
+def _find_poses(T_world_base: FloatArray, poses: FloatArray) -> None:
+    """Fill (N, 4) x, y, z, yaw of poses (N, 7), x, y, z, quaternion."""
     for i in range(len(poses)):
-        x, y, _, w, a, b, c = T_world_base[i]
-        poses[i, 0], poses[i, 1] = x, y
-        poses[i, 2] = math.atan2(2 * (w * c + a * b), 1 - 2 * (b * b + c * c))
+        x, y, z, w, a, b, c = T_world_base[i]
+        poses[i, 0], poses[i, 1], poses[i, 2] = x, y, z
+        poses[i, 3] = math.atan2(2 * (w * c + a * b), 1 - 2 * (b * b + c * c))
+
+
+class Randomization:
+    """Domain randomization: draw friction, mass, lidar noise and latency of each episode.
+
+    During an episode, robots are pushed and the slip of their wheels changes, at random times.
+    """
+
+    def __init__(self, simulation: Simulation, factors: Factors) -> None:
+        self._simulation, self._factors = simulation, factors
+        model = simulation.body.model
+        base = model.body("base_link").id
+        self._bodies = np.flatnonzero(model.body_rootid == base)
+        self._geoms = np.flatnonzero(np.isin(model.geom_bodyid, self._bodies))
+        self._nominal = {
+            "geom_friction": model.geom_friction[self._geoms].copy(),
+            "body_mass": model.body_mass[self._bodies].copy(),
+            "body_inertia": model.body_inertia[self._bodies].copy(),
+        }
+        self._noise = simulation.lidar_noise[0]
+        self._during = {name: factors[name] or (0.0, 0.0) for name in (PUSH, SLIP) if name in factors}
+        self._rngs = [np.random.default_rng(0) for _ in range(simulation.count)]
+
+    def draw(self, i: int, rng: np.random.Generator) -> None:
+        """Draw the factors of robot `i` for its next episode."""
+        drawn = {
+            name: rng.uniform(*factors)
+            for name, factors in self._factors.items()
+            if factors is not None and name not in self._during
+        }
+        if self._during:
+            self._rngs[i] = np.random.default_rng(int(rng.integers(2**63)))
+        group, k = self._simulation.places[i]
+        if "latency" in drawn:
+            group.set_latency(k, drawn["latency"])
+        if "sensor" in drawn:
+            factor, noise = drawn["sensor"], self._noise
+            self._simulation.lidar_noise[i] = replace(
+                noise, sigma=factor * noise.sigma, sigma_relative=factor * noise.sigma_relative
+            )
+        if not self._factors.keys() & {"friction", "mass"}:
+            return
+        model, nominal = group.bodies.models[k], self._nominal
+        model.geom_friction[self._geoms] = drawn.get("friction", 1.0) * nominal["geom_friction"]
+        mass = drawn.get("mass", 1.0)
+        model.body_mass[self._bodies] = mass * nominal["body_mass"]
+        model.body_inertia[self._bodies] = mass * nominal["body_inertia"]
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        group.bodies.models_changed()
+
+    def begin(self, i: int) -> None:
+        """Draw the first slip of robot `i`, which stands at its start."""
+        if SLIP in self._during:
+            self._set_slip(i)
+
+    def disturb(self, ids: IntArray) -> None:
+        """Push some robots before a step, and change the slip of some."""
+        chance = self._simulation.period / INTERVAL
+        for i in ids.tolist() if self._during else ():
+            rng = self._rngs[i]
+            if PUSH in self._during and rng.random() < chance:
+                speed, angle = rng.uniform(*self._during[PUSH]), rng.uniform(-math.pi, math.pi)
+                # An impulse through the center of mass.
+                self._simulation.qvel(i)[:2] += np.array((math.cos(angle), math.sin(angle))) * speed
+            if SLIP in self._during and rng.random() < chance:
+                self._set_slip(i)
+
+    def _set_slip(self, i: int) -> None:
+        """Draw the slip of robot `i`."""
+        group, k = self._simulation.places[i]
+        group.set_slip(k, self._rngs[i].uniform(*self._during[SLIP]))
 
 
 class EpisodeView:
     """View of one of N episodes: unobserved state and difficulty.
 
     Attributes:
-        difficulty: difficulty of the next episode, 0 to 1; settable.
+        difficulty: Difficulty of the next episode, 0 to 1; settable.
     """
 
     __slots__ = ("_episodes", "_i")
@@ -408,10 +460,10 @@ def _check_task(task: str, config: EnvConfig, kind: str | None) -> None:
 
 def _factors(config: EnvConfig, crossing: bool) -> Factors:
     factors: Factors = {"terrain": None} if crossing else {"start": None}
-    given = factors if config.factors is None else config.factors
-    if "terrain" in given and not crossing:
+    factors = factors if config.factors is None else config.factors
+    if "terrain" in factors and not crossing:
         raise ConfigError("randomize 'terrain' is for the task to cross generated terrain")
-    return given
+    return factors
 
 
 def _world(config: EnvConfig, crossing: bool, scale: CourseScale) -> World:

@@ -48,12 +48,12 @@ class Group:
     """A group of observations.
 
     Attributes:
-        space: function that returns the space of one robot.
-        read: function that returns values (n, ...) of some robots in a new array; None = `memory` does.
-        memory: function that returns the group's state for all robots; None = the group has none. Groups
+        space: Function that returns the space of one robot.
+        read: Function that returns values (n, ...) of some robots in a new array; None = `memory` does.
+        memory: Function that returns the group's state for all robots; None = the group has none. Groups
             with the same function share the state.
-        recall: function that returns values (n, ...) of some robots from the state; None = its `read`.
-        privileged: whether the values are simulator-only data; `bench` marks policies that get them.
+        recall: Function that returns values (n, ...) of some robots from the state; None = its `read`.
+        privileged: Whether the values are simulator-only data; `bench` marks policies that get them.
     """
 
     space: Callable[[Stage], spaces.Box]
@@ -67,7 +67,7 @@ class Observations:
     """The groups that a user chose.
 
     Attributes:
-        space: observation space of one robot.
+        space: Observation space of one robot.
 
     Raises:
         ConfigError: there is no such group, or none is given.
@@ -82,9 +82,9 @@ class Observations:
         self._names, self._stage, self._task = tuple(names), stage, task
         self.space = spaces.Dict({name: GROUPS[name].space(stage) for name in self._names})
         makers = {name: make for name in self._names if (make := GROUPS[name].memory) is not None}
-        made = {make: make(stage, task) for make in makers.values()}
-        self._memories = {name: made[make] for name, make in makers.items()}
-        self._states = tuple(made.values())
+        states = {make: make(stage, task) for make in makers.values()}
+        self._memories = {name: states[make] for name, make in makers.items()}
+        self._states = tuple(states.values())
 
     def begin(self, i: int) -> None:
         """Begin an episode of robot `i`."""
@@ -109,13 +109,13 @@ class Observations:
 
 
 def _scan_space(stage: Stage) -> spaces.Box:
-    preset = stage.simulation.config.preset
+    preset = stage.simulation.preset
     return spaces.Box(0.0, np.float32(preset.range_max), (preset.beams,), np.float32)
 
 
 def _scan(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
     ranges = stage.simulation.ranges[ids]
-    make_finite(ranges, np.float32(stage.simulation.config.preset.range_max))
+    make_finite(ranges, np.float32(stage.simulation.preset.range_max))
     return ranges
 
 
@@ -135,7 +135,7 @@ class ScanHistory:
 
     def __init__(self, stage: Stage, task: Task, steps: int = SCANS) -> None:
         self._stage, self._task = stage, task
-        self._scans = np.zeros((stage.count, steps, stage.simulation.config.preset.beams), np.float32)
+        self._scans = np.zeros((stage.count, steps, stage.simulation.preset.beams), np.float32)
 
     def begin(self, i: int) -> None:
         """Fill the history of robot `i` with its first scan."""
@@ -161,7 +161,7 @@ def scan_history(steps: int) -> Group:
         raise ConfigError(f"a history of scans needs a whole number of steps from 1 up, got {steps!r}")
 
     def space(stage: Stage) -> spaces.Box:
-        preset = stage.simulation.config.preset
+        preset = stage.simulation.preset
         return spaces.Box(0.0, np.float32(preset.range_max), (steps, preset.beams), np.float32)
 
     return Group(space, memory=partial(ScanHistory, steps=steps))
@@ -200,7 +200,7 @@ def _find_proximity(ranges: Float32Array, sector_of: IntArray, range_max: float,
 
 
 def _body(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
-    robot = stage.simulation.config.robot
+    robot = stage.simulation.robot
     row = np.array((robot.radius, robot.max_speed, robot.max_turn_rate), np.float32)
     return np.tile(row, (len(ids), 1))
 
@@ -208,12 +208,10 @@ def _body(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
 def _goal(stage: Stage, task: Task, ids: IntArray) -> FloatArray:
     """Return distance, meters, and bearing from the robot's heading, radians."""
     assert task.goals is not None, "only tasks with a goal have it observed"
-    polar = np.empty((len(ids), 2))
-    for k, i in enumerate(ids.tolist()):
-        T = stage.simulation.pose(i)
-        dx, dy = (task.goals[i] - T.position[:2]).tolist()
-        polar[k] = math.hypot(dx, dy), math.remainder(math.atan2(dy, dx) - T.yaw, math.tau)
-    return polar
+    ways, yaws = (task.goals[ids] - stage.poses[ids, :2]).tolist(), stage.poses[ids, 3].tolist()
+    distances = [math.hypot(dx, dy) for dx, dy in ways]
+    bearings = [math.atan2(dy, dx) - yaw for (dx, dy), yaw in zip(ways, yaws, strict=True)]
+    return np.column_stack((distances, [math.remainder(bearing, math.tau) for bearing in bearings]))
 
 
 def goal_direction(polar: FloatArray) -> Float32Array:
@@ -227,19 +225,19 @@ def _seen_map(stage: Stage, task: Task, ids: IntArray) -> ByteArray:
     assert stage.seen is not None
     maps = np.empty((len(ids), 1, MAP_CELLS, MAP_CELLS), np.uint8)
     for k, i in enumerate(ids.tolist()):
-        T = stage.simulation.pose(i)
-        stage.seen.local_map(i, T.x, T.y, T.yaw, maps[k, 0])
+        x, y, _, yaw = stage.poses[i].tolist()
+        stage.seen.local_map(i, x, y, yaw, maps[k, 0])
     return maps
 
 
 def _height_map(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
     maps = np.empty((len(ids), HEIGHT_CELLS, HEIGHT_CELLS), np.float32)
     for k, i in enumerate(ids.tolist()):
-        T, world = stage.simulation.pose(i), stage.simulation.worlds[i]
+        world, (x, y, z, yaw) = stage.simulation.worlds[i], stage.poses[i].tolist()
         surface, holes = world.surface, world.no_ground
         frame = (*surface.origin, *surface.cell)
         holes = np.zeros((0, 0), np.bool_) if holes is None else holes
-        _local_heights(surface.z, holes, frame, (T.x, T.y, T.z, T.yaw), maps[k])
+        _local_heights(surface.z, holes, frame, (x, y, z, yaw), maps[k])
     return maps
 
 
@@ -279,7 +277,7 @@ GROUPS: dict[str, Group] = {
     "scans": scan_history(SCANS),
     "sectors": Group(
         lambda stage: spaces.Box(0.0, 1.0, (SECTORS,), np.float32),
-        lambda stage, task, ids: scan_sectors(stage.simulation.ranges[ids], stage.simulation.config.preset),
+        lambda stage, task, ids: scan_sectors(stage.simulation.ranges[ids], stage.simulation.preset),
     ),
     "body": Group(lambda stage: spaces.Box(0.0, np.inf, (3,), np.float32), _body),
     "odometry": Group(

@@ -1,18 +1,22 @@
-"""The lidar, planar or with rings: a preset, a mount, and noise on the ranges."""
+"""The lidar of one robot, planar or with rings, and the lidars of N robots."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.presets import LidarNoise, LidarPreset, draw_noise, lidar_noise, measure
-from lirs_envs.lidar.ray_casting import Caster
+from lirs_envs.lidar.obstacle_rays import WallCells
+from lirs_envs.lidar.presets import LidarNoise, LidarPreset, NoiseParameters, draw_noise, lidar_noise, measure
+from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
 from lirs_envs.lidar.reflection import intensities
+from lirs_envs.lidar.terrain_rays import TerrainMipmap
+from lirs_envs.robots.control import BodyState
 from lirs_wct import ConfigError, LaserScan, PointCloud, Pose3, SimulationError
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, njit
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +24,8 @@ class BaseVelocity:
     """Velocity of the base during a rolling scan.
 
     Attributes:
-        linear: velocity of base_link along x, y, z of the base, m/s.
-        angular: about x, y, z of the base, rad/s.
+        linear: Velocity of base_link along x, y, z of the base, m/s.
+        angular: Rates about x, y, z of the base, rad/s.
     """
 
     linear: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -32,15 +36,15 @@ class Lidar:
     """Lidar on a robot: `scan` of a planar one, `sweep` of one with rings.
 
     Attributes:
-        returned: (rings * beams,) which beams of the last sweep have a point in its cloud.
+        returned: (rings * beams,) mask of the beams of the last sweep with a point in its cloud.
 
     Args:
-        preset: specification of the device.
-        caster: geometry that the beams hit.
-        T_base_laser: mount.
-        rng: random generator of the noise.
-        noise: default: Gaussian with the preset's deviation.
-        rolling_scan: whether the beams are cast one after the other while the mirror turns, once a period;
+        preset: Specification of the device.
+        caster: Geometry that the beams hit.
+        T_base_laser: Mount.
+        rng: Random generator of the noise.
+        noise: Noise of the ranges; None = Gaussian with the preset's deviation.
+        rolling_scan: Whether the beams are cast one after the other while the mirror turns, once a period;
             else all at once. The first beam is cast at the stamp, the others while the robot goes on at the
             velocity that it has then. The rings' beams of one angle, a column, are cast together.
     """
@@ -76,14 +80,14 @@ class Lidar:
         """Return the scan from a pose of the robot, with noise.
 
         Args:
-            T_world_base: pose of the robot at the first beam.
-            stamp: seconds.
-            velocity: velocity of the base, for a rolling scan; None = at rest.
+            T_world_base: Pose of the robot at the first beam.
+            stamp: Time of the first beam, seconds.
+            velocity: Velocity of the base, for a rolling scan; None = at rest.
 
         Raises:
             SimulationError: the pose is not finite.
         """
-        return self.reading(self.ranges(T_world_base, velocity), stamp)
+        return self.planar_scan(self.ranges(T_world_base, velocity)[self._horizon], stamp)
 
     def sweep(
         self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None
@@ -103,11 +107,11 @@ class Lidar:
             self._column[met],
             (self.preset.rings, self.preset.beams),
         )
-        return self.reading(ranges, stamp), cloud
+        return self.planar_scan(ranges[self._horizon], stamp), cloud
 
-    def reading(self, ranges: Float32Array, stamp: float) -> LaserScan:
-        """Return the scan with given ranges (see `ranges`)."""
-        return LaserScan(ranges[self._horizon], *self._fan, stamp, self.T_base_laser, self.time_increment)
+    def planar_scan(self, ranges: Float32Array, stamp: float) -> LaserScan:
+        """Return the scan with ranges (beams,) of the ring nearest the horizon."""
+        return LaserScan(ranges, *self._fan, stamp, self.T_base_laser, self.time_increment)
 
     def ranges(self, T_world_base: Pose3, velocity: BaseVelocity | None = None) -> Float32Array:
         """Return (rings * beams,) ranges of a sweep, ring by ring from below (see `scan`)."""
@@ -139,6 +143,110 @@ class Lidar:
         return origins, directions
 
 
+class Lidars:
+    """Lidars of N robots, each with its own noise and random stream.
+
+    Robots that share a caster are scanned in one kernel call.
+
+    Attributes:
+        lidars: Lidar of each robot that has begun.
+        ranges: (N, beams) float32 of the last planar scans (see `LaserScan`).
+        clouds: Last cloud of each robot; None without rings.
+
+    Args:
+        preset: Specification of the devices.
+        T_base_laser: Mount.
+        count: Number of robots, N.
+        rolling_scan: Whether scans are rolling (see `Lidar`).
+    """
+
+    def __init__(self, preset: LidarPreset, T_base_laser: Pose3, count: int, *, rolling_scan: bool) -> None:
+        self._preset, self._mount, self._rolling = preset, T_base_laser, rolling_scan
+        self._fan = T_base_laser.position[None], preset.directions @ T_base_laser.rotation.T
+        self.lidars: dict[int, Lidar] = {}
+        self._rngs = [np.random.default_rng(0) for _ in range(count)]
+        self._normals = np.zeros((count, preset.beams))
+        self._uniforms = np.zeros((count, 0, 2))
+        self._parameters = np.zeros((count, len(NoiseParameters._fields)))
+        self.ranges: Float32Array = np.zeros((count, preset.beams), np.float32)
+        self.clouds: list[PointCloud | None] = [None] * count
+
+    def begin(self, i: int, caster: Caster, noise: LidarNoise, rng: np.random.Generator) -> None:
+        """Start lidar `i` with its caster, noise and random stream."""
+        self.lidars[i] = Lidar(self._preset, caster, self._mount, rng, noise, rolling_scan=self._rolling)
+        self._rngs[i], self._parameters[i] = rng, noise.parameters
+        if noise.draws_uniform and not self._uniforms.size:
+            self._uniforms = np.zeros((*self.ranges.shape, 2))
+
+    def scan(
+        self, rows: IntArray, T_world_base: FloatArray, bodies: Sequence[BodyState], stamp: FloatArray
+    ) -> None:
+        """Scan from the poses of robots `rows`.
+
+        Args:
+            rows: Indices of the robots.
+            T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the poses.
+            bodies: State of each robot; read for rolling scans only.
+            stamp: (N,) seconds.
+        """
+        together: dict[RayCaster, list[int]] = {}
+        for i in rows.tolist():
+            lidar = self.lidars[i]
+            if isinstance(lidar.caster, RayCaster) and not self._rolling and self._preset.rings == 1:
+                together.setdefault(lidar.caster, []).append(i)
+                continue
+            body, T = bodies[i], Pose3(*T_world_base[i].tolist())
+            velocity = BaseVelocity(body.velocity(), body.rates()) if self._rolling else None
+            if self._preset.rings == 1:
+                self.ranges[i] = lidar.ranges(T, velocity)
+            else:
+                planar, self.clouds[i] = lidar.sweep(T, float(stamp[i]), velocity)
+                self.ranges[i] = planar.ranges
+        for caster, group in together.items():
+            self._scan_together(caster, np.array(group), T_world_base)
+
+    def _scan_together(self, caster: RayCaster, rows: IntArray, T_world_base: FloatArray) -> None:
+        for i in rows.tolist():
+            rng = self._rngs[i]
+            rng.standard_normal(out=self._normals[i])
+            if self._uniforms.size:
+                rng.random(out=self._uniforms[i])
+        _scan_rows(
+            rows,
+            T_world_base,
+            self._fan,
+            (caster.terrain, caster.walls),
+            (self._normals, self._uniforms, self._parameters),
+            (self._preset.range_min, self._preset.range_max),
+            self.ranges,
+        )
+
+    def reading(self, i: int, stamp: float) -> LaserScan:
+        """Return the last planar scan of lidar `i`."""
+        return self.lidars[i].planar_scan(self.ranges[i].copy(), stamp)
+
+
+@njit
+def _scan_rows(
+    rows: IntArray,
+    T_world_base: FloatArray,
+    fan: tuple[FloatArray, FloatArray],
+    world: tuple[TerrainMipmap, WallCells],
+    noise: tuple[FloatArray, FloatArray, FloatArray],
+    limits: tuple[float, float],
+    ranges: Float32Array,
+) -> None:
+    mount, beams = fan
+    normals, uniforms, parameters = noise
+    origin, directions, exact = np.empty((1, 3)), np.empty_like(beams), np.empty(len(beams))
+    for i in rows:
+        T, p = T_world_base[i], parameters[i]
+        transform_rays((T[3], T[4], T[5], T[6]), (T[0], T[1], T[2]), mount, beams, origin, directions)
+        cast_rays(world[0], world[1], origin, directions, limits[1], exact)
+        drawn = NoiseParameters(p[0], p[1], p[2], p[3], p[4], p[5])
+        measure(exact, normals[i], uniforms[i], limits, drawn, ranges[i])
+
+
 def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return rotations (n, 3, 3) and positions (n, 3) of a moving frame since time 0.
 
@@ -148,8 +256,8 @@ def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tup
 
     Args:
         times: (n,) seconds.
-        velocity: (3,) along the frame's own axes, m/s, constant there.
-        rates: (3,) about the frame's own axes, rad/s, constant.
+        velocity: (3,) constant velocity along the frame's own axes, m/s.
+        rates: (3,) constant rates about the frame's own axes, rad/s.
 
     Raises:
         ConfigError: an array has the wrong shape or a value that is not finite.

@@ -46,14 +46,13 @@ class Snapshot:
     goal: Pose2 | None = None
 
     @staticmethod
-    def of(simulation: Simulation, goal: Pose2 | None = None) -> Snapshot:
-        """Return the present state of a simulation."""
-        walkers = simulation.walkers
+    def of(simulation: Simulation, i: int = 0, goal: Pose2 | None = None) -> Snapshot:
+        """Return the present state of robot `i`."""
         return Snapshot(
-            world=simulation.world,
+            world=simulation.worlds[i],
             config=simulation.config,
-            qpos=simulation.body.data.qpos.copy(),
-            walkers=np.zeros((0, 3)) if walkers is None else walkers.centers.copy(),
+            qpos=simulation.qpos(i).copy(),
+            walkers=simulation.walkers(i),
             goal=goal,
         )
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from functools import partial
+from typing import Literal, get_args
 
 import numpy as np
 
+from lirs_envs.robots.control import WheelJoints, mean_angle
 from lirs_wct import Pose2, Pose3
 from lirs_wct.arrays import FloatArray, IntArray, Vector3, njit
 from lirs_wct.checks import Checked, check_field, limited, one_of
@@ -15,7 +18,7 @@ from lirs_wct.checks import Checked, check_field, limited, one_of
 Method = Literal["gyro", "ekf"]
 METHODS: tuple[Method, ...] = get_args(Method)
 BLOCK = 256
-"""Random numbers per draw: a single draw would cost as much as the rest of the update."""
+"""Number of random numbers drawn at once: a single draw would cost as much as the rest of the update."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,9 +26,9 @@ class OdometryConfig(Checked, of="the odometry"):
     """Noise and method of odometry; slip comes from the simulation and adds to the noise.
 
     Attributes:
-        scale_sigma: standard deviation of the distance's scale error, which varies while the robot drives.
-        scale_length: correlation length of the scale error, meters (first-order Gauss-Markov process).
-        scale_bias: constant scale error of the distance, as of a wrong wheel radius.
+        scale_sigma: Standard deviation of the distance's scale error, which varies while the robot drives.
+        scale_length: Correlation length of the scale error, meters (first-order Gauss-Markov process).
+        scale_bias: Constant scale error of the distance, as of a wrong wheel radius.
         method: `gyro` = distance from the wheels, heading from the gyro; `ekf` = a Kalman filter over both,
             which estimates the gyro's bias where the wheels measure the turn (at rest, or with one axle).
     """
@@ -42,29 +45,37 @@ class DistanceNoises:
     Attributes:
         scale: (N,) present scale error.
         slip: (N,) share by which distances are too long on top of it.
-        normals: (N, BLOCK) coming normal numbers.
-        used: (N,) how many of them are used up.
-        parameters: standard deviation, correlation length, meters, and constant error.
+        normals: (N, n) coming normal numbers.
+        used: (N,) number of used normal numbers.
+        parameters: Standard deviation, correlation length, meters, and constant error.
+
+    Args:
+        config: Noise.
+        count: Number of robots, N.
+        updates: Largest number of distances between two calls of `draw`.
     """
 
-    def __init__(self, config: OdometryConfig, count: int) -> None:
+    def __init__(self, config: OdometryConfig, count: int, updates: int = 1) -> None:
         self.parameters = (float(config.scale_sigma), float(config.scale_length), float(config.scale_bias))
         self._rngs = [np.random.default_rng(0) for _ in range(count)]
-        self.normals = np.zeros((count, BLOCK))
-        self.used = np.zeros(count, np.int64)
+        self.normals = np.zeros((count, BLOCK + updates))
+        self.used = np.full(count, BLOCK + updates)
         self.scale, self.slip = np.zeros(count), np.zeros(count)
 
     def begin(self, i: int, rng: np.random.Generator) -> None:
         """Draw a new scale error of robot `i` from its random stream."""
-        self._rngs[i], self.used[i], self.slip[i] = rng, BLOCK, 0.0
-        self.draw()
-        self.scale[i], self.used[i] = self.parameters[0] * self.normals[i, 0], 1
+        self._rngs[i], self.used[i], self.slip[i] = rng, self.normals.shape[1], 0.0
+        self.draw(np.array((i,)), 1)
+        self.scale[i], self.used[i] = self.parameters[0] * self.normals[i, self.used[i]], self.used[i] + 1
 
-    def draw(self) -> None:
-        """Draw a block of numbers where one is used up."""
-        for i in np.flatnonzero(self.used == BLOCK).tolist():
-            self._rngs[i].standard_normal(out=self.normals[i])
-            self.used[i] = 0
+    def draw(self, ids: IntArray, updates: int) -> None:
+        """Draw the next normal numbers where fewer than `updates` are left."""
+        end = self.normals.shape[1]
+        for i in ids[self.used[ids] > end - updates].tolist():
+            normals, used = self.normals[i], self.used[i]
+            normals[used - BLOCK : end - BLOCK] = normals[used:].copy()
+            self._rngs[i].standard_normal(out=normals[end - BLOCK :])
+            self.used[i] -= BLOCK
 
 
 class DistanceNoise(DistanceNoises):
@@ -76,8 +87,8 @@ class DistanceNoise(DistanceNoises):
 
     def measure(self, distance: float) -> float:
         """Return the measured distance, meters."""
-        if self.used[0] == BLOCK:
-            self.draw()
+        if self.used[0] == self.normals.shape[1]:
+            self.draw(np.zeros(1, np.int64), 1)
         turned = distance * (1.0 + float(self.slip[0]))
         meters: float = measured_distance(self.scale, self.normals[0], self.used, turned, self.parameters)
         return meters
@@ -98,15 +109,6 @@ def measured_distance(
     used[0] += 1
     meters: float = distance * (1 + constant + scale[0])
     return meters
-
-
-@njit
-def mean_angle(qpos: FloatArray, joints: IntArray) -> float:
-    """Return the mean angle of some wheels, radians, from a state's positions (nq,)."""
-    total = 0.0
-    for k in range(len(joints)):
-        total += qpos[joints[k]]
-    return total / len(joints)
 
 
 @njit
@@ -134,14 +136,6 @@ def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
     return x + forward * math.cos(middle), y + forward * math.sin(middle), yaw
 
 
-class WheelJoints(NamedTuple):
-    """Addresses of the driven wheels' angles in `qpos`, and the wheel radius, meters."""
-
-    left: IntArray
-    right: IntArray
-    radius: float
-
-
 class WheelOdometries:
     """Odometry `T_odom_base` of N robots that drive: distance from the wheels, heading from the gyro.
 
@@ -150,38 +144,32 @@ class WheelOdometries:
 
     Attributes:
         pose: (N, 3) x, y, yaw, meters and radians.
+        draw: Function that draws the random numbers of the next updates (see `DistanceNoises.draw`).
+        integrate: Function that adds the motion of the last `dt` seconds (see `_integrate_wheels`).
     """
 
-    def __init__(self, joints: WheelJoints, config: OdometryConfig, count: int) -> None:
+    integrate: Callable[[IntArray, FloatArray, FloatArray, FloatArray, float], None]
+
+    def __init__(self, joints: WheelJoints, config: OdometryConfig, count: int, updates: int = 1) -> None:
         self._joints = joints
-        self._noises = DistanceNoises(config, count)
-        self._angles = np.zeros((count, 2))
-        self.pose = np.zeros((count, 3))
-        self._used_up = False
+        self._noises = noises = DistanceNoises(config, count, updates)
+        self._angles, self.pose = np.zeros((count, 2)), np.zeros((count, 3))
+        self.draw = noises.draw
+        # No method: a call of one takes as long as the kernel.
+        self.integrate = partial(
+            _integrate_wheels,
+            joints,
+            (noises.scale, noises.normals, noises.used, noises.slip),
+            noises.parameters,
+            self._angles,
+            self.pose,
+        )
 
     def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
         """Begin the odometry of robot `i` where it stands."""
         self._noises.begin(i, rng)
         self._angles[i] = mean_angle(qpos[i], self._joints.left), mean_angle(qpos[i], self._joints.right)
         self.pose[i] = 0.0
-
-    def integrate(
-        self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float
-    ) -> None:
-        """Add the motion of the last `dt` seconds. `rates` (N, 3) and `attitude` (N, 2) are measured."""
-        noises = self._noises
-        if self._used_up:
-            noises.draw()
-        self._used_up = _integrate_wheels(
-            ids,
-            (qpos, rates, attitude),
-            self._joints,
-            (noises.scale, noises.normals, noises.used, noises.slip),
-            noises.parameters,
-            dt,
-            self._angles,
-            self.pose,
-        )
 
     def set_slip(self, i: int, share: float) -> None:
         """Lengthen the measured distance by a share, until robot `i` begins again."""
@@ -193,23 +181,18 @@ class WheelOdometries:
 
 @njit
 def _integrate_wheels(
-    ids: IntArray,
-    motion: tuple[FloatArray, FloatArray, FloatArray],
     joints: WheelJoints,
     noise: tuple[FloatArray, FloatArray, IntArray, FloatArray],
     parameters: tuple[float, float, float],
-    dt: float,
     angles: FloatArray,
     pose: FloatArray,
-) -> bool:
-    """Add the motion since the last update to `pose` (N, 3).
-
-    The wheel `angles` (N, 2) are updated.
-
-    Return whether the normal numbers of one robot are used up.
-    """
-    used_up = False
-    qpos, rates, attitude = motion
+    ids: IntArray,
+    qpos: FloatArray,
+    rates: FloatArray,
+    attitude: FloatArray,
+    dt: float,
+) -> None:
+    """Add the motion since the last update to `pose` (N, 3); update wheel `angles` (N, 2)."""
     scale, normals, used, slip = noise
     for n in range(len(ids)):
         i = ids[n]
@@ -222,8 +205,6 @@ def _integrate_wheels(
         at: Vector3 = (pose[i, 0], pose[i, 1], pose[i, 2])
         pose[i, 0], pose[i, 1], pose[i, 2] = integrated_pose(at, meters * math.cos(pitch), turn)
         angles[i, 0], angles[i, 1] = left, right
-        used_up |= used[i] == normals.shape[1]
-    return used_up
 
 
 class Odometry:
@@ -251,12 +232,12 @@ class FlowOdometry(Odometry):
         """Add the motion since the last update; none in no time (`dt` 0).
 
         Args:
-            T_world_base: true pose.
-            velocity: true, along x, y, z of the base, m/s.
-            rates: measured rates about x, y, z of the base, rad/s.
-            roll: measured attitude, radians.
-            pitch: measured attitude, radians.
-            dt: seconds.
+            T_world_base: True pose.
+            velocity: True velocity along x, y, z of the base, m/s.
+            rates: Measured rates about x, y, z of the base, rad/s.
+            roll: Measured roll, radians.
+            pitch: Measured pitch, radians.
+            dt: Seconds.
         """
         east, north, _ = (T_world_base.rotation @ np.array(velocity) * dt).tolist()
         c, s = math.cos(T_world_base.yaw), math.sin(T_world_base.yaw)

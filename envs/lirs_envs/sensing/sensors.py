@@ -13,12 +13,12 @@ import numpy as np
 import yaml
 
 from lirs_envs.lidar.presets import LidarNoise, LidarPreset, NoiseLevel, lidar_noise
-from lirs_envs.robots.body_state import BodyState
+from lirs_envs.robots.control import BodyState
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
-from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.arrays import Float32Array, FloatArray, IntArray
 from lirs_wct.checks import Checked, check_field, limited, of_type
 from lirs_wct.errors import ConfigError, SourceError, unknown_name
 from lirs_wct.files import atomic_write
@@ -29,8 +29,8 @@ FAULT_STREAM = 16
 """Random stream of the faults."""
 DUST_RANGES = (0.3, 2.0)
 """Nearest and farthest return of a dust particle, meters."""
-LONGEST_LAG = 1.0
-"""Seconds."""
+MAX_LAG = 1.0
+"""Longest lag of a scan, seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +38,14 @@ class SensorFaults(Checked, of="the sensor faults"):
     """Faults of a robot's sensors; all are off by default.
 
     Attributes:
-        lag: time by which a scan is older than its stamp, seconds; rounded to whole scans.
-        field_of_view: angle around straight ahead in which beams measure, degrees; others are invalid.
-        dust: share of beams that a particle nearer than 2 m returns.
-        slip: excess of the measured distance, as a share, per unit sine of the slope uphill. On a cross slope
+        lag: Time by which a scan is older than its stamp, seconds; rounded to whole scans.
+        field_of_view: Angle around straight ahead in which beams measure, degrees; others are invalid.
+        dust: Share of beams that a particle nearer than 2 m returns.
+        slip: Excess of the measured distance, as a share, per unit sine of the slope uphill. On a cross slope
             it is the sideways motion that the wheels do not measure.
     """
 
-    lag: float = limited(0.0, f"[0, {LONGEST_LAG:g}]", "s")
+    lag: float = limited(0.0, f"[0, {MAX_LAG:g}]", "s")
     field_of_view: float = limited(360.0, "(0, 360]", "deg")
     dust: float = limited(0.0, "[0, 1]")
     slip: float = limited(0.0, "[0, 1]")
@@ -59,47 +59,44 @@ class SensorFaults(Checked, of="the sensor faults"):
 class FaultInjector:
     """Applies faults to the readings of one robot, in the order of the scans.
 
-    Args:
-        period: time between two scans, seconds.
-        rings: number of the lidar's rings.
-
     Raises:
         ConfigError: a fault of planar lidars is on, and the lidar has several rings.
     """
 
-    def __init__(self, faults: SensorFaults, period: float, rings: int, seed: int) -> None:
-        if rings > 1 and (faults.dust or faults.field_of_view < 360.0):
+    def __init__(self, faults: SensorFaults, lidar: LidarPreset, seed: int) -> None:
+        if lidar.rings > 1 and (faults.dust or faults.field_of_view < 360.0):
             raise ConfigError("field_of_view and dust are faults of planar lidars; this one has rings")
-        self.faults = faults
+        self.faults, self._angles = faults, lidar.angles
         self._rng = sensor_stream(seed, FAULT_STREAM)
-        self._late: deque[tuple[LaserScan, PointCloud | None]] = deque(maxlen=1 + round(faults.lag / period))
+        scans = 1 + round(faults.lag / lidar.period)
+        self._late: deque[tuple[Float32Array, PointCloud | None]] = deque(maxlen=scans)
         self._true, self._measured = Pose2(), Pose2()
 
-    def scan(self, scan: LaserScan, cloud: PointCloud | None) -> tuple[LaserScan, PointCloud | None]:
-        """Return the scan and cloud that arrive now, with the stamps of the present ones."""
-        self._late.append((self._cover(scan), cloud))
-        old_scan, old_cloud = self._late[0]
+    def scan(self, ranges: Float32Array, cloud: PointCloud | None) -> tuple[Float32Array, PointCloud | None]:
+        """Return ranges (beams,) and cloud that arrive now, with the present cloud's stamp."""
+        self._late.append((self._cover(ranges), cloud))
+        old_ranges, old_cloud = self._late[0]
         late_cloud = None if old_cloud is None or cloud is None else replace(old_cloud, stamp=cloud.stamp)
-        return replace(old_scan, stamp=scan.stamp), late_cloud
+        return old_ranges, late_cloud
 
-    def _cover(self, scan: LaserScan) -> LaserScan:
-        """Return a scan with dust, and without the beams outside the field of view."""
-        ranges, faults = scan.ranges.copy(), self.faults
+    def _cover(self, exact: Float32Array) -> Float32Array:
+        """Return ranges with dust, and without the beams outside the field of view."""
+        ranges, faults = exact.copy(), self.faults
         if faults.dust:
             draws = self._rng.random((len(ranges), 2))
             near = DUST_RANGES[0] + (DUST_RANGES[1] - DUST_RANGES[0]) * draws[:, 1]
             hit = (draws[:, 0] < faults.dust) & ~(ranges < near)
             ranges[hit] = near[hit]
         half = math.radians(faults.field_of_view) / 2
-        ranges[np.abs(scan.angles) > half + 1e-9] = np.nan
-        return replace(scan, ranges=ranges)
+        ranges[np.abs(self._angles) > half + 1e-9] = np.nan
+        return ranges
 
     def odometry(self, odometry: Pose2, imu: Imu) -> Pose2:
         """Return `T_odom_base` with the slip since the last call.
 
         Args:
-            odometry: `T_odom_base` of the wheels without slip.
-            imu: attitude of the robot.
+            odometry: Pose `T_odom_base` of the wheels without slip.
+            imu: Attitude of the robot.
         """
         if not self.faults.slip:
             return odometry
@@ -119,12 +116,12 @@ class Observation:
     """Sensor readings at a scan's stamp.
 
     Attributes:
-        scan: scan of the lidar; of one with rings, the ring nearest the horizon.
-        odometry: `T_odom_base`.
-        imu: reading of the inertial unit.
-        cloud: cloud of a lidar with rings; None for a planar one.
-        inertial: readings near 200 Hz since the last observation; None where the config has none.
-        odometry_track: stamps and `T_odom_base` near 50 Hz between the last observation and this one; empty
+        scan: Scan of the lidar; of one with rings, the ring nearest the horizon.
+        odometry: Pose `T_odom_base`.
+        imu: Reading of the inertial unit.
+        cloud: Cloud of a lidar with rings; None for a planar one.
+        inertial: Readings near 200 Hz in the last period; None where the config has none.
+        odometry_track: Stamps and `T_odom_base` near 50 Hz within the last period, without its end; empty
             where the config has no inertial readings, and of odometry that is filtered once a scan.
     """
 
@@ -141,12 +138,12 @@ class SensorNoise(Checked, of="the sensor noise"):
     """Errors of all sensors.
 
     Attributes:
-        imu: noise of the inertial unit.
-        odometry: noise of the wheels, and method.
-        lidar: a noise level (`none`, `simulated`, `datasheet`), or noise of your own.
-        rolling_scan: whether the beams of a scan are cast one after the other over its time; None = those of
+        imu: Noise of the inertial unit.
+        odometry: Noise of the wheels, and method.
+        lidar: Noise level (`none`, `simulated`, `datasheet`), or noise of your own.
+        rolling_scan: Whether the beams of a scan are cast one after the other over its time; None = those of
             lidars with rings.
-        faults: late scans, covered beams, dust and slip; of a single simulation alone.
+        faults: Late scans, covered beams, dust and slip.
     """
 
     imu: ImuConfig = check_field(of_type(ImuConfig), default_factory=ImuConfig)
@@ -213,18 +210,18 @@ def read_noise(path: Path) -> SensorNoise:
         raise SourceError(f"{path}: {error}") from error
     if not isinstance(entries, dict) or not entries:
         raise SourceError(f"{path}: must hold sections, got none; legal: {', '.join(SECTIONS)}")
-    made = SensorNoise()
-    for name, given in entries.items():
+    noise = SensorNoise()
+    for name, figures in entries.items():
         try:
             if name not in SECTIONS:
                 raise unknown_name("section", str(name), SECTIONS)
-            made = replace(made, **{name: _section(name, given)})
+            noise = replace(noise, **{name: _section(name, figures)})
         except ConfigError as error:
             raise SourceError(f"{path}: {error}") from error
-    return made
+    return noise
 
 
-def _section(name: str, given: object) -> Any:
+def _section(name: str, figures: object) -> Any:
     """Return the object of a section.
 
     Raises:
@@ -232,12 +229,12 @@ def _section(name: str, given: object) -> Any:
     """
     kind = SECTIONS[name]
     legal = [field.name for field in fields(kind)]
-    if not isinstance(given, dict):
-        raise ConfigError(f"section {name} must hold fields, got {given!r}; legal: {', '.join(legal)}")
-    for key in given:
+    if not isinstance(figures, dict):
+        raise ConfigError(f"section {name} must hold fields, got {figures!r}; legal: {', '.join(legal)}")
+    for key in figures:
         if key not in legal:
             raise unknown_name(f"field of {name}", str(key), legal)
-    return kind(**given)
+    return kind(**figures)
 
 
 def write_noise(path: Path, noise: SensorNoise, comment: str) -> None:
@@ -261,7 +258,7 @@ class Odometries:
 
     Attributes:
         pose: (N, 3) x, y, yaw, meters and radians.
-        of: odometry of each robot that has begun.
+        of: Odometry of each robot that has begun.
     """
 
     def __init__(self, robot: Robot, noise: SensorNoise, bodies: Sequence[BodyState]) -> None:
@@ -279,6 +276,9 @@ class Odometries:
             self.of[i] = EkfOdometry(self._robot, noise.odometry, rng, noise.imu)
         self._angles[i] = self._bodies[i].wheel_angles()
         self.pose[i] = 0.0
+
+    def draw(self, ids: IntArray, updates: int) -> None:
+        """Do nothing: each odometry draws its random numbers itself."""
 
     def integrate(
         self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float

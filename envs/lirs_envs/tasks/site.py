@@ -15,6 +15,10 @@ from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, Int
 
 SEEN_CELL = 0.25
 """Edge of a cell of the ground that is to be seen, meters."""
+PATHS = (3.0, 30.0)
+"""Longest path to a goal at difficulty 0 and 1, meters."""
+CANDIDATES = 8
+"""Number of goals among which the difficulty picks one by the roughness of the straight line to it."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +26,8 @@ class SeenFrame:
     """The grid of the ground that is to be seen.
 
     Attributes:
-        corner: x and y of the outer corner of cell (0, 0), row 0 = south; meters.
-        height: (rows, cols) float32 of the ground in each cell's middle, meters; -inf = no ground there.
+        corner: Position x, y of the outer corner of cell (0, 0), row 0 = south; meters.
+        height: (rows, cols) float32 height of the ground in each cell's middle, meters; -inf = none there.
     """
 
     corner: tuple[float, float]
@@ -67,11 +71,12 @@ class Site:
     """Free ground of a robot in a world.
 
     Attributes:
-        grid: its free cells are where the robot's middle may be.
+        world: The world.
+        grid: Grid whose free cells are where the robot's middle may be.
         areas: (rows, cols) number of the connected area of each free cell, from 1; 0 = not free.
-        largest: number of the largest area.
-        seen: the ground that is to be seen.
-        slope: (rows, cols) of the ground in each cell of `grid`, radians.
+        largest: Number of the largest area.
+        seen: Ground that is to be seen.
+        slope: (rows, cols) slope of the ground in each cell of `grid`, radians.
     """
 
     world: World
@@ -111,6 +116,12 @@ class Site:
         cost: FloatArray = _path_lengths(self.areas > 0, row, col, limit / resolution)
         cost *= resolution
         return cost
+
+    def way(self, cost: FloatArray, x: float, y: float) -> float:
+        """Return the shortest way, meters, from a point to the goal of `distances`."""
+        origin = self.grid.origin
+        way: float = _distance_at(cost, (origin.x, origin.y), self.grid.resolution, x, y)
+        return way
 
     def reachable(self, area: int) -> BoolArray:
         """Return (rows, cols) cells of `seen` that the robot's center can reach in an area."""
@@ -192,7 +203,7 @@ def _path_lengths(free: BoolArray, row: int, col: int, limit: float) -> FloatArr
 
 
 @njit
-def distance_at(
+def _distance_at(
     cost: FloatArray, corner: tuple[float, float], resolution: float, x: float, y: float
 ) -> float:
     """Return the path length from a point in meters; inf = there is no path.
@@ -208,3 +219,35 @@ def distance_at(
             dy = corner[1] + (j + 0.5) * resolution - y
             best = min(best, cost[j, i] + math.sqrt(dx * dx + dy * dy))
     return best
+
+
+def draw_goal(
+    site: Site, start: Pose2, difficulty: float, rng: np.random.Generator
+) -> tuple[float, float] | None:
+    """Return a goal whose distance and roughness follow the difficulty; None = none found."""
+    if not site.area(start.x, start.y):
+        return None
+    longest = PATHS[0] + difficulty * (PATHS[1] - PATHS[0])
+    # Two cells of margin: only the end of the area shortens the longest path.
+    ways = site.distances(start.x, start.y, longest + 2 * site.grid.resolution)
+    longest = min(longest, float(ways[np.isfinite(ways)].max()))
+    cells = np.argwhere((ways >= max(0.6 * longest, 1.5)) & (ways <= longest))
+    if len(cells) == 0:
+        return None
+    goals = site.grid.centers(cells[rng.integers(len(cells), size=CANDIDATES)])
+    roughness = [_roughness(site, start, goal) for goal in goals]
+    chosen = np.argsort(roughness, kind="stable")[round(difficulty * (CANDIDATES - 1))]
+    x, y = goals[chosen].tolist()
+    return x, y
+
+
+def _roughness(site: Site, start: Pose2, goal: FloatArray) -> float:
+    """Return the mean roughness of a straight line to the goal.
+
+    A sample counts 1 where the robot cannot stand, else the slope in radians.
+    """
+    share = np.linspace(0.0, 1.0, 64)[:, None]
+    cells = site.grid.cells((1 - share) * np.array((start.x, start.y)) + share * goal)
+    cells = np.clip(cells, 0, np.array(site.areas.shape) - 1)
+    row, col = cells[:, 0], cells[:, 1]
+    return float(np.where(site.areas[row, col] > 0, site.slope[row, col], 1.0).mean())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.episodes.randomization import INTERVAL
+from lirs_envs.episodes.episodes import INTERVAL
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.world import World
 
@@ -27,9 +27,9 @@ def speeds(env: RobotEnv, steps: int) -> np.ndarray:
     disturb = randomization.disturb
 
     def recorded(ids: Any) -> None:
-        before = env.episodes.simulation.bodies[0].qvel[:2].copy()
+        before = env.episodes.simulation.qvel(0)[:2].copy()
         disturb(ids)
-        found.append(np.hypot(*(env.episodes.simulation.bodies[0].qvel[:2] - before)))
+        found.append(np.hypot(*(env.episodes.simulation.qvel(0)[:2] - before)))
 
     randomization.disturb = recorded  # type: ignore[method-assign]
     for _ in range(steps):

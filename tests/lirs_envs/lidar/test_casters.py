@@ -38,7 +38,7 @@ def scans(world: World, robot: Robot, **options: object) -> tuple[Array, str]:
     sim = Simulation(world, config)
     seen = [sim.reset().scan.ranges]
     seen += [sim.advance(Twist(0.4, 0.5)).scan.ranges for _ in range(3)]
-    return np.array(seen), repr(sim.T_world_base)
+    return np.array(seen), repr(sim.pose())
 
 
 @pytest.mark.parametrize(("contact", "rolling"), [("hfield", False), ("mesh", True), ("prisms", True)])

@@ -95,9 +95,9 @@ def test_the_beams_are_those_of_a_pattern() -> None:
 def test_rings_see_props_and_not_their_own_robot(plane: World, husky: Robot) -> None:
     box = Prop(shape="box", size=(0.3, 0.3, 0.5), place=Pose2(3.0, 0.0))
     sim = started(plane, robot=husky, props=(box,))
-    T = sim.T_world_base @ husky.T_base_laser
+    T = sim.pose() @ husky.T_base_laser
     directions = rings(9, 720, -1.5, 0.3) @ T.rotation.T
-    ranges = sim.caster.ranges(T.position, np.ascontiguousarray(directions), 8.0)
+    ranges = sim.casters[0].ranges(T.position, np.ascontiguousarray(directions), 8.0)
     met = np.isfinite(ranges) & (ranges < 8.0)
     points = T.position + ranges[met, None] * directions[met]
     floor = np.abs(points[:, 2]) < 1e-5
@@ -157,7 +157,7 @@ def test_a_simulation_observes_clouds_where_there_are_rings(rough: World, husky:
     assert (cloud.stamp, cloud.T_base_laser) == (observation.scan.stamp, husky.T_base_laser)
     assert cloud.rolling
     first = cloud.time < 1e-3
-    world = (sim.T_world_base @ cloud.T_base_laser).apply(cloud.xyz[first])
+    world = (sim.pose() @ cloud.T_base_laser).apply(cloud.xyz[first])
     height = rough.surface.height_at(world[:, 0], world[:, 1])
     gentle = np.abs(world[:, 2] - height) < 0.02
     assert gentle.mean() > 0.6, "most points lie on the ground; the others on steep faces"

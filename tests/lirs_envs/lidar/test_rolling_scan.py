@@ -90,8 +90,8 @@ def test_the_simulation_has_rolling_scans(walled: World, husky: Robot) -> None:
     for _ in range(40):
         scan = sim.advance(Twist(0.5, 2.0)).scan
     motion = BaseVelocity(sim.body.velocity(), sim.body.rates())
-    world = sim.T_world_base.apply(deskew(scan, motion.linear, motion.angular))
-    naive = sim.T_world_base.apply(deskew(scan, (0, 0, 0), (0, 0, 0)))
+    world = sim.pose().apply(deskew(scan, motion.linear, motion.angular))
+    naive = sim.pose().apply(deskew(scan, (0, 0, 0), (0, 0, 0)))
     T_wall_world = Pose2(0.5, -0.3, 0.4).inverse()
 
     def spread(points: np.ndarray) -> float:

@@ -49,7 +49,7 @@ def of_color(picture: Array, color: tuple[int, int, int], slack: int = 25) -> Ar
 def test_a_picture_shows_robot_goal_and_walkers(plane: World, husky: Robot, in_ci: bool) -> None:
     sim, camera = simulation(plane, husky, actors=5), Camera((240, 320))
     snapshot = Snapshot.of(sim)
-    here = sim.T_world_base.to_pose2()
+    here = sim.pose().to_pose2()
     ahead = Pose2(here.x + 3 * math.cos(here.yaw), here.y + 3 * math.sin(here.yaw))
     bare = drawn(lambda: camera.rgb(snapshot), in_ci)
     assert bare.shape == (240, 320, 3)
@@ -58,7 +58,7 @@ def test_a_picture_shows_robot_goal_and_walkers(plane: World, husky: Robot, in_c
     marked = camera.rgb(Snapshot.of(sim, goal=ahead))
     red = (marked[..., 0] > 100) & (marked[..., 1] < 60)
     assert red.mean() > 0.0005 + ((bare[..., 0] > 100) & (bare[..., 1] < 60)).mean()
-    walkers = np.array([(ahead.x, ahead.y, sim.T_world_base.z + 0.8)] * 5)
+    walkers = np.array([(ahead.x, ahead.y, sim.pose().z + 0.8)] * 5)
     with_walker = camera.rgb(Snapshot(world=plane, config=sim.config, qpos=snapshot.qpos, walkers=walkers))
     blue = (with_walker[..., 2] > with_walker[..., 0].astype(int) + 30) & (with_walker[..., 2] < 180)
     assert blue.mean() > 0.003
@@ -135,7 +135,7 @@ def test_another_terrain_is_drawn_anew(in_ci: bool) -> None:
     first, second = (generate("craters", 0.9, np.random.default_rng(seed)) for seed in (1, 2))
     sim, camera = simulation(first.world(), make_robot("jackal"), height_range=HEIGHT_RANGE), Camera((60, 80))
     before = drawn(lambda: camera.rgb(Snapshot.of(sim)), in_ci)
-    sim.replace_terrain(second.heights, (second.start,))
+    sim.replace_terrain(second.world())
     sim.reset()
     after = camera.rgb(Snapshot.of(sim))
     assert np.abs(after.astype(int) - before).mean() > 3

@@ -42,17 +42,17 @@ def simulation(world: World, robot: Robot, start: Pose2 | None = None) -> Simula
 def body_twist(sim: Simulation) -> tuple[float, float]:
     """True speed ahead and turn rate."""
     v = sim.body.data.qvel
-    yaw = sim.T_world_base.yaw
+    yaw = sim.pose().yaw
     return float(v[0] * math.cos(yaw) + v[1] * math.sin(yaw)), float(v[5])
 
 
 @pytest.mark.parametrize("ground", ["plane", "flat_field"])
 def test_at_rest_for_ten_seconds(ground: str, robot: Robot, request: pytest.FixtureRequest) -> None:
     sim = simulation(request.getfixturevalue(ground), robot, Pose2(1.0, 2.0, 0.7))
-    start = sim.T_world_base
+    start = sim.pose()
     for _ in range(250):
         sim.advance(Twist())
-    end = sim.T_world_base
+    end = sim.pose()
     assert math.hypot(end.x - start.x, end.y - start.y) < 1e-3
     assert abs(end.yaw - start.yaw) * robot.radius < 1e-3
     assert end.z == pytest.approx(robot.base_height, abs=1e-3)
@@ -72,9 +72,9 @@ def test_commanded_is_driven(ground: str, robot: Robot, request: pytest.FixtureR
         # By way and not by samples of the speed: skidding wheels chatter in step with the ticks.
         way = turned = 0.0
         for _ in range(50):
-            before = sim.T_world_base.to_pose2()
+            before = sim.pose().to_pose2()
             sim.advance(command)
-            moved = before.inverse() @ sim.T_world_base.to_pose2()
+            moved = before.inverse() @ sim.pose().to_pose2()
             way, turned = way + moved.x, turned + moved.yaw
         v, omega = way / (50 * TICK), turned / (50 * TICK)
         assert v == pytest.approx(command.v, abs=0.05 * robot.max_speed), command
@@ -129,12 +129,12 @@ def test_climbs(make_world: Callable[..., World], robot: Robot) -> None:
     degrees = CLIMBS.get(robot.name, 10.0)
     sim = simulation(slope_world(make_world, degrees), robot, Pose2(-5.0 - 2 * robot.radius, 0.0, 0.0))
     speed = min(0.3, robot.max_speed)
-    while sim.time < 30 and sim.T_world_base.x < -2.5:
+    while sim.time() < 30 and sim.pose().x < -2.5:
         sim.advance(Twist(speed))
-    assert sim.T_world_base.x >= -2.5
-    assert -math.degrees(sim.T_world_base.pitch) == pytest.approx(degrees, abs=1.0)
-    assert not sim.tipped
-    assert abs(sim.T_world_base.y) < 0.3
+    assert sim.pose().x >= -2.5
+    assert -math.degrees(sim.pose().pitch) == pytest.approx(degrees, abs=1.0)
+    assert not sim.find_tipped()[0]
+    assert abs(sim.pose().y) < 0.3
 
 
 @pytest.mark.parametrize(("offset", "stays"), [(-3.0, True), (3.0, False)])
@@ -171,7 +171,7 @@ def lean(sim: Simulation, angle: float) -> float:
     for k in range(150):
         tilt_gravity(sim, angle * min(1.0, (k + 1) / 75))
         sim.advance(Twist())
-        tilted = max(tilted, abs(math.degrees(sim.T_world_base.roll)))
+        tilted = max(tilted, abs(math.degrees(sim.pose().roll)))
     return tilted
 
 
@@ -195,9 +195,9 @@ def test_full_speed_into_a_wall_of_boxes(robot: Robot, walled: World, T_world_wa
     found = sim.collisions
     assert found.max_penetration <= 0.010 * max(robot.max_speed, 1.0)
     # Its front is at the wall's face; all but the Jackal, whose tyres begin to climb, stay level.
-    T = T_world_wall.inverse() @ sim.T_world_base.to_pose2()
+    T = T_world_wall.inverse() @ sim.pose().to_pose2()
     assert 3.0 - robot.radius < T.x < 3.0
-    assert abs(sim.T_world_base.pitch) < math.radians(50 if robot.friction > 1 else 5)
+    assert abs(sim.pose().pitch) < math.radians(50 if robot.friction > 1 else 5)
 
 
 def test_mjcf_and_data_row_agree(robot: Robot) -> None:
@@ -257,7 +257,7 @@ def test_the_lidar_never_sees_the_robot(plane: World, robot: Robot) -> None:
     scan = sim.reset().scan
     model, data = sim.body.model, sim.body.data
     mujoco.mj_forward(model, data)
-    T = sim.T_world_base @ scan.T_base_laser
+    T = sim.pose() @ scan.T_base_laser
     beams = np.stack((np.cos(scan.angles), np.sin(scan.angles), np.zeros(len(scan.angles))), axis=1)
     groups = np.array((1, 1, 1, 0, 1, 1), np.uint8)
     hit = np.zeros(1, np.int32)

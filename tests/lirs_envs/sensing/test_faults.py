@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.arena import ArenaConfig, arena
-from lirs_envs.lidar.presets import LidarNoise
+from lirs_envs.lidar.presets import LidarNoise, make_lidar_preset
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import (
     DUST_RANGES,
@@ -61,7 +61,7 @@ def test_dust_returns_near_beams_in_its_share() -> None:
 
 @pytest.mark.parametrize(("pitch", "roll", "expected"), [(-0.2, 0.0, "longer"), (0.2, 0.0, "shorter")])
 def test_wheels_slip_with_the_slope(pitch: float, roll: float, expected: str) -> None:
-    injector = FaultInjector(SensorFaults(slip=0.3), 0.02, 1, 0)
+    injector = FaultInjector(SensorFaults(slip=0.3), make_lidar_preset("lms111"), 0)
     measured = injector.odometry(Pose2(1.0, 0.0, 0.0), Imu(roll=roll, pitch=pitch))
     factor = 1 - 0.3 * math.sin(pitch)
     assert measured.x == pytest.approx(factor)
@@ -71,7 +71,7 @@ def test_wheels_slip_with_the_slope(pitch: float, roll: float, expected: str) ->
 
 
 def test_wheels_do_not_measure_the_slide_across_a_slope() -> None:
-    injector = FaultInjector(SensorFaults(slip=0.2), 0.02, 1, 0)
+    injector = FaultInjector(SensorFaults(slip=0.2), make_lidar_preset("lms111"), 0)
     measured = injector.odometry(Pose2(1.0, 0.0, 0.0), Imu(roll=0.3))
     # The right side is down: the robot slides to its right, -y, and the odometry is left of it.
     assert measured.y == pytest.approx(0.2 * math.sin(0.3))
@@ -91,4 +91,4 @@ def test_illegal_faults_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(SourceError, match=r"noise.yaml: lag of the sensor faults must be within \[0, 1\] s"):
         read_noise(path)
     with pytest.raises(ConfigError, match="faults of planar lidars"):
-        FaultInjector(SensorFaults(dust=0.1), 0.1, 16, 0)
+        FaultInjector(SensorFaults(dust=0.1), make_lidar_preset("vlp16"), 0)

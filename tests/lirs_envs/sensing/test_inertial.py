@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lirs_envs.robots.robot import Twist, make_robot
-from lirs_envs.sensing.inertial import InertialNoise, InertialUnit
+from lirs_envs.sensing.imu import InertialNoise, InertialUnit
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct import Pose3, World
@@ -59,11 +59,11 @@ def integrate(start: Pose3, rates: FloatArray, force: FloatArray, dt: float) -> 
 def test_readings_without_noise_integrate_to_the_driven_pose(robot: str, hills: World) -> None:
     driven = simulation(hills, robot, EXACT)
     driven.reset()
-    start = driven.T_world_base
+    start = driven.pose()
     stamps, rates, force = drive(driven, 5.0)
     assert len(stamps) == round(5 * len(stamps) / stamps[-1])
     position, turn = integrate(start, rates, force, float(stamps[0]))
-    end = driven.T_world_base
+    end = driven.pose()
     assert math.hypot(end.x - start.x, end.y - start.y) > 0.5
     assert np.linalg.norm(position - end.position) < 0.02
     assert math.degrees((turn.inv() * Rotation.from_matrix(end.rotation)).magnitude()) < 0.1

@@ -38,6 +38,7 @@ def read_roll(imu: ImuSensors) -> float:
 
 
 def read_rates(imu: ImuSensors, true: tuple[float, float, float]) -> tuple[float, float, float]:
+    imu.draw(ROW, 1)
     imu.read_rates(ROW, np.array(((0.0, 0.0, 0.0, *true),)))
     x, y, z = imu.rates[0].tolist()
     return x, y, z
@@ -159,14 +160,14 @@ def simulated(
 ) -> tuple[Any, np.ndarray, bytes]:
     noise = SensorNoise(odometry=OdometryConfig(method=method))  # type: ignore[arg-type]
     sim = started(world, robot=robot, noise=noise, lidar="lms111", seed=seed)
-    T_world_odom, rng, seen = sim.T_world_base.to_pose2(), np.random.default_rng(seed), []
+    T_world_odom, rng, seen = sim.pose().to_pose2(), np.random.default_rng(seed), []
     for k in range(400):
         if k % 50 == 0:
             moves = not (stops and k % 100 == 50)
             command = Twist(moves * rng.uniform(0.2, 0.5), moves * rng.uniform(-0.6, 0.6))
         seen.append(sim.advance(command).odometry)
-    truth = T_world_odom.inverse() @ sim.T_world_base.to_pose2()
-    return sim._row._odometry, error_of(seen[-1], truth), repr(seen).encode()
+    truth = T_world_odom.inverse() @ sim.pose().to_pose2()
+    return sim.groups[0]._odometry, error_of(seen[-1], truth), repr(seen).encode()
 
 
 @pytest.mark.slow

@@ -11,14 +11,18 @@ import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.episodes.episodes import TASKS, register_task
 from lirs_envs.episodes.observations import NO_GROUND
 from lirs_envs.robots.robot import Robot, make_robot
-from lirs_envs.tasks.mapping import MappingTask
-from lirs_envs.tasks.navigation import NavigationTask
 from lirs_envs.tasks.site import SEEN_CELL, make_site
-from lirs_envs.tasks.task import Rewards
-from lirs_envs.tasks.traverse import TraverseTask, course_scale
+from lirs_envs.tasks.task import (
+    TASKS,
+    MappingTask,
+    NavigationTask,
+    Rewards,
+    TraverseTask,
+    course_scale,
+    register_task,
+)
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.grid_search import search
@@ -144,17 +148,17 @@ def test_navigation_succeeds_at_the_goal(plane: World) -> None:
 @pytest.mark.parametrize("robot", ["jackal", "turtlebot3_burger"])
 def test_no_goal_is_reached_through_a_wall(robot: str, walled: World, T_world_wall: Pose2) -> None:
     env = RobotEnv("navigation", world=walled, robot=robot)
-    task, simulation, rng = env.episodes.task, env.episodes.simulation, np.random.default_rng(0)
+    task, rng = env.episodes.task, np.random.default_rng(0)
     assert isinstance(task, NavigationTask)
     env.reset(seed=0)
-    radius, rows = make_robot(robot).radius, np.zeros(1, np.int64)
+    radius, rows, touched = make_robot(robot).radius, np.zeros(1, np.int64), np.zeros(1, np.bool_)
     for _ in range(1000):
         y = rng.uniform(-5.0, 5.0)
         here, goal = (T_world_wall.apply((x, y)).tolist() for x in (3.0 - radius, 3.1 + radius))
-        task.goals[0], simulation.T_world_base[0, :2] = goal, here
+        task.goals[0] = goal
         task._costs[0] = np.zeros(env.episodes.stage.site.areas.shape)
-        task.step(rows)
-        assert not task.end(0)
+        _, ends = task.step(rows, np.array(((*here, 0.0, 0.0),)), touched)
+        assert list(ends) == [""]
 
 
 def test_navigation_ends_at_a_collision(walled: World) -> None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lirs_envs.batch.simulation import BatchSimulation
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.ray_casting import Rays
 from lirs_envs.props import Prop
@@ -35,8 +34,8 @@ def same(one: Observation, two: Observation) -> bool:
     return ranges and (one.odometry, one.imu, one.scan.stamp) == (two.odometry, two.imu, two.scan.stamp)
 
 
-def positions(many: BatchSimulation) -> bytes:
-    return b"".join(many.bodies[i].qpos.tobytes() for i in range(many.count))
+def positions(many: Simulation) -> bytes:
+    return b"".join(many.qpos(i).tobytes() for i in range(many.count))
 
 
 def commands(robot: str, steps: int, count: int, seed: int = 1) -> np.ndarray:
@@ -45,19 +44,19 @@ def commands(robot: str, steps: int, count: int, seed: int = 1) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (steps, count, 3)) * scale
 
 
-def drive_alike(world: World, config: SimulationConfig, *, copied: bool, steps: int = 30) -> BatchSimulation:
+def drive_alike(world: World, config: SimulationConfig, *, copied: bool, steps: int = 30) -> Simulation:
     """Drive one of three robots as one alone, perhaps copied on the way, and check that they do the same."""
     alone = Simulation(world, config, seed=7)
-    many = BatchSimulation(world, config, count=3, period=alone.period, threads=2)
+    many = Simulation(world, config, count=3, period=alone.period, threads=2)
     for i in range(3):
-        many.reset(i, START, seed=7 if i == 1 else i)
+        many.place(i, START, seed=7 if i == 1 else i)
     assert same(alone.reset(START), many.reading(1))
     for k, row in enumerate(commands(config.robot.name, steps, 3)):
         if copied and k == steps // 3:
             many = copy.deepcopy(many)
-        many.advance(np.arange(3), row)
+        many.drive(np.arange(3), row)
         assert same(alone.advance(Twist(*row[1].tolist())), many.reading(1))
-    assert alone.T_world_base == many.pose(1)
+    assert alone.pose() == many.pose(1)
     return many
 
 
@@ -102,17 +101,17 @@ def test_threads_and_neighbors_change_nothing(rough: World) -> None:
     config, told = config_of("husky", "gyro", False), commands("husky", 12, 9)
     results = []
     for threads in (1, 5):
-        many = BatchSimulation(rough, config, count=9, period=0.1, threads=threads)
+        many = Simulation(rough, config, count=9, period=0.1, threads=threads)
         for i in range(9) if threads == 1 else reversed(range(9)):
-            many.reset(i, START, seed=i)
+            many.place(i, START, seed=i)
         for k, row in enumerate(told):
             if threads == 1 or k % 2:
-                many.advance(np.arange(9), row)
+                many.drive(np.arange(9), row)
             else:
-                many.advance(np.array((0, 2)), row)
-                many.advance(np.array((1, 3, 4, 5, 6, 7, 8)), row)
+                many.drive(np.array((0, 2)), row)
+                many.drive(np.array((1, 3, 4, 5, 6, 7, 8)), row)
             if k == 6:
-                many.reset(6, START, seed=99)
+                many.place(6, START, seed=99)
         results.append((many.ranges.tobytes(), many.odometry.tobytes(), positions(many)))
         assert len(many.groups) == (1 if threads == 1 else 4)
         many.close()
@@ -124,26 +123,26 @@ def test_threads_and_neighbors_change_nothing(rough: World) -> None:
 @pytest.mark.parametrize("place", ["rough", "walled"])
 def test_a_copy_goes_on_bit_for_bit(copied, robot: str, place: str, rough: World, walled: World) -> None:  # type: ignore[no-untyped-def]
     config = config_of(robot, "gyro", False)
-    many = BatchSimulation(rough if place == "rough" else walled, config, count=2, period=0.1, threads=2)
+    many = Simulation(rough if place == "rough" else walled, config, count=2, period=0.1, threads=2)
     for i in range(2):
-        many.reset(i, START, seed=i)
+        many.place(i, START, seed=i)
     ids = np.arange(2)
     for row in commands(robot, 5, 2):
-        many.advance(ids, row)
+        many.drive(ids, row)
     again = copied(many)
     for batch in (again, many):
         for row in commands(robot, 5, 2, seed=3):
-            batch.advance(ids, row)
+            batch.drive(ids, row)
     assert positions(again) == positions(many)
     assert all(same(again.reading(i), many.reading(i)) for i in range(2))
 
 
 def test_scans_come_at_the_lidar_s_rate(plane: World) -> None:
-    many = BatchSimulation(plane, config_of("turtlebot3_burger", "gyro", False), count=1, period=0.02)
-    many.reset(0, START, seed=0)
+    many = Simulation(plane, config_of("turtlebot3_burger", "gyro", False), count=1, period=0.02)
+    many.place(0, START, seed=0)
     stamps = []
     for _ in range(50):
-        many.advance(np.array((0,)), np.array(((0.2, 0.0, 0.0),)))
+        many.drive(np.array((0,)), np.array(((0.2, 0.0, 0.0),)))
         stamps.append(many.reading(0).scan.stamp)
     assert sorted(set(stamps)) == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
 
@@ -151,50 +150,50 @@ def test_scans_come_at_the_lidar_s_rate(plane: World) -> None:
 def test_contact_is_felt(walled: World, plane: World) -> None:
     """Driving into a wall touches it; driving on level ground touches nothing."""
     for world, touches in ((walled, True), (plane, False)):
-        many = BatchSimulation(world, config_of("husky", "gyro", False), count=1, period=0.1)
-        many.reset(0, Pose2(1.5, 0.0, 0.4), seed=0)
+        many = Simulation(world, config_of("husky", "gyro", False), count=1, period=0.1)
+        many.place(0, Pose2(1.5, 0.0, 0.4), seed=0)
         touched = False
         for _ in range(40):
-            many.advance(np.array((0,)), np.array(((1.0, 0.0, 0.0),)))
+            many.drive(np.array((0,)), np.array(((1.0, 0.0, 0.0),)))
             touched |= bool(many.touched[0])
         assert touched is touches
 
 
 def test_a_robot_that_diverges_stops_alone(plane: World) -> None:
-    many = BatchSimulation(plane, config_of("husky", "gyro", False), count=2, period=0.1)
+    many = Simulation(plane, config_of("husky", "gyro", False), count=2, period=0.1)
     for i in range(2):
-        many.reset(i, START, seed=i)
+        many.place(i, START, seed=i)
     before = many.ranges[0].tobytes()
-    many.bodies[0].qvel[0] = np.nan
-    many.advance(np.arange(2), np.zeros((2, 3)))
+    many.qvel(0)[0] = np.nan
+    many.drive(np.arange(2), np.zeros((2, 3)))
     assert "diverged" in many.errors[0]
     assert not many.errors[1]
     assert many.ranges[0].tobytes() == before
     assert np.isfinite(many.odometry).all()
-    many.reset(0, START, seed=0)
-    many.advance(np.arange(2), np.zeros((2, 3)))
+    many.place(0, START, seed=0)
+    many.drive(np.arange(2), np.zeros((2, 3)))
     assert many.errors == ["", ""]
 
 
 def test_another_terrain_for_one_robot(husky: object) -> None:
     courses = [generate("waves", 0.5, np.random.default_rng(s)) for s in range(2)]
     config = replace(config_of("husky", "gyro", False), height_range=HEIGHT_RANGE)
-    many = BatchSimulation(courses[0].world(), config, count=2, period=0.1)
-    alone = BatchSimulation(courses[1].world(), config, count=1, period=0.1)
-    many.replace_terrain(1, courses[1].world())
-    many.reset(0, courses[0].start, seed=0)
-    many.reset(1, courses[1].start, seed=1)
-    alone.reset(0, courses[1].start, seed=1)
+    many = Simulation(courses[0].world(), config, count=2, period=0.1)
+    alone = Simulation(courses[1].world(), config, count=1, period=0.1)
+    many.replace_terrain(courses[1].world(), 1)
+    many.place(0, courses[0].start, seed=0)
+    many.place(1, courses[1].start, seed=1)
+    alone.place(0, courses[1].start, seed=1)
     for row in commands("husky", 10, 2):
-        many.advance(np.arange(2), row)
-        alone.advance(np.arange(1), row[1:])
+        many.drive(np.arange(2), row)
+        alone.drive(np.arange(1), row[1:])
     assert same(many.reading(1), alone.reading(0))
     assert not same(many.reading(0), alone.reading(0))
 
 
 def test_what_cannot_be(plane: World) -> None:
-    many = BatchSimulation(plane, config_of("husky", "gyro", False), count=1, period=0.1)
+    many = Simulation(plane, config_of("husky", "gyro", False), count=1, period=0.1)
     with pytest.raises(SimulationError, match=r"it needs 0\.58 m to the border"):
-        many.reset(0, Pose2(9.9, 0.0), seed=0)
+        many.place(0, Pose2(9.9, 0.0), seed=0)
     with pytest.raises(ConfigError, match="cannot be replaced: it has no height range"):
-        many.replace_terrain(0, plane)
+        many.replace_terrain(plane, 0)

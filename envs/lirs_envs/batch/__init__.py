@@ -1,1 +1,0 @@
-"""Many robots at once, each alone in its world: arrays with a row for each."""
