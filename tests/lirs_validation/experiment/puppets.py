@@ -21,7 +21,6 @@ class Puppet:
     config = SimpleNamespace(actors=0)
     period = 0.04
     start = Pose2()
-    T_world_base = Pose3()
     frame = "world"
 
     def __init__(self, fails: str, at: int, finished: str = "") -> None:
@@ -31,10 +30,17 @@ class Puppet:
         return self.fails == name and self.ticks >= self.at
 
     time = property(lambda self: (self.ticks - 1) * self.period)
-    tipped = property(lambda self: self._failing("tipped"))
-    off_world = property(lambda self: self._failing("off world"))
     stuck = property(lambda self: self._failing("stuck"))
     finished = property(lambda self: self.ends if self.ticks >= self.at else "")
+
+    def pose(self) -> Pose3:
+        return Pose3()
+
+    def find_tipped(self) -> list[bool]:
+        return [self._failing("tipped")]
+
+    def off_world(self) -> list[bool]:
+        return [self._failing("off world")]
 
     def reset(self, start: Pose2) -> Observation:
         return self.advance(Twist())
