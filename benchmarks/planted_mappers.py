@@ -13,7 +13,6 @@ from dataclasses import replace
 from lirs_wct import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.hector import HectorConfig, HectorMapper
 from slam_baselines.mapper import MapperStats
-from slam_baselines.occupancy_map import UpdateConfig
 
 LAG = 0.1
 """Seconds."""
@@ -81,7 +80,7 @@ class LosesScans(Sound):
         step = (self._before or odometry).inverse() @ odometry
         self._before, self._count = odometry, self._count + 1
         if self._count % 3 == 0:
-            return self.mapper.front.pose
+            return self.mapper.front.estimate.pose
         self._sum = self._sum @ step
         return self.mapper.update(scan, self._sum, imu)
 
@@ -90,7 +89,7 @@ class NeverForgets(Sound):
     """Free space does not lower the occupancy of a cell."""
 
     def __init__(self) -> None:
-        super().__init__(HectorConfig(update=UpdateConfig(update_factor_free=0.4999)))
+        super().__init__(HectorConfig(update_factor_free=0.4999))
 
 
 class DriftsAtStandstill(Sound):

@@ -1,4 +1,4 @@
-"""Dead reckoning: expected pose and covariance by odometry and gyro, in the plane and in space."""
+"""Dead reckoning: expected pose and covariance by odometry and gyro."""
 
 from __future__ import annotations
 
@@ -23,28 +23,37 @@ UNTOLD = 1e-100
 
 
 @dataclass(frozen=True, kw_only=True)
-class CalibrationConfig(Checked, of="the calibration"):
-    """Prior and noise of the correction, which set its rate of learning.
+class CalibrationConfig(Checked):
+    """Prior and noise of the odometry's correction, which set its rate of learning.
 
     Attributes:
-        per_meter: standard deviation of the correction per meter before anything is known (m/m, rad/m).
-        per_radian: the same per radian turned (m/rad, rad/rad).
-        noise: of the correction observed in one step, meters and radians.
-        memory: steps of one kind after which an observation of that kind counts 1/e.
-        slide: standard deviation of the slide before anything is known, meters per radian and unit of slope.
-        slide_noise: of the slide observed in one step, meters.
+        calibration_per_meter: Prior standard deviation of the correction per meter driven (m/m, rad/m).
+        calibration_per_radian: Prior standard deviation per radian turned (m/rad, rad/rad).
+        calibration_noise: Noise of the correction observed in one step, meters and radians.
+        calibration_memory: Steps of one kind after which an observation of that kind counts 1/e.
+        calibration_slide: Prior standard deviation of the slide, meters per radian and unit of slope.
+        calibration_slide_noise: Noise of the slide observed in one step, meters.
     """
 
-    per_meter: float = limited(0.05, "(0, inf]")
-    per_radian: float = limited(0.05, "(0, inf]")
-    noise: float = limited(0.02, "(0, inf]")
-    memory: float = limited(500.0, "(0, inf]")
-    slide: float = limited(2.0, "(0, inf]")
-    slide_noise: float = limited(0.007, "(0, inf]")
+    calibration_per_meter: float = limited(0.05, "(0, inf]")
+    calibration_per_radian: float = limited(0.05, "(0, inf]")
+    calibration_noise: float = limited(0.02, "(0, inf]")
+    calibration_memory: float = limited(500.0, "(0, inf]")
+    calibration_slide: float = limited(2.0, "(0, inf]")
+    calibration_slide_noise: float = limited(0.007, "(0, inf]")
 
 
 class Calibration:
-    """Correction of odometry's steps, learned from the registered poses.
+    """Correction of odometry's systematic errors, learned from the poses that scan matching confirms.
+
+    Wheels of unequal size, a wrong track, or a displaced laser cause the same error in every step. Their
+    correction is linear in the distance traveled and the angle turned; recursive least squares estimates it.
+    Forgetting is directional (Cao and Schwartz 2000, "A directional forgetting algorithm based on the
+    decomposition of the information matrix", Automatica 36, Eqs. 21-23): a step replaces older ones of its
+    kind only, so that minutes of circles leave the knowledge about straight steps as it is.
+
+    Wheels that skid in a turn have no friction left: on a slope the robot also slides downhill, by a distance
+    per radian turned and unit of slope. That is one more gain.
 
     Attributes:
         gain: correction of x, y, yaw per meter ahead and per radian: xx, xt, yx, yt, tx, tt.
@@ -54,12 +63,13 @@ class Calibration:
     def __init__(self, config: CalibrationConfig) -> None:
         self.gain = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         self.slide = 0.0
-        self._prior = 1 / config.per_meter**2, 1 / config.per_radian**2
+        c = config
+        self._prior = 1 / c.calibration_per_meter**2, 1 / c.calibration_per_radian**2
         self._information = 0.0, 0.0, 0.0
-        self._noise = config.noise**2
-        self._keep = math.exp(-1 / config.memory)
-        self._slide_start = self._slide_variance = config.slide**2
-        self._slide_noise = config.slide_noise**2
+        self._noise = c.calibration_noise**2
+        self._keep = math.exp(-1 / c.calibration_memory)
+        self._slide_start = self._slide_variance = c.calibration_slide**2
+        self._slide_noise = c.calibration_slide_noise**2
 
     @property
     def covariance(self) -> tuple[float, float, float]:
@@ -120,7 +130,7 @@ STANDSTILL = 1e-3
 
 
 def yaw_rate(imu: Imu) -> float:
-    """Return the rate of yaw, rad/s, in R = Rz Ry Rx from the body's rates."""
+    """Return the rate of yaw in R = Rz Ry Rx, rad/s."""
     _, y, z = imu.angular_velocity
     return (y * math.sin(imu.roll) + z * math.cos(imu.roll)) / max(math.cos(imu.pitch), 0.1)
 
@@ -159,7 +169,7 @@ class MotionStep(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionConfig(Checked, of="the motion"):
+class MotionConfig(Checked):
     """Errors of the odometry as random walks over distance, turn and time.
 
     Variances add up, so that the uncertainty of a motion does not depend on the rate of the scans.
@@ -188,31 +198,19 @@ class MotionConfig(Checked, of="the motion"):
     blind_translation: float = limited(0.5, "(0, inf]")
     blind_rotation: float = limited(0.5, "(0, inf]")
 
-    def predict(
-        self,
-        before: PoseEstimate,
-        delta: Pose2 | None,
-        seconds: float,
-        turned: float | None = None,
-        tilt: float = 0.0,
-    ) -> PoseEstimate:
-        """Return the expected estimate after a step.
-
-        Args:
-            before: the estimate before the step.
-            delta: `T_before_now` by odometry; without it the robot is expected to stay, with a large
-                covariance.
-            seconds: duration of the step.
-            turned: change of yaw by the gyro, if there is one, radians. If gyro and odometry agree, the yaw
-                has the gyro's variance; their disagreement raises it.
-            tilt: of the robot, radians: wheels that skid in a turn slide downhill.
-        """
-        return self.step(delta, seconds, turned, tilt).after(before)
-
     def step(
         self, delta: Pose2 | None, seconds: float, turned: float | None = None, tilt: float = 0.0
     ) -> MotionStep:
-        """Return a step with its variances; arguments as of predict."""
+        """Return a step with its variances.
+
+        Args:
+            delta: `T_before_now` by odometry; without it the robot is expected to stay, with a large
+                covariance.
+            seconds: Duration of the step.
+            turned: Change of yaw by the gyro, if there is one, radians. If gyro and odometry agree, the yaw
+                has the gyro's variance; their disagreement raises it.
+            tilt: Angle of the robot's z to gravity, radians: wheels that skid in a turn slide downhill.
+        """
         seconds = max(seconds, 1e-3)
         if delta is None:
             delta = Pose2(yaw=turned or 0.0)
@@ -229,9 +227,9 @@ class MotionConfig(Checked, of="the motion"):
         """Return the expected estimate after some steps whose yaw a gyro confirms.
 
         Args:
-            before: the estimate before the first step.
-            steps: of each `T_before_now`, and the tilt of the robot, radians.
-            seconds: duration of one step.
+            before: Estimate before the first step.
+            steps: `T_before_now` and the robot's tilt, radians, of each step.
+            seconds: Duration of one step.
         """
         seconds = max(seconds, 1e-3)
         gyro, rows = self.gyro_per_second**2 * seconds, []
@@ -293,27 +291,23 @@ class OdometryStep(NamedTuple):
 
     Attributes:
         step: `T_before_now` by odometry.
-        down: descent of the ground per meter ahead and to the left.
-        tilt: of the robot, radians.
+        down: Descent of the ground per meter ahead and to the left.
+        tilt: Angle of the robot's z to gravity, radians.
     """
 
     step: Pose2
     down: Slope
     tilt: float
 
-    def correct(self, calibration: Calibration) -> Pose2:
-        """Return the expected step by the calibration."""
-        return calibration.correct(self.step, self.down)
-
 
 class DeadReckoning:
     """Expected estimate at the next scan by absolute odometry and rates.
 
     Attributes:
-        calibration: systematic odometry errors.
-        increment: the last one; None without odometry.
-        calibrated: whether steps are corrected by the calibration.
-        learned: steps that the calibration has learned from.
+        calibration: Systematic odometry errors.
+        increment: Last step by odometry; None without odometry.
+        calibrated: Whether steps are corrected by the calibration.
+        learned: Number of steps that the calibration has learned from.
     """
 
     def __init__(self, config: MotionConfig, calibration: CalibrationConfig | None = None) -> None:
@@ -329,57 +323,47 @@ class DeadReckoning:
     def predict(
         self, last: PoseEstimate, odometry: Pose2 | None, imu: Imu | None, stamp: float
     ) -> PoseEstimate:
-        """Return the expected estimate at `stamp`; the first call returns `last`.
-
-        Args:
-            last: the estimate at the last call.
-            odometry: `T_odom_base` at `stamp`.
-            imu: reading at `stamp`.
-            stamp: seconds.
-        """
+        """Return the expected estimate at `stamp`, given that at the last call."""
         step = self.step(odometry, imu, stamp)
         return last if step is None else step.after(last)
 
     def step(self, odometry: Pose2 | None, imu: Imu | None, stamp: float) -> MotionStep | None:
-        """Return the step since the last call, None at the first; arguments as of predict."""
+        """Return the step since the last call, None at the first.
+
+        Args:
+            odometry: `T_odom_base` at `stamp`.
+            imu: Reading at `stamp`.
+            stamp: Seconds.
+        """
         before, self._odometry = self._odometry, odometry
         rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         then, self._stamp = self._stamp, stamp
-        if before is None or odometry is None:
-            self.increment = None
-        else:
-            self.increment = OdometryStep(_between(before, odometry), *_downhill(imu))
+        self.increment, delta, tilt = None, None, 0.0
+        if before is not None and odometry is not None:
+            tilt = 0.0 if imu is None else math.hypot(imu.roll, imu.pitch)
+            down = LEVEL if imu is None else (math.sin(imu.pitch), -math.sin(imu.roll))
+            delta = _between(before, odometry)
+            self.increment = OdometryStep(delta, down, tilt)
+            if self.calibrated:
+                delta = self.calibration.correct(delta, down)
         if then is None:
             return None
-        delta = None if self.increment is None else self._correct(self.increment)
         turned = None if rate is None or self._rate is None else (rate + self._rate) / 2 * (stamp - then)
-        return self.config.step(delta, stamp - then, turned, self.increment.tilt if self.increment else 0.0)
-
-    def _correct(self, increment: OdometryStep) -> Pose2:
-        return increment.correct(self.calibration) if self.calibrated else increment.step
+        return self.config.step(delta, stamp - then, turned, tilt)
 
     def learn(self, before: Pose2, now: Pose2) -> None:
         """Calibrate by the last step, which truly led from `before` to `now` in the map."""
         # A standing robot gives no information, and must not make the calibration forget.
-        if (
-            self.increment is not None
-            and abs(self.increment.step.x) + abs(self.increment.step.yaw) > STANDSTILL
-        ):
+        last = self.increment
+        if last is not None and abs(last.step.x) + abs(last.step.yaw) > STANDSTILL:
             self.learned += 1
-            self.calibration.learn(self.increment.step, _between(before, now), self.increment.down)
+            self.calibration.learn(last.step, _between(before, now), last.down)
 
 
 def _between(a: Pose2, b: Pose2) -> Pose2:
     """Return `T_ab` of two poses in one frame."""
     c, s, x, y = math.cos(a.yaw), math.sin(a.yaw), b.x - a.x, b.y - a.y
     return Pose2(c * x + s * y, c * y - s * x, wrap_angle(b.yaw - a.yaw))
-
-
-def _downhill(imu: Imu | None) -> tuple[Slope, float]:
-    """Return the ground's descent ahead and to the left, and the robot's tilt in radians."""
-    if imu is None:
-        return LEVEL, 0.0
-    return (math.sin(imu.pitch), -math.sin(imu.roll)), math.hypot(imu.roll, imu.pitch)
 
 
 def climb(dx: float, dy: float, up: FloatArray) -> float:

@@ -108,36 +108,36 @@ IN_MAP: _Place = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class GroundFilterConfig(Checked, of="the ground filter"):
+class GroundFilterConfig(Checked):
     """Errors of attitude and height, and slopes of the ground.
 
     Attributes:
-        resolution: edge of a cell of the upper bound, meters.
-        attitude_error: of roll and pitch, radians.
-        height_error: of a beam's height close to the robot, meters.
-        confidence: factor of these errors that a proof must exceed.
-        drift: of the robot's height, per meter driven.
-        tilt_lever: drift of the robot's height per radian by which its tilt changes, meters: base_link does
+        ground_resolution: Edge of a cell of the upper bound, meters.
+        attitude_error: Error of roll and pitch, radians.
+        height_error: Error of a beam's height close to the robot, meters.
+        height_confidence: Factor of these errors that a proof must exceed.
+        height_drift: Drift of the robot's height per meter driven.
+        tilt_lever: Drift of the robot's height per radian by which its tilt changes, meters: base_link does
             not rise as steeply as the robot is tilted while an axle climbs or drops.
-        slip_slope: slope that wheels slip down on, radians; on less steep ones the share of a step that they
+        slip_slope: Slope that wheels slip down on, radians; on less steep ones the share of a step that they
             slip falls with the square of the grade.
-        base_height: of base_link above the ground, meters.
-        footprint: radius of the ground that the robot stands on, meters.
-        flat_tilt: ground on which the robot never tilted more is a floor: every hit is a wall. Radians.
-        wall_slope: faces steeper than this are walls, on uneven ground, radians.
-        match_margin: a hit steeper than the robot's largest tilt by this is a wall for matching, radians.
-        full_weight_slope: rise over run from which on a hit has full weight in matching; where it is less
+        base_height: Height of base_link above the ground, meters.
+        footprint: Radius of the ground that the robot stands on, meters.
+        flat_tilt: Largest tilt on a floor, where every hit is a wall, radians.
+        wall_slope: Slope of the least steep walls on uneven ground, radians.
+        match_margin: Angle by which walls for matching are steeper than the robot's largest tilt, radians.
+        first_match_margin: Angle added to it at the start, when little ground is known, radians.
+        first_match_meters: Distance over which this first margin falls to 1/e, meters.
+        match_slope_limit: Slope of the steepest ground for matching, radians.
+        full_weight_slope: Rise over run from which on a hit has full weight in matching; where it is less
             steep, an error of height shifts it more, and its weight falls with the square of the slope.
-        first_margin: added to it at the start, when little ground is known, radians.
-        first_meters: distance over which the first margin falls to 1/e, meters.
-        slope_limit: of the steepest ground for matching, radians.
     """
 
-    resolution: float = limited(0.1, "(0, inf]")
+    ground_resolution: float = limited(0.1, "(0, inf]")
     attitude_error: float = limited(math.radians(0.15), "(0, inf]")
     height_error: float = limited(0.01, "(0, inf]")
-    confidence: float = limited(3.0, "(0, inf]")
-    drift: float = 0.0015
+    height_confidence: float = limited(3.0, "(0, inf]")
+    height_drift: float = 0.0015
     tilt_lever: float = 0.05
     slip_slope: float = math.radians(25.0)
     base_height: float = 0.13
@@ -145,10 +145,10 @@ class GroundFilterConfig(Checked, of="the ground filter"):
     flat_tilt: float = math.radians(0.6)
     wall_slope: float = limited(math.radians(45.0), "(0, inf]")
     match_margin: float = math.radians(3.0)
+    first_match_margin: float = math.radians(15.0)
+    first_match_meters: float = 5.0
+    match_slope_limit: float = limited(math.radians(40.0), "(0, inf]")
     full_weight_slope: float = limited(2.0, "(0, inf]")
-    first_margin: float = math.radians(15.0)
-    first_meters: float = 5.0
-    slope_limit: float = limited(math.radians(40.0), "(0, inf]")
 
 
 class GroundFilter:
@@ -163,10 +163,10 @@ class GroundFilter:
 
     def __init__(self, config: GroundFilterConfig | None = None) -> None:
         self.config = config or GroundFilterConfig()
-        self.grid = GrowingGrid(self.config.resolution, {"upper_bound": (np.float32, np.inf)})
+        self.grid = GrowingGrid(self.config.ground_resolution, {"upper_bound": (np.float32, np.inf)})
         self.height = self.distance_traveled = self.tilt = self.drift = 0.0
         self._slope: tuple[float, float] | None = None
-        self._neighbors = neighbors_of(self.config.resolution)
+        self._neighbors = neighbors_of(self.config.ground_resolution)
         self._take_over()
         self._weights: tuple[int, FloatArray] = -1, np.empty(0)
 
@@ -188,7 +188,7 @@ class GroundFilter:
         if step > STANDSTILL:
             tilting, grade = math.dist((x, y), self._slope), math.hypot(*self._slope)
             slip = 0.0 if registered else min(1.0, (grade / math.tan(c.slip_slope)) ** 2)
-            self.drift += (c.drift + grade * slip) * step
+            self.drift += (c.height_drift + grade * slip) * step
             self.drift += c.tilt_lever * max(0.0, tilting - 0.2 * c.attitude_error)
 
     @property
@@ -207,8 +207,8 @@ class GroundFilter:
         c = self.config
         if self.flat:
             return 0
-        unknown = c.first_margin * math.exp(-self.distance_traveled / c.first_meters)
-        angle = math.degrees(min(self.tilt + c.match_margin + unknown, c.slope_limit))
+        unknown = c.first_match_margin * math.exp(-self.distance_traveled / c.first_match_meters)
+        angle = math.degrees(min(self.tilt + c.match_margin + unknown, c.match_slope_limit))
         return round(math.tan(math.radians(math.ceil(angle))) / SLOPE_STEP)
 
     def insert(self, scan: LeveledScan, pose: Pose2) -> tuple[ScanPoints, ByteArray]:
@@ -331,12 +331,14 @@ class GroundFilter:
     @property
     def _margins(self) -> Margins:
         c = self.config
-        return Margins(self.drift, c.confidence * c.height_error, c.confidence * c.attitude_error)
+        return Margins(
+            self.drift, c.height_confidence * c.height_error, c.height_confidence * c.attitude_error
+        )
 
     def _ground(self, base: Pose2) -> tuple[float, float, float]:
         """Return x, y and the largest height of the ground under the robot."""
         c = self.config
-        return base.x, base.y, self.height - c.base_height + c.confidence * c.height_error
+        return base.x, base.y, self.height - c.base_height + c.height_confidence * c.height_error
 
     def _take_over(self) -> None:
         """Take over the grid's arrays."""

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, njit
-from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3
 
 
@@ -40,21 +39,16 @@ class LeveledScan:
         hits: (n, 3) ends of beams with return.
         free: (m, 3) ends of the free part of beams without return.
         ground_slope: (2,) rise of the ground under the robot per meter forward and to the left.
-        tilt: angle between the robot's z and gravity, radians; NaN where no attitude was given.
-        stamp: seconds.
+        leveled: Whether an attitude was given.
+        stamp: Seconds.
     """
 
     origin: FloatArray
     hits: FloatArray
     free: FloatArray
     ground_slope: tuple[float, float]
-    tilt: float
+    leveled: bool
     stamp: float
-
-    @property
-    def leveled(self) -> bool:
-        """Whether an attitude was known."""
-        return not math.isnan(self.tilt)
 
     def transformed(self, T_map_base: Pose2, height: float) -> ScanPoints:
         """Return the points in the map frame, the base being at `height`."""
@@ -89,8 +83,8 @@ class ScanLeveler:
         hits, free = _level(ranges, self._directions, self._mount, self._limits, (roll, pitch), ends, origin)
         # z of the base in the leveled frame is (sin p cos r, -sin r, cos p cos r).
         slope = (-math.tan(pitch), math.tan(roll) / math.cos(pitch))
-        tilt = math.nan if imu is None else math.acos(min(1.0, math.cos(roll) * math.cos(pitch)))
-        return LeveledScan(origin, ends[:hits], ends[len(ends) - free :], slope, tilt, scan.stamp)
+        free_ends = ends[len(ends) - free :]
+        return LeveledScan(origin, ends[:hits], free_ends, slope, imu is not None, scan.stamp)
 
     def _know(self, scan: LaserScan) -> None:
         """Update the sensor's beam directions, limits and mount if they changed."""
@@ -167,24 +161,15 @@ def _level(
     return hits, free
 
 
-@dataclass(frozen=True, kw_only=True)
-class InterpolationConfig(Checked, of="the interpolation"):
-    """Conditions for neighboring hits on one surface.
-
-    Attributes:
-        max_gap: largest distance between them, meters.
-        max_obliqueness: largest ratio of that distance to the distance of the two beams there.
-        max_bend: largest angle between their line and that through the hit before or after, radians.
-    """
-
-    max_gap: float = limited(1.0, "(0, inf]")
-    max_obliqueness: float = limited(3.0, "[1, inf)")
-    max_bend: float = limited(0.35, "(0, inf]")
+MAX_GAP = 1.0
+"""Largest distance between neighboring hits on one surface, meters."""
+MAX_OBLIQUENESS = 3.0
+"""Largest ratio of that distance to the distance of the two beams there."""
+MAX_BEND = 0.35
+"""Largest angle between the line of two hits and that through the hit before or after, radians."""
 
 
-def interpolate_hits(
-    scan: ScanPoints, min_slopes: ByteArray, spacing: float, config: InterpolationConfig
-) -> tuple[ScanPoints, ByteArray]:
+def interpolate_hits(scan: ScanPoints, min_slopes: ByteArray, spacing: float) -> tuple[ScanPoints, ByteArray]:
     """Return the scan with hits `spacing` apart along surfaces, and their minimum slopes.
 
     A single scan draws a far wall as dots, since its beams are farther apart than cells. Dense scans fill
@@ -193,12 +178,10 @@ def interpolate_hits(
     Args:
         scan: in any frame; its hits in the order of the beams.
         min_slopes: (n,) of each hit; a hit between two others has the smaller of theirs.
-        spacing: meters.
-        config: conditions for hits on one surface.
+        spacing: Distance of the new hits, meters.
     """
-    c, count = config, np.zeros(len(scan.hits), np.int64)
-    limits = c.max_gap, c.max_obliqueness, math.cos(c.max_bend)
-    _count_between(scan.origin, scan.hits, spacing, limits, count)
+    count = np.zeros(len(scan.hits), np.int64)
+    _count_between(scan.origin, scan.hits, spacing, math.cos(MAX_BEND), count)
     if not count.any():
         return scan, min_slopes
     hits, slopes = np.empty((len(count) + count.sum(), 3)), np.empty(len(count) + count.sum(), np.uint8)
@@ -207,26 +190,25 @@ def interpolate_hits(
 
 
 @njit
-def _count_between(origin: Any, hits: Any, spacing: float, limits: Any, count: Any) -> None:
+def _count_between(origin: Any, hits: Any, spacing: float, straight: float, count: Any) -> None:
     """Fill `count` (n,) with the number of hits to insert after each."""
-    max_gap, max_obliqueness, straight = limits
     n = len(hits)
     for i in range(n - 1):
         dx, dy = hits[i + 1, 0] - hits[i, 0], hits[i + 1, 1] - hits[i, 1]
         gap = np.hypot(dx, dy)
-        if gap <= spacing or gap > max_gap:
+        if gap <= spacing or gap > MAX_GAP:
             continue
         ax, ay = hits[i, 0] - origin[0], hits[i, 1] - origin[1]
         bx, by = hits[i + 1, 0] - origin[0], hits[i + 1, 1] - origin[1]
         apart = abs(ax * by - ay * bx) / max(np.hypot(ax, ay), np.hypot(bx, by), 1e-6)
-        if gap > max_obliqueness * apart:
+        if gap > MAX_OBLIQUENESS * apart:
             continue
         for j, k in ((i - 1, i), (i + 1, i + 2)):
             if j < 0 or k >= n:
                 continue
             ex, ey = hits[k, 0] - hits[j, 0], hits[k, 1] - hits[j, 1]
             length = np.hypot(ex, ey)
-            if 0 < length <= 2 * max_gap and dx * ex + dy * ey >= straight * gap * length:
+            if 0 < length <= 2 * MAX_GAP and dx * ex + dy * ey >= straight * gap * length:
                 count[i] = int(gap / spacing)
 
 

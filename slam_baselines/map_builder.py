@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.checks import Checked, limited
+from lirs_wct.checks import limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2
-from slam_baselines.front_end import MotionFilter, MotionFilterConfig
+from slam_baselines.front_end import MotionFilter
 from slam_baselines.ground_filter import GroundFilter, GroundFilterConfig
-from slam_baselines.leveling import (
-    InterpolationConfig,
-    LeveledScan,
-    ScanLeveler,
-    ScanPoints,
-    interpolate_hits,
-)
+from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interpolate_hits
 from slam_baselines.occupancy_map import NO_WALL, MapPyramid, OccupancyMap, UpdateConfig, bounding_box
 
 
 @dataclass(frozen=True, kw_only=True)
-class BuilderConfig(Checked):
+class BuilderConfig(GroundFilterConfig, UpdateConfig):
     """Resolution of the map and conditions of its update; names as in hector_mapping.
 
     Attributes:
-        map_resolution: edge of a cell of the finest level, meters.
-        map_multi_res_levels: number of levels, each twice as coarse as the one before.
-        map_update_distance_thresh: meters to drive before the next update.
-        map_update_angle_thresh: radians to turn before the next update.
-        map_update_tilt_thresh: radians to tilt, since tilting shows other heights of the same things.
-        sparse_distance: distance from the scan before, a radian of turn counted as a meter, from which on a
+        map_resolution: Edge of a cell of the finest level, meters.
+        map_multi_res_levels: Number of levels, each twice as coarse as the one before.
+        map_update_distance_thresh: Distance to drive before the next update, meters.
+        map_update_angle_thresh: Angle to turn before the next update, radians.
+        map_update_tilt_thresh: Angle to tilt before the next update, radians; tilting shows other heights of
+            the same things.
+        sparse_distance: Distance from the scan before, a radian of turn counted as a meter, from which on a
             scan's hits are interpolated, meters.
-        interpolation: of hits along surfaces.
-        update: of the log-odds by a scan.
-        ground_filter: separates hits on ground from hits on walls.
     """
 
     map_resolution: float = limited(0.05, "(0, inf]", "m")
@@ -43,38 +35,37 @@ class BuilderConfig(Checked):
     map_update_angle_thresh: float = limited(0.9, "[0, inf]")
     map_update_tilt_thresh: float = limited(math.radians(3.0), "[0, inf]")
     sparse_distance: float = limited(0.4, "(0, inf]", "m")
-    interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
-    update: UpdateConfig = field(default_factory=UpdateConfig)
-    ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
 
 
 class MapBuilder:
     """Pyramid of occupancy maps, with a ground filter where the attitude is known.
 
     Attributes:
-        motion_filter: tells when the next map update is due.
+        ground_filter: Separation of ground and walls.
+        motion_filter: Selection of the scans that enter the map.
+        pyramid: Occupancy maps.
+        updates: Number of updates.
+        flat: Whether the ground has always been a floor; then every hit is a wall.
     """
 
     def __init__(self, config: BuilderConfig) -> None:
-        self._config = config
-        self.ground_filter = GroundFilter(config.ground_filter)
-        self.updates = 0
-        self._sparse = False
+        self._config = c = config
+        self.ground_filter = GroundFilter(c)
         self.motion_filter = MotionFilter(
-            MotionFilterConfig(
-                max_distance_meters=config.map_update_distance_thresh,
-                max_angle_radians=config.map_update_angle_thresh,
-                max_tilt_radians=config.map_update_tilt_thresh,
-            )
+            c.map_update_distance_thresh, c.map_update_angle_thresh, c.map_update_tilt_thresh
         )
-        self.pyramid = _pyramid(config)
+        sizes = [c.map_resolution * 2**level for level in range(c.map_multi_res_levels)]
+        self.pyramid = MapPyramid(tuple(OccupancyMap(size, c) for size in sizes))
+        self.updates = 0
+        self.flat = True
+        self._sparse = False
         self._wall_slope = 0
 
     def restart(self) -> MapPyramid:
         """Clear the occupancy, keep the ground; return the former pyramid."""
         before = self.pyramid
         self.pyramid = MapPyramid(tuple(level.empty_copy() for level in before.maps))
-        self._wall_slope = self.ground_filter.match_wall_slope
+        self._set_wall_slope(self.ground_filter.match_wall_slope)
         return before
 
     def move_base(self, scan: LeveledScan, step: Pose2, *, registered: bool = True) -> None:
@@ -104,12 +95,12 @@ class MapBuilder:
         """Update the map by a scan at `pose`; return the minimum slopes of its hits."""
         placed, min_slopes = self.ground_filter.insert(scan, pose)
         if self.ground_filter.match_wall_slope != self._wall_slope:
-            self._wall_slope = self.ground_filter.match_wall_slope
+            self._set_wall_slope(self.ground_filter.match_wall_slope)
             for level in self.pyramid.maps:
                 level.revalue(self._wall_slope)
         drawn = placed, min_slopes
         if self._sparse:
-            drawn = interpolate_hits(*drawn, self._config.map_resolution, self._config.interpolation)
+            drawn = interpolate_hits(*drawn, self._config.map_resolution)
         self._draw(*drawn)
         self.updates += 1
         self.motion_filter.note(scan, pose)
@@ -125,10 +116,8 @@ class MapBuilder:
         if any(grew):
             self.pyramid.refresh()
 
-    @property
-    def flat(self) -> bool:
-        """Whether the ground has always been a floor; then every hit is a wall."""
-        return self._wall_slope == 0
+    def _set_wall_slope(self, wall_slope: int) -> None:
+        self._wall_slope, self.flat = wall_slope, wall_slope == 0
 
     def map(self, *, walls: bool = True) -> OccupancyGrid:
         """Return the finest level; without `walls`, wall cells are unknown."""
@@ -138,11 +127,6 @@ class MapBuilder:
     def memory(self) -> int:
         """Bytes of all maps."""
         return sum(level.grid.nbytes for level in self.pyramid.maps) + self.ground_filter.grid.nbytes
-
-
-def _pyramid(config: BuilderConfig) -> MapPyramid:
-    resolutions = [config.map_resolution * 2**level for level in range(config.map_multi_res_levels)]
-    return MapPyramid(tuple(OccupancyMap(r, config.update) for r in resolutions))
 
 
 class KnownPoseMapper:

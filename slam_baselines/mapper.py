@@ -5,10 +5,11 @@ from __future__ import annotations
 import importlib
 import math
 import time
+from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from numbers import Integral, Real
 from types import MappingProxyType
@@ -143,7 +144,7 @@ ALL_CLOUD_MAPPERS = {**OWN_CLOUD_MAPPERS, **CLOUD_MAPPERS}
 
 
 def short_name(mapper: str) -> str:
-    """Return a mapper's name in sentences: of a mapper of your own, the class without its module."""
+    """Return a mapper's name in sentences: a class of your own without its module."""
     return mapper if mapper in ALL_CLOUD_MAPPERS else mapper.rpartition(":")[2]
 
 
@@ -308,8 +309,9 @@ def check_motion(odometry: Pose2 | None, imu: Imu | None) -> None:
     Raises:
         ConfigError: they are not.
     """
-    o = odometry or Pose2()
-    if not math.isfinite(o.x + o.y + o.yaw + (0.0 if imu is None else sum(imu.row))):
+    o, i = odometry or Pose2(), imu or Imu()
+    total = i.stamp + i.roll + i.pitch + sum(i.angular_velocity) + sum(i.linear_acceleration)
+    if not math.isfinite(o.x + o.y + o.yaw + total):
         raise ConfigError(f"odometry and inertial readings must be finite, got {odometry}, {imu}")
 
 
@@ -330,10 +332,10 @@ def make_mapper(
     A `map` in cartographer's configuration makes it a Localizer as well.
 
     Args:
-        name: one of MAPPERS.
-        seed: of the random numbers, for a method that draws any.
-        resolution: edge of the map's cell, meters, under any method's name for it.
-        **config: fields of the method's configuration; `{"part.field": value}` is a field of a part.
+        name: One of MAPPERS.
+        seed: Seed of the random numbers, for a method that draws any.
+        resolution: Edge of the map's cell, meters, under any method's name for it.
+        **config: Fields of the method's configuration.
 
     Raises:
         ConfigError: no mapper has that name, or its configuration no such field or not that value.
@@ -350,9 +352,9 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
     """Make a mapper that reads point clouds by its name.
 
     Args:
-        name: one of ALL_CLOUD_MAPPERS.
-        seed: of the random numbers, for a method that draws any.
-        **config: fields of the method's configuration.
+        name: One of ALL_CLOUD_MAPPERS.
+        seed: Seed of the random numbers, for a method that draws any.
+        **config: Fields of the method's configuration.
 
     Raises:
         ConfigError: no such mapper has that name, its package is not installed, or its configuration has no
@@ -367,63 +369,58 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
     return mapper
 
 
-def _make(name: str, seed: int | None, config: dict[str, Any]) -> Any:
-    config_class = _config_class(name)
+_METHODS = {**MAPPERS, **ALL_CLOUD_MAPPERS}
+
+
+def _config_class(name: str) -> Any:
+    """Return the class of a method's configuration."""
+    if name not in _METHODS:
+        raise unknown_name("mapper", name, _METHODS)
     method = _METHODS[name]
-    if seed is not None and "seed" in config_class.__dataclass_fields__:
-        config["seed"] = seed
+    return getattr(importlib.import_module(method.module), method.config)
+
+
+def _make(name: str, seed: int | None, values: dict[str, Any]) -> Any:
+    """Return a new mapper whose configuration has some values other than the defaults."""
+    config_class = _config_class(name)
+    method, legal = _METHODS[name], config_class.__dataclass_fields__
+    if seed is not None and "seed" in legal:
+        values["seed"] = seed
+    defaults = config_class(**method.options)
+    for key, value in values.items():
+        if key not in legal:
+            raise unknown_name(f"parameter of {name}", key, legal)
+        _check_kind(getattr(defaults, key), value, f"{key} of {name}")
     try:
-        made = _with_fields(config_class(**method.options), config, name)
-        return getattr(importlib.import_module(method.module), method.factory)(made)
+        config = replace(defaults, **values)
+        return getattr(importlib.import_module(method.module), method.factory)(config)
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
 
 
-def _with_fields(config: Any, given: Mapping[str, Any], name: str) -> Any:
-    """Return a configuration with other fields; `part.field` is a field of a part.
-
-    Raises:
-        ConfigError: there is no such field, or a number's kind is another.
-    """
-    own: dict[str, Any] = {}
-    parts: dict[str, dict[str, Any]] = {}
-    for key, value in given.items():
-        first, dot, rest = key.partition(".")
-        if first not in config.__dataclass_fields__ or (dot and not is_dataclass(getattr(config, first))):
-            raise unknown_name(f"parameter of {name}", key, config.__dataclass_fields__)
-        if dot:
-            parts.setdefault(first, {})[rest] = value
-            continue
-        _check_kind(getattr(config, first), value, f"{key} of {name}")
-        own[first] = value
-    for first, fields in parts.items():
-        own[first] = _with_fields(own.get(first, getattr(config, first)), fields, f"{name}'s {first}")
-    return replace(config, **own)
-
-
-def _check_kind(usual: Any, value: Any, label: str) -> None:
-    """Check that a value is of the usual one's kind of number."""
+def _check_kind(default: Any, value: Any, label: str) -> None:
+    """Check that a value is of the default's kind of number."""
     kinds = ((bool, bool, "true or false"), (int, Integral, "a whole number"), (float, Real, "a number"))
     for kind, legal, words in kinds:
-        if isinstance(usual, kind):
+        if isinstance(default, kind):
             if not isinstance(value, legal) or (isinstance(value, bool) and kind is not bool):
                 raise ConfigError(f"{label} must be {words}, got {value!r}")
             return
 
 
 def read_parameters(text: str, label: str = "--parameters") -> dict[str, Any]:
-    """Return names and values of a text such as `srr=0.1,local.submaps.levels=2`; of "" none.
+    """Return names and values of a text such as `srr=0.1,particles=20`; of "" none.
 
     Raises:
         ConfigError: the text is no such list.
     """
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for part in text.split(",") if text else ():
         name, _, value = (word.strip() for word in part.partition("="))
-        if not name or not value or name in found:
+        if not name or not value or name in values:
             raise ConfigError(f"{label} must be NAME=VALUE,NAME=VALUE,... with different names, got {text!r}")
-        found[name] = _read_value(value)
-    return found
+        values[name] = _read_value(value)
+    return values
 
 
 def _read_value(text: str) -> Any:
@@ -431,21 +428,6 @@ def _read_value(text: str) -> Any:
         with suppress(ValueError):
             return kind(text)
     return {"true": True, "false": False}.get(text, text)
-
-
-_METHODS = {**MAPPERS, **ALL_CLOUD_MAPPERS}
-
-
-def _config_class(name: str) -> Any:
-    """Return the class of a method's configuration.
-
-    Raises:
-        ConfigError: no mapper has that name.
-    """
-    if name not in _METHODS:
-        raise unknown_name("mapper", name, _METHODS)
-    method = _METHODS[name]
-    return getattr(importlib.import_module(method.module), method.config)
 
 
 class Times(TypedDict, total=False):
@@ -476,3 +458,53 @@ class Stopwatch:
             return {}
         p50, p95, most = np.percentile(self._ms, (50, 95, 100))
         return {"ms_p50": float(p50), "ms_p95": float(p95), "ms_max": float(most)}
+
+
+class PlanarMapper(ABC):
+    """Estimator of a pose from planar scans that counts and times them.
+
+    Attributes:
+        name: Name of the method, as in MAPPERS.
+        requires_odometry: Whether scans without odometry are refused.
+        received: Scans so far.
+        lost: Whether the pose is unknown; set by `process`.
+        lost_scans: Scans during which the pose was unknown.
+    """
+
+    name = ""
+    requires_odometry = False
+    lost = False
+
+    def __init__(self) -> None:
+        self.received = self.lost_scans = 0
+        self._stopwatch = Stopwatch()
+
+    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Process a scan; return `T_map_base` at its stamp.
+
+        Raises:
+            ConfigError: there is no odometry, and the method requires it; or odometry or IMU are not finite.
+        """
+        check_motion(odometry, imu)
+        if self.requires_odometry:
+            odometry = required_odometry(self.name, odometry, scan.stamp)
+        started = self._stopwatch.start()
+        self.received += 1
+        pose = self.process(scan, odometry, imu)
+        self.lost_scans += self.lost
+        self._stopwatch.stop(started)
+        return pose
+
+    @abstractmethod
+    def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
+        """Process a scan as the method does; return `T_map_base`."""
+
+    @abstractmethod
+    def counts(self) -> MapperStats:
+        """Return the method's part of the statistics: used and skipped scans, memory, other counts."""
+
+    @property
+    def stats(self) -> MapperStats:
+        """Counts, times and memory so far."""
+        times = self._stopwatch.summary()
+        return replace(self.counts(), received=self.received, lost=self.lost_scans, **times)

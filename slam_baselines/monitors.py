@@ -1,4 +1,4 @@
-"""Tracking monitor: fit of scans to the map, and loss of tracking."""
+"""Monitors of the matches: whether they localize the robot, and whether scans contradict the map."""
 
 from __future__ import annotations
 
@@ -10,28 +10,60 @@ from lirs_wct.geometry import wrap_angle
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackingConfig(Checked, of="the tracking"):
-    """Thresholds of a contradiction between scan and map, and of a lost mapper.
+class MonitorConfig(Checked):
+    """Conditions under which matches are used, walls are drawn, and a mapper is lost.
 
     Attributes:
-        lost_score: score below which a scan contradicts the map.
-        known_ratio: share of beams on known cells below which a score does not count.
-        lost_after: contradicting scans in a row after which the mapper is lost.
+        lost_score: Score below which a scan contradicts the map.
+        known_ratio: Share of beams on known cells below which a score does not count.
+        lost_after: Contradicting scans in a row after which the mapper is lost.
+        localizable_score: Mean occupancy at the ends of the beams from which on a scan fits: on walls 9 of 10
+            scans do, on hillsides few.
+        localizable_share: Share of the matched scans that must fit before matches are used.
+        least_localizable_share: Share of the matched scans that must fit for matches to remain in use.
+        localizable_memory: Number of scans after which one counts 1/e.
+        localizable_turn: Largest turn of matches away from dead reckoning in a time, radians.
+        localizable_seconds: Time in which this turn is measured, seconds.
+        drawn_share: Share of all scans that must have fitted for walls to be drawn.
+        recent_share: Share of the latest scans that must have fitted for half of `drawn_share` to be enough.
+        drawn_meters: Distance up to which walls are drawn in any case, since dead reckoning is good enough,
+            meters; unless `localizable_memory` scans were matched and fewer than `drawn_share` fitted lately.
+
+    Raises:
+        ConfigError: a value is not legal, or least_localizable_share is above localizable_share.
     """
 
     lost_score: float = limited(0.25, "(0, 1]")
     known_ratio: float = limited(0.3, "(0, 1]")
     lost_after: int = limited(10, "[1, inf]")
+    localizable_score: float = limited(0.6, "(0, 1)")
+    localizable_share: float = limited(0.7, "(0, 1)")
+    least_localizable_share: float = 0.15
+    localizable_memory: float = limited(50.0, "[1, inf]")
+    localizable_turn: float = limited(math.radians(1.5), "(0, inf]")
+    localizable_seconds: float = limited(5.0, "(0, inf]")
+    drawn_share: float = limited(0.5, "(0, 1)")
+    recent_share: float = limited(0.8, "(0, 1)")
+    drawn_meters: float = limited(5.0, "(0, inf]")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within(self, f"(0, {self.localizable_share}]", "least_localizable_share")
 
 
 class TrackingMonitor:
     """Count of the scans in a row that contradict the map.
 
     Before the first scan that fits, no scan can contradict a map under construction.
+
+    Attributes:
+        fits: Whether the last scan fitted or could not be judged.
+        lost: Whether too many scans in a row contradict the map.
     """
 
-    def __init__(self, config: TrackingConfig, *, map_given: bool = False) -> None:
+    def __init__(self, config: MonitorConfig, *, map_given: bool = False) -> None:
         """Start; with `map_given`, the first scan can already contradict the map."""
+        self.fits, self.lost = True, False
         self._config = config
         self._contradictable = map_given
         self._in_a_row = 0
@@ -40,75 +72,37 @@ class TrackingMonitor:
         """Count a scan; return whether it fits, so that it may enter the map.
 
         Args:
-            score: agreement of the ends of its beams on known cells with the map, 0 to 1; None where the scan
+            score: Agreement of the ends of its beams on known cells with the map, 0 to 1; None where the scan
                 cannot be judged, which counts as fitting.
-            known: share of its beams that end on known cells.
+            known: Share of its beams that end on known cells.
         """
         informative = score is not None and known >= self._config.known_ratio
         contradicts = score is not None and informative and score < self._config.lost_score
         self._contradictable |= informative and not contradicts
         self._in_a_row = self._in_a_row + 1 if contradicts and self._contradictable else 0
+        self.fits, self.lost = self._in_a_row == 0, self._in_a_row >= self._config.lost_after
         return self.fits
-
-    @property
-    def fits(self) -> bool:
-        """Whether the last scan fitted or could not be judged."""
-        return self._in_a_row == 0
-
-    @property
-    def lost(self) -> bool:
-        """Whether too many scans in a row contradict the map."""
-        return self._in_a_row >= self._config.lost_after
-
-
-@dataclass(frozen=True, kw_only=True)
-class LocalizabilityConfig(Checked, of="localizability"):
-    """Conditions under which matches localize the robot.
-
-    Attributes:
-        score: mean occupancy at the ends of the beams from which on a scan fits: on walls 9 of 10 scans
-            do, on hillsides few.
-        share: share of the matched scans that must fit before matches are used.
-        least_share: share of the matched scans that must fit for matches to remain in use.
-        memory: scans after which one counts 1/e.
-        turn: largest turn of matches away from dead reckoning within `seconds`, radians.
-        seconds: time in which this turn is measured.
-        drawn_share: share of all scans that must have fitted for walls to be drawn.
-        recent_share: share of the latest scans that must have fitted for half of `drawn_share` to be enough.
-        first_meters: distance up to which walls are drawn in any case, since dead reckoning is good enough
-            there, meters; unless `memory` scans were matched and fewer than `drawn_share` of the latest
-            fitted.
-
-    Raises:
-        ConfigError: a value is not legal, or least_share is above share.
-    """
-
-    score: float = limited(0.6, "(0, 1)")
-    share: float = limited(0.7, "(0, 1)")
-    least_share: float = 0.15
-    memory: float = limited(50.0, "[1, inf]")
-    turn: float = limited(math.radians(1.5), "(0, inf]")
-    seconds: float = limited(5.0, "(0, inf]")
-    drawn_share: float = limited(0.5, "(0, 1)")
-    recent_share: float = limited(0.8, "(0, 1)")
-    first_meters: float = limited(5.0, "(0, inf]")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_within(self, f"(0, {self.share}]", "least_share", of="localizability")
 
 
 class LocalizabilityMonitor:
-    """Decision whether matches localize the robot.
+    """Decision whether matches localize the robot: they do on walls, and not on hillsides.
+
+    A planar scan of a hillside fits the map of the same hillside from the same place only: from another
+    height, the hillside seems to have moved. Matches to it turn and pull the estimate away from dead
+    reckoning, which needs no walls. Two observations distinguish walls from hillsides without the truth: on
+    walls most scans fit well, and the gyro agrees with the turn of the matches.
 
     Attributes:
-        localizable: whether they do.
-        steady: whether enough scans fit for calibrating the odometry by them.
-        scans: number of observed scans.
+        localizable: Whether matches localize the robot.
+        believed: Whether matches are used; always if no scan was observed, for lack of an attitude.
+        steady: Whether enough scans fit for calibrating the odometry by them.
+        proven: Whether walls localized the robot long enough; then contradictions mean that it is lost.
+        scans: Number of observed scans.
     """
 
-    def __init__(self, config: LocalizabilityConfig) -> None:
-        self.localizable = self.steady = False
+    def __init__(self, config: MonitorConfig) -> None:
+        self.localizable = self.steady = self.proven = False
+        self.believed = True
         self.scans = self._matched = self._localizable = self._fitted = 0
         self._config = config
         self._share = self._turned = self._steadiness = 0.0
@@ -118,53 +112,63 @@ class LocalizabilityMonitor:
         """Count a scan.
 
         Args:
-            score: agreement of the ends of its beams with the map, 0 to 1; None without a match.
-            off: yaw of the match less the yaw by dead reckoning since the start, radians.
-            seconds: since the scan before.
+            score: Agreement of the ends of its beams with the map, 0 to 1; None without a match.
+            off: Yaw of the match less the yaw by dead reckoning since the start, radians.
+            seconds: Time since the scan before.
         """
         c = self._config
-        fits = score is not None and score >= c.score
-        self._turned *= math.exp(-seconds / c.seconds)
-        self._steadiness += (fits - self._steadiness) / c.memory
+        fits = score is not None and score >= c.localizable_score
+        self._turned *= math.exp(-seconds / c.localizable_seconds)
+        self._steadiness += (fits - self._steadiness) / c.localizable_memory
         if score is not None:
             self._matched += 1
-            self._share += (fits - self._share) / min(self._matched, c.memory)
+            self._share += (fits - self._share) / min(self._matched, c.localizable_memory)
             self._turned += 0.0 if self._off is None else wrap_angle(off - self._off)
             self._off = off
-        enough = self._share >= (c.least_share if self.localizable else c.share)
-        self.localizable = enough and abs(self._turned) <= c.turn
-        self.steady = self.localizable and self._steadiness >= 2 * c.least_share
+        enough = c.least_localizable_share if self.localizable else c.localizable_share
+        self.localizable = self._share >= enough and abs(self._turned) <= c.localizable_turn
+        self.steady = self.localizable and self._steadiness >= 2 * c.least_localizable_share
+        self.believed = self.localizable
         self.scans += 1
         self._localizable += self.localizable
         self._fitted += self.localizable and fits
-
-    @property
-    def believed(self) -> bool:
-        """Whether matches are used; always if no scan was observed, for lack of an attitude."""
-        return self.localizable or self.scans == 0
-
-    @property
-    def proven(self) -> bool:
-        """Whether walls localized the robot long enough; then contradictions mean that it is lost."""
-        return self._localizable >= self._config.memory
-
-    @property
-    def _doubtful(self) -> bool:
-        """Whether enough scans were matched, and too few of them fit.
-
-        The first scans of a slow robot do not count, since the map is still too faint.
-        """
-        c = self._config
-        fit = self._share >= c.drawn_share and abs(self._turned) <= c.turn
-        return self._matched >= c.memory and not fit
+        self.proven = self._localizable >= c.localizable_memory
 
     def draws(self, distance: float) -> bool:
         """Return whether walls may be drawn after a distance driven, meters.
 
-        If walls seldom localize the robot, dead reckoning placed them, and assumed walls may be ground.
+        If walls seldom localize the robot, dead reckoning placed them, and assumed walls may be ground. The
+        first scans of a slow robot do not count, since the map is still too faint.
         """
         c = self._config
-        if self.scans == 0 or (distance <= c.first_meters and not self._doubtful):
+        fit = self._share >= c.drawn_share and abs(self._turned) <= c.localizable_turn
+        doubtful = self._matched >= c.localizable_memory and not fit
+        if self.scans == 0 or (distance <= c.drawn_meters and not doubtful):
             return True
         recently = self.proven and self._steadiness >= c.recent_share
         return self._fitted >= (0.5 if recently else 1.0) * c.drawn_share * self.scans
+
+
+class Monitors:
+    """Both monitors of a mapper.
+
+    Attributes:
+        tracking: Count of the scans that contradict the map.
+        localizability: Decision about matches to walls; observes scans whose attitude is known.
+        reckoned_yaw: Yaw by dead reckoning since the start, radians.
+    """
+
+    def __init__(self, config: MonitorConfig) -> None:
+        self.tracking = TrackingMonitor(config)
+        self.localizability = LocalizabilityMonitor(config)
+        self.reckoned_yaw = 0.0
+
+    def observe_match(self, score: float | None, yaw: float, seconds: float) -> None:
+        """Update the localizability by a match; without one, the score is None."""
+        off = 0.0 if score is None else wrap_angle(yaw - self.reckoned_yaw)
+        self.localizability.observe(score, off, seconds)
+
+    def observe_fit(self, score: float | None, known: float) -> bool:
+        """Return whether a scan may enter the map; before walls are proven, any may."""
+        unproven = self.localizability.scans and not self.localizability.proven
+        return self.tracking.observe(None if unproven else score, known)

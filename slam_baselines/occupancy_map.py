@@ -248,14 +248,14 @@ class UpdateConfig(Checked):
     Names and defaults of the first two are those of hector_mapping.
 
     Attributes:
-        update_factor_free: probability that a cell is occupied, given that a beam passed it.
-        update_factor_occupied: probability that a cell is occupied, given that a beam ended there.
-        limit: log-odds are kept within +-limit, so that the map can adapt to changes.
+        update_factor_free: Probability that a cell is occupied, given that a beam passed it.
+        update_factor_occupied: Probability that a cell is occupied, given that a beam ended there.
+        log_odds_limit: Largest absolute log-odds, so that the map can adapt to changes.
     """
 
     update_factor_free: float = limited(0.4, "(0, 0.5)")
     update_factor_occupied: float = limited(0.9, "(0.5, 1)")
-    limit: float = limited(4.0, "(0, 12]")
+    log_odds_limit: float = limited(4.0, "(0, 12]")
 
     @property
     def steps(self) -> tuple[int, int, int]:
@@ -264,7 +264,7 @@ class UpdateConfig(Checked):
             max(1, round(abs(math.log(p / (1 - p))) / STEP))
             for p in (self.update_factor_free, self.update_factor_occupied)
         )
-        return -miss, hit, round(self.limit / STEP)
+        return -miss, hit, round(self.log_odds_limit / STEP)
 
 
 class OccupancyMap:

@@ -12,38 +12,26 @@ flexible and scalable SLAM system with full 3D motion estimation", eqs. 4-14). T
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray, njit
-from lirs_wct.checks import Checked, limited, within
+from lirs_wct.checks import limited, require_within
 from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.dead_reckoning import PoseEstimate
 from slam_baselines.linalg import invert3, solve3
+from slam_baselines.monitors import MonitorConfig
 from slam_baselines.occupancy_map import FULL, UNSEEN, GrowingGrid, Levels, MapPyramid
 
-
-@dataclass(frozen=True, kw_only=True)
-class SearchConfig(Checked, of="the correlative search"):
-    """Window of the search, and the weights of its candidates.
-
-    Attributes:
-        linear_search_window: largest shift in x and in y, meters.
-        angular_search_window: largest turn, radians.
-        angular_step: radians.
-        beams: most beams that are used, evenly chosen.
-        translation_weight: loss of score per meter from the start.
-        rotation_weight: loss of score per radian from the start.
-    """
-
-    linear_search_window: float = limited(0.7, "(0, inf]")
-    angular_search_window: float = limited(0.5, "(0, inf]")
-    angular_step: float = limited(0.02, "(0, inf]")
-    beams: int = limited(120, "(0, inf]")
-    translation_weight: float = 0.05
-    rotation_weight: float = 0.05
+ANGULAR_STEP = 0.02
+"""Step of the correlative search, radians."""
+SEARCH_BEAMS = 120
+"""Largest number of beams that the correlative search uses, evenly chosen."""
+DISTANCE_LOSS = 0.05
+"""Loss of score per meter and per radian from the start of the correlative search."""
 
 
 class _Cells(NamedTuple):
@@ -55,55 +43,47 @@ class _Cells(NamedTuple):
     resolution: float
 
 
-class _Window(NamedTuple):
-    """Window: largest shift in cells, largest turn in steps, step in radians, losses."""
-
-    reach: int
-    turns: int
-    step: float
-    per_meter: float
-    per_radian: float
-
-
 def correlative_search(
-    grid: GrowingGrid, points: FloatArray, weights: FloatArray, start: FloatArray, config: SearchConfig
+    grid: GrowingGrid,
+    points: FloatArray,
+    weights: FloatArray,
+    start: FloatArray,
+    linear: float,
+    angular: float,
 ) -> FloatArray:
-    """Return the pose (3,) x, y, yaw of the best score in a window around `start`.
+    """Return the pose (3,) of the best score in a window, by brute force.
+
+    Olson 2009, "Real-time correlative scan matching": rotate the scan once for each yaw, then shift it by
+    whole cells. Used where Gauss-Newton does not converge to the right pose, as after a sharp turn.
 
     Args:
-        grid: level of the map, with the layer `value`.
+        grid: Level of the map, with the layer `value`.
         points: (n, 2 or more) ends of beams in the leveled base frame, meters.
-        weights: (n,) of the beams.
+        weights: (n,) weights of the beams.
         start: (3,) x, y, yaw.
-        config: the window.
+        linear: Largest shift in x and in y, meters.
+        angular: Largest turn, radians.
     """
-    stride = max(1, -(-len(points) // config.beams))
-    window = _Window(
-        int(config.linear_search_window / grid.resolution),
-        int(config.angular_search_window / config.angular_step),
-        config.angular_step,
-        config.translation_weight,
-        config.rotation_weight,
-    )
+    stride = max(1, -(-len(points) // SEARCH_BEAMS))
     cells = _Cells(grid.layers["value"], grid.row0, grid.col0, grid.resolution)
+    reach, turns = int(linear / grid.resolution), int(angular / ANGULAR_STEP)
     best = np.empty(3)
-    _search(cells, points[::stride], weights[::stride], start, window, best)
+    _search(cells, points[::stride], weights[::stride], start, reach, turns, best)
     return best
 
 
 @njit
-def _search(cells: _Cells, points: Any, weights: Any, start: Any, window: _Window, best: Any) -> None:
-    """Fill `best` (3,) with the pose of the highest mean value minus the loss by distance."""
+def _search(cells: _Cells, points: Any, weights: Any, start: Any, reach: int, turns: int, best: Any) -> None:
+    """Fill `best` (3,) with the pose of the highest mean value minus distance loss."""
     rows, cols = cells.value.shape
-    res, reach, turns = cells.resolution, window.reach, window.turns
-    n = len(points)
+    res, n = cells.resolution, len(points)
     at_row, at_col = np.empty(n, np.int64), np.empty(n, np.int64)
     total, best_score = 0.0, -np.inf
     for w in weights:
         total += w
     total = max(total, 1e-9) * FULL
     for k in range(-turns, turns + 1):
-        yaw = start[2] + k * window.step
+        yaw = start[2] + k * ANGULAR_STEP
         c, s = np.cos(yaw), np.sin(yaw)
         for i in range(n):
             at_col[i] = int(np.floor((start[0] + c * points[i, 0] - s * points[i, 1]) / res)) - cells.col0
@@ -115,35 +95,19 @@ def _search(cells: _Cells, points: Any, weights: Any, start: Any, window: _Windo
                     r, q = at_row[i] + dr, at_col[i] + dc
                     if 0 <= r < rows and 0 <= q < cols:
                         score += weights[i] * cells.value[r, q]
-                loss = window.per_meter * np.hypot(dr, dc) * res + window.per_radian * abs(k * window.step)
+                loss = DISTANCE_LOSS * np.hypot(dr, dc) * res + DISTANCE_LOSS * abs(k * ANGULAR_STEP)
                 score = score / total - loss
                 if score > best_score:
                     best_score = score
                     best[0], best[1], best[2] = start[0] + dc * res, start[1] + dr * res, yaw
 
 
-@dataclass(frozen=True, kw_only=True)
-class MatchConfig(Checked, of="the scan matcher"):
-    """Effort of the matcher, and the noise of a beam.
-
-    Attributes:
-        iterations: most Gauss-Newton steps on each level, finest first.
-        sigma: standard deviation of one beam's 1 - M, with the correlation between beams in it.
-        converged: length of a step below which a level ends, cells (and tenths of a radian).
-        lever: distance at which an error of yaw is felt, meters.
-        exact: whether score and information are those of the final pose; else of a pose one last, tiny step
-            away, which saves a pass over the scan.
-    """
-
-    iterations: tuple[int, ...] = (5, 3, 3)
-    sigma: float = limited(0.3, "(0, inf]")
-    converged: float = limited(0.02, "(0, inf]")
-    lever: float = 3.0
-    exact: bool = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        within("[1, inf]")(min(self.iterations), "iterations of the scan matcher on each level")
+BEAM_DEVIATION = 0.3
+"""Standard deviation of one beam's 1 - M, with the correlation between beams in it."""
+CONVERGED = 0.02
+"""Length of a step below which a level ends, cells (and tenths of a radian)."""
+LEVER = 3.0
+"""Distance at which an error of yaw is felt, meters."""
 
 
 class Match(NamedTuple):
@@ -176,15 +140,6 @@ class Prior(NamedTuple):
     covariance: FloatArray
 
 
-class _Settings(NamedTuple):
-    """MatchConfig for the kernels."""
-
-    iterations: IntArray
-    converged: float
-    lever: float
-    exact: bool
-
-
 class Matchable(Protocol):
     """Map that scans can be matched to: a MapPyramid or a Submap."""
 
@@ -197,10 +152,16 @@ class Matchable(Protocol):
 class ScanMatcher:
     """Gauss-Newton matching against a pyramid."""
 
-    def __init__(self, config: MatchConfig) -> None:
-        c = config
-        self._variance = c.sigma**2
-        self._settings = _Settings(np.array(c.iterations), c.converged, c.lever, c.exact)
+    def __init__(self, iterations: Sequence[int] = (5, 3, 3), *, exact: bool = False) -> None:
+        """Set the effort.
+
+        Args:
+            iterations: Largest numbers of Gauss-Newton steps on each level, finest first.
+            exact: Whether score and information are those of the final pose; else of a pose one last, tiny
+                step away, which saves a pass over the scan.
+        """
+        self._iterations: IntArray = np.array(iterations)
+        self._exact = exact
         self._ones: FloatArray = np.ones(0)
 
     def match(
@@ -226,20 +187,20 @@ class ScanMatcher:
         out = np.empty(23)
         _match(
             pyramid.levels, points, weights, prior, prior.pose if start is None else start, levels,
-            self._settings, self._variance / information_share, out,
+            self._iterations, self._exact, BEAM_DEVIATION**2 / information_share, out,
         )  # fmt: skip
         score, known = out[21:].tolist()
         return Match(out[:3], out[3:12].reshape(3, 3), out[12:21].reshape(3, 3), score, known)
 
 
 @njit
-def levels_for(frames: Any, covariance: Any, lever: float) -> int:
+def levels_for(frames: Any, covariance: Any) -> int:
     """Return the number of levels that correct an error of two standard deviations.
 
     A level is needed where the error exceeds the cell of the next finer one; coarse levels that are not
     needed would only move the estimate away from a good start.
     """
-    error = np.sqrt(max(covariance[0, 0], covariance[1, 1])) + lever * np.sqrt(covariance[2, 2])
+    error = np.sqrt(max(covariance[0, 0], covariance[1, 1])) + LEVER * np.sqrt(covariance[2, 2])
     levels = 1
     while levels < len(frames) and 2 * error > frames[levels - 1, 2]:
         levels += 1
@@ -248,8 +209,8 @@ def levels_for(frames: Any, covariance: Any, lever: float) -> int:
 
 @njit
 def _match(
-    pyramid: Levels, points: Any, weights: Any, prior: Prior, start: Any, levels: int, settings: _Settings,
-    variance: float, out: Any,
+    pyramid: Levels, points: Any, weights: Any, prior: Prior, start: Any, levels: int, iterations: Any,
+    exact: bool, variance: float, out: Any,
 ) -> None:  # fmt: skip
     """Match with beams of a `variance`; fill `out` (23,).
 
@@ -257,10 +218,10 @@ def _match(
     """
     information = invert3(prior.covariance)
     if levels == 0:
-        levels = levels_for(pyramid.frames, prior.covariance, settings.lever)
+        levels = levels_for(pyramid.frames, prior.covariance)
     pose, H, total = start.copy(), np.empty((3, 3)), 0.0
     score, known = _iterate(
-        pyramid, points, weights, prior.pose, information, levels, settings, variance, pose, H
+        pyramid, points, weights, prior.pose, information, levels, iterations, exact, variance, pose, H
     )
     # Number by number: operations of whole arrays take Numba several times as long to compile.
     for i in range(3):
@@ -280,7 +241,7 @@ def _match(
 @njit
 def _iterate(
     pyramid: Levels, points: Any, weights: Any, prior: Any, information: Any, levels: int,
-    settings: _Settings, variance: float, pose: Any, H: Any,
+    iterations: Any, exact: bool, variance: float, pose: Any, H: Any,
 ) -> tuple[float, float]:  # fmt: skip
     """Run Gauss-Newton from the coarsest level to the finest; return score and known weight.
 
@@ -289,13 +250,12 @@ def _iterate(
     g, A, b = np.empty(3), np.empty((3, 3)), np.empty(3)
     score = known = 0.0
     # Not a literal 1, of which Numba would compile the last call once more.
-    converged_step, stride = False, np.int64(1)
-    converged = settings.converged
-    for level in range(min(levels, len(settings.iterations)) - 1, -1, -1):
+    converged, stride = False, np.int64(1)
+    for level in range(min(levels, len(iterations)) - 1, -1, -1):
         value, frame = pyramid.values[level], pyramid.frames[level]
         cell = frame[2]
         stride = np.int64(1 << level)  # a coarse level needs fewer beams
-        for _ in range(settings.iterations[level]):
+        for _ in range(iterations[level]):
             score, known = linearize(value, frame, points, weights, stride, pose, H, g)
             for i in range(3):
                 b[i] = g[i] * stride / variance
@@ -307,13 +267,28 @@ def _iterate(
             share = 4 * cell / max(4 * cell, length, abs(step[2]) * 20 * cell)
             for i in range(3):
                 pose[i] += step[i] * share
-            converged_step = length < converged * cell and abs(step[2]) < converged * 0.1
-            if converged_step:
+            converged = length < CONVERGED * cell and abs(step[2]) < CONVERGED * 0.1
+            if converged:
                 break
-    if settings.exact or not converged_step:
+    if exact or not converged:
         # The stride is the finest level's, 1.
         score, known = linearize(pyramid.values[0], pyramid.frames[0], points, weights, stride, pose, H, g)
     return score, known
+
+
+@njit(inline="always")
+def _interpolate(value: Any, u: float, v: float) -> Any:
+    """Return the map's value, its derivatives, and whether any cell is known."""
+    # Unsigned: an index that might be negative costs a comparison.
+    col, row, one = np.uintp(int(u)), np.uintp(int(v)), np.uintp(1)
+    u -= int(u)
+    v -= int(v)
+    sw, se = value[row, col], value[row, col + one]
+    nw, ne = value[row + one, col], value[row + one, col + one]
+    south, north = sw + u * (float(se) - sw), nw + u * (float(ne) - nw)
+    dx = (float(se) - sw) * (1 - v) + (float(ne) - nw) * v
+    known = not (sw == UNSEEN and se == UNSEEN and nw == UNSEEN and ne == UNSEEN)
+    return south + v * (north - south), dx, north - south, known
 
 
 @njit
@@ -333,7 +308,7 @@ def linearize(
         g: (3,) to be filled.
     """
     rows, cols = value.shape
-    scale, one = 1 / frame[2], np.uintp(1)
+    scale = 1 / frame[2]
     c, s = np.cos(pose[2]), np.sin(pose[2])
     u0, v0 = pose[0] * scale - 0.5 - frame[1], pose[1] * scale - 0.5 - frame[0]
     h00 = h01 = h02 = h11 = h12 = h22 = g0 = g1 = g2 = 0.0
@@ -346,18 +321,10 @@ def linearize(
         u, v = u0 + px * scale, v0 + py * scale
         if not (u >= 0 and v >= 0 and u < cols - 1 and v < rows - 1):
             continue
-        # Unsigned: an index that might be negative costs a comparison.
-        col, row = np.uintp(int(u)), np.uintp(int(v))
-        u -= int(u)
-        v -= int(v)
-        sw, se = value[row, col], value[row, col + one]
-        nw, ne = value[row + one, col], value[row + one, col + one]
-        south, north = sw + u * (float(se) - sw), nw + u * (float(ne) - nw)
-        m = south + v * (north - south)
-        if not (sw == UNSEEN and se == UNSEEN and nw == UNSEEN and ne == UNSEEN):
+        m, dx, dy, known = _interpolate(value, u, v)
+        if known:
             seen += w
             score += w * m
-        dx, dy = (float(se) - sw) * (1 - v) + (float(ne) - nw) * v, north - south
         dyaw, e = dy * px - dx * py, w * (FULL - m)
         h00 += w * dx * dx
         h01 += w * dx * dy
@@ -379,42 +346,47 @@ def linearize(
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegistrationConfig(Checked, of="the registration"):
-    """Thresholds of the wider search, and acceptance of matches.
+class RegistrationConfig(MonitorConfig):
+    """Acceptance of matches, and the wider search where they are poor.
 
     Attributes:
-        match: Gauss-Newton.
-        search: the wider search.
-        search_threshold: mean occupancy at the ends of the beams below which the wider search begins.
-        min_gain: gain of the score that the wider search needs to be preferred.
-        search_prior: whether the fit after the wider search keeps the prior of dead reckoning; else its prior
+        linear_search_window: Largest shift of the wider search in x and in y, meters.
+        angular_search_window: Largest turn of the wider search, radians.
+        search_threshold: Mean occupancy at the ends of the beams below which the wider search begins.
+        min_gain: Gain of the score that the wider search needs to be preferred.
+        search_prior: Whether the fit after the wider search keeps the prior of dead reckoning; else its prior
             is as wide as the window.
-        coasting: whether the wider search also starts at the pose after repeating the last motion.
-        known_ratio: share of beams on known cells that a score needs to count.
-        min_beams: fewest beams on known cells for a match.
-        min_walls: fewest hits on walls for a match on uneven ground, where a wall may be ground.
-        reject_poor: whether a match on uneven ground is rejected where even the wider search stays below the
+        coasting: Whether the wider search also starts at the pose after repeating the last motion.
+        min_beams: Fewest beams on known cells for a match.
+        min_walls: Fewest hits on walls for a match on uneven ground, where a wall may be ground.
+        reject_poor: Whether a match on uneven ground is rejected where even the wider search stays below the
             search threshold: dead reckoning errs less than a forced fit.
-        mahalanobis_gate: largest Mahalanobis distance from dead reckoning at which the wider search is
+        mahalanobis_gate: Largest Mahalanobis distance from dead reckoning at which the wider search is
             accepted on uneven ground.
-        decorrelation_distance: distance between scans below which they see the same cells with the same
+        decorrelation_distance: Distance between scans below which they see the same cells with the same
             errors, so that each adds only its share of information, meters.
-        min_information_share: smallest share of information that a scan adds.
+        min_information_share: Smallest share of information that a scan adds.
+
+    Raises:
+        ConfigError: a value is not legal, or lost_score is above search_threshold.
     """
 
-    match: MatchConfig = field(default_factory=MatchConfig)
-    search: SearchConfig = field(default_factory=SearchConfig)
+    linear_search_window: float = limited(0.7, "(0, inf]")
+    angular_search_window: float = limited(0.5, "(0, inf]")
     search_threshold: float = limited(0.4, "(0, 1)")
     min_gain: float = limited(0.05, "[0, inf]")
     search_prior: bool = False
     coasting: bool = True
-    known_ratio: float = limited(0.3, "(0, 1)")
     min_beams: int = limited(15, "[1, inf]")
     min_walls: int = limited(40, "[1, inf]")
     reject_poor: bool = True
     mahalanobis_gate: float = limited(4.0, "(0, inf]")
     decorrelation_distance: float = limited(0.4, "(0, inf]")
     min_information_share: float = limited(0.02, "(0, 1)")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within(self, f"(0, {self.search_threshold}]", "lost_score")
 
 
 class Registration:
@@ -424,10 +396,10 @@ class Registration:
         searches: number of wider searches.
     """
 
-    def __init__(self, config: RegistrationConfig) -> None:
+    def __init__(self, config: RegistrationConfig, matcher: ScanMatcher) -> None:
         self.config = config
         self.searches = 0
-        self._matcher = ScanMatcher(config.match)
+        self._matcher = matcher
 
     def register(
         self,
@@ -485,11 +457,11 @@ class Registration:
         """Match from the best pose of the wider window, and from the coasting pose."""
         self.searches += 1
         c = self.config
+        linear, angular = c.linear_search_window, c.angular_search_window
         points_weights = np.ones(len(hits)) if weights is None else weights
-        start = correlative_search(pyramid.maps[-1].grid, hits, points_weights, prior.pose, c.search)
+        start = correlative_search(pyramid.maps[-1].grid, hits, points_weights, prior.pose, linear, angular)
         if not c.search_prior:
-            linear, angular = c.search.linear_search_window**2, c.search.angular_search_window**2
-            prior = Prior(prior.pose, np.diag((linear, linear, angular)))
+            prior = Prior(prior.pose, np.diag((linear**2, linear**2, angular**2)))
         matches = [
             self._matcher.match(
                 pyramid, hits, weights, prior, start=first, levels=len(pyramid.maps), information_share=share

@@ -17,9 +17,8 @@ from lirs_wct.arrays import BoolArray, FloatArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
-from slam_baselines.front_end import PlanarMapper
 from slam_baselines.linalg import solve3
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.occupancy_map import line_cells
 
 ITERATIONS = (6, 4, 4)
@@ -27,7 +26,7 @@ ITERATIONS = (6, 4, 4)
 
 
 @dataclass(frozen=True, kw_only=True)
-class HectorOriginalConfig(Checked):
+class HectorOriginalConfig(Checked, of="hector_original"):
     """Parameters of hector_mapping by their names.
 
     Attributes:

@@ -15,7 +15,7 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray
 from lirs_wct.geometry import Pose2
-from slam_baselines.cartographer.config import GlobalConfig, TrimmingConfig
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.local_slam import NOWHERE, LocalSlam, Node, compose_estimates
 from slam_baselines.cartographer.loop_closure import (
     CandidateQueue,
@@ -77,9 +77,9 @@ class _Covered:
 class Trimmer:
     """Area that each finished submap covers, in the submap's own frame."""
 
-    def __init__(self, config: TrimmingConfig) -> None:
+    def __init__(self, config: CartographerConfig) -> None:
         self._config = config
-        self._square = config.cell / 2
+        self._square = config.trimming_cell / 2
         self._covered: dict[int, _Covered] = {}
         self._trimmed_at = 0
         self._finished = 0
@@ -106,16 +106,16 @@ class Trimmer:
         """
         c, self._trimmed_at = self._config, self._finished
         corners = [poses[i].apply(covered.corners(self._square)) for i, covered in self._covered.items()]
-        low, high = (np.floor(f(np.concatenate(corners), axis=0) / c.cell) for f in (np.min, np.max))
+        low, high = (np.floor(f(np.concatenate(corners), axis=0) / c.trimming_cell) for f in (np.min, np.max))
         count = np.zeros((high - low).astype(np.int64)[::-1] + 1, np.int16)
         redundant = []
         for index in sorted(self._covered, reverse=True):
             points = poses[index].apply(self._covered[index].centers(self._square))
-            cells = (np.floor(points / c.cell) - low).astype(np.int64)
+            cells = (np.floor(points / c.trimming_cell) - low).astype(np.int64)
             mine = np.zeros(count.shape, np.bool_)
             mine[cells[:, 1], cells[:, 0]] = True
             fresh = np.count_nonzero(mine & (count < c.fresh_submaps_count))
-            if fresh * c.cell**2 < c.min_covered_area:
+            if fresh * c.trimming_cell**2 < c.min_covered_area:
                 redundant.append(index)
                 del self._covered[index]
             else:
@@ -141,20 +141,20 @@ class GlobalSlam:
         version: changes whenever poses that were there before have changed.
     """
 
-    def __init__(self, config: GlobalConfig, local: LocalSlam) -> None:
+    def __init__(self, config: CartographerConfig, local: LocalSlam) -> None:
         self.config = config
         self.nodes: list[Node] = []
         self.poses: list[Pose2] = []
         self.submap_poses: list[Pose2] = []
         self.T_map_local = Pose2()
-        self.builder = ConstraintBuilder(config.constraints)
-        self.candidates = CandidateQueue(config.candidates)
+        self.builder = ConstraintBuilder(config)
+        self.candidates = CandidateQueue(config)
         self.loops: list[LoopConstraint] = []
         self.events: list[LoopEvent] = []
         self.optimizations = self.version = self.trimmed = 0
-        self.trimmer = Trimmer(config.trimming)
+        self.trimmer = Trimmer(config)
         self._local = local
-        self._verification = LoopVerification(config.verification)
+        self._verification = LoopVerification(config)
         self._to_nodes, self._to_submaps = ConstraintTable(), ConstraintTable()
         self._running: tuple[OptimizationProblem, Solution] | None = None
         self._optimized_at = (0, 0)
@@ -279,12 +279,12 @@ class GlobalSlam:
 
     def _samples(self, node: int) -> float:
         """Return the sampling rate of loop searches at a node, up to 1."""
-        c, before = self.config.candidates, self.nodes[max(0, node - 1)]
+        c, before = self.config, self.nodes[max(0, node - 1)]
         step = self.nodes[node].distance_traveled - before.distance_traveled
         return max(c.sampling_ratio, min(1.0, step / c.sampling_distance))
 
     def _add_candidate_if_near(self, node: int, submap: int, *, new_node: bool) -> None:
-        pose, near = self.poses[node], self.config.candidates.max_constraint_distance
+        pose, near = self.poses[node], self.config.max_constraint_distance
         members = self._local.submaps.all[submap].nodes
         if min(pose.distance(self.poses[members[k]]) for k in (0, len(members) // 2, -1)) <= near:
             self.candidates.add_candidate(node, self.nodes[node].submaps[-1], submap, new_node=new_node)
@@ -294,8 +294,9 @@ class GlobalSlam:
         node, submap = self.nodes[index], self._local.submaps.all[submap_index]
         if node.trimmed or submap_index not in self._finished:
             return
-        submap.set_wall_slope(self._local.ground_filter.match_wall_slope)
-        walls = self._local.walls(node.scan, node.pose, node.height, node.min_slopes) > 0
+        ground, known = self._local.ground_filter, node.min_slopes
+        walls = ground.match_walls(node.scan, node.pose, node.height, known=known) > 0
+        submap.set_wall_slope(ground.match_wall_slope)
         expected = submap.pose @ self.submap_poses[submap_index].inverse() @ self.poses[index]
         match = self.builder.compute_constraint(
             submap, node.scan.hits[walls], expected, self._traveled_between(node, submap_index)
@@ -347,10 +348,7 @@ class GlobalSlam:
     def _start_optimization(self) -> tuple[OptimizationProblem, Solution]:
         """Return the problem of the present graph, and its start."""
         problem = OptimizationProblem(
-            self.config.optimization,
-            self._to_nodes.constraints(),
-            self._to_submaps.constraints(),
-            np.zeros(3),
+            self.config, self._to_nodes.constraints(), self._to_submaps.constraints(), np.zeros(3)
         )
         submaps = np.array([p.as_array() for p in self.submap_poses])
         nodes = np.array([p.as_array() for p in self.poses])

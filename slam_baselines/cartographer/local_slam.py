@@ -6,42 +6,41 @@ Hess et al. 2016, section IV. The local frame is continuous: nothing that was ad
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, wrap_angle
+from lirs_wct.geometry import Imu, LaserScan, Pose2, wrap_angle
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate
-from slam_baselines.front_end import Keyframe, MotionFilter, Registered, ScanToMapFrontEnd, register_backwards
-from slam_baselines.ground_filter import IN_FULL, GroundFilter, GroundFilterConfig, Limits
+from slam_baselines.front_end import FrontEnd, Keyframe, MotionFilter, StartUp
+from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits
-from slam_baselines.occupancy_map import NO_WALL, OccupancyMap, UpdateConfig, bounding_box, union_of
-from slam_baselines.registration import Registration
+from slam_baselines.occupancy_map import bounding_box, union_of
+from slam_baselines.registration import Match, Registration, ScanMatcher
 
 NOWHERE = PoseEstimate(Pose2(), np.zeros((3, 3)))
 """Dead reckoning without any motion."""
 
 
 @dataclass(frozen=True, slots=True)
-class Node(Keyframe[PoseEstimate]):
-    """Keyframe that entered submaps; pose `T_local_base`, motion by dead reckoning.
+class Node(Keyframe):
+    """Keyframe that entered submaps; its pose is `T_local_base`.
 
     Attributes:
+        motion: Motion since the node before by dead reckoning.
         covariance: (3, 3) of x, y, yaw in the local frame, given the matching submap.
-        localizable: whether matches localized the robot: only such nodes are searched for loops.
-        submaps: indices of the submaps that it entered.
-        leveled_distance: traveled with known attitude until then, as the ground filter counts it, meters.
-        drift: largest that the robot's height may have drifted until then, meters.
-        tilt: largest of the robot until then, radians.
-        distance_traveled: until then, meters.
+        localizable: Whether matches localized the robot: only such nodes are searched for loops.
+        submaps: Indices of the submaps that it entered.
+        leveled_distance: Distance traveled with known attitude, as the ground filter counts it, meters.
+        drift: Largest drift of the robot's height until then, meters.
+        tilt: Largest tilt of the robot until then, radians.
+        distance_traveled: Distance traveled until then, meters.
     """
 
+    motion: PoseEstimate
     covariance: FloatArray
     localizable: bool
     submaps: range
@@ -77,128 +76,75 @@ def compose_estimates(first: PoseEstimate, then: PoseEstimate) -> PoseEstimate:
     return PoseEstimate(pose, G @ first.covariance @ G.T + R @ then.covariance @ R.T)
 
 
-MAX_KEPT_BYTES = 64_000_000
-"""Memory up to which a drawing is kept for the next time."""
-
-
-class NodeMap:
-    """Map drawn from nodes; a small one is kept while the nodes' poses stay."""
-
-    def __init__(self, resolution: float, update: UpdateConfig, ground_filter: GroundFilterConfig) -> None:
-        self._resolution = resolution
-        self._update = update
-        self._ground_filter_config = ground_filter
-        self._drawn: list[tuple[Pose2, bool]] = []
-        self._clear()
-
-    def render(self, nodes: Sequence[Node], poses: Sequence[Pose2], *, walls: bool = True) -> OccupancyGrid:
-        """Return the map of nodes at poses `T_map_base`; without walls, their cells are unknown."""
-        state = [(pose, node.trimmed) for node, pose in zip(nodes, poses, strict=True)]
-        if state[: len(self._drawn)] != self._drawn:
-            self._clear()
-        for node, (pose, trimmed) in zip(nodes[len(self._drawn) :], state[len(self._drawn) :], strict=True):
-            if not trimmed:
-                self._draw_node(node, pose)
-            self._drawn.append((pose, trimmed))
-        grid = self._map.occupancy_grid(self._ground_filter.wall_slope if walls else NO_WALL)
-        if self.nbytes > MAX_KEPT_BYTES:
-            self._clear()
-        return grid
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of the kept map."""
-        return self._map.grid.nbytes + self._ground_filter.grid.nbytes
-
-    def _clear(self) -> None:
-        self._map = OccupancyMap(self._resolution, self._update)
-        self._ground_filter = GroundFilter(self._ground_filter_config)
-        self._drawn.clear()
-
-    def _draw_node(self, node: Node, pose: Pose2) -> None:
-        ground_filter = self._ground_filter
-        ground_filter.height, ground_filter.drift = node.height, node.drift
-        ground_filter.distance_traveled, ground_filter.tilt = node.leveled_distance, node.tilt
-        placed, min_slopes = ground_filter.insert(node.scan, pose)
-        self._map.update(placed, min_slopes, ground_filter.match_wall_slope, bounding_box(placed))
-
-
-class AddedNodes(NamedTuple):
-    """Result of a scan for the pose graph.
-
-    Attributes:
-        nodes: Nodes that were added.
-        anew: Whether they replace all nodes so far, because the start was refined.
-    """
-
-    nodes: tuple[Node, ...] = ()
-    anew: bool = False
-
-
 class LocalSlam:
     """Poses and submaps in the local frame.
 
     Attributes:
-        front: front end, with the present estimate.
-        ground_filter: separates ground from walls.
-        submaps: all of them.
-        registration: of scans in the matching submap.
-        implausible: matches that no motion of the robot explains.
+        front: Front end, with the present estimate.
+        ground_filter: Separation of ground and walls.
+        submaps: All submaps.
+        registration: Registration of scans in the matching submap.
+        start: Schedule of the start-up refinement.
+        implausible: Number of matches that no motion of the robot explains.
     """
 
-    def __init__(self, parameters: CartographerConfig) -> None:
-        self._local = config = parameters.local
-        self.ground_filter = GroundFilter(config.ground_filter)
-        self.front = ScanToMapFrontEnd[Node].make(
-            self.ground_filter, config.tracking, config.localizability, parameters.bootstrap,
-            parameters.clear_range, parameters.max_range,
-        )  # fmt: skip
-        self.submaps = Submaps(config.submaps)
-        self.registration = Registration(config.registration)
+    def __init__(self, config: CartographerConfig) -> None:
+        self._config = c = config
+        self.front = FrontEnd(c, c.clear_range, c.max_range)
+        self.ground_filter = GroundFilter(c)
+        self.submaps = Submaps(c)
+        self.registration = Registration(c, ScanMatcher(exact=True))
+        self.start = StartUp[Node](c)
         self.implausible = 0
-        self._reckoning = DeadReckoning(config.motion)
+        self._reckoning = DeadReckoning(c)
         self._motion = NOWHERE
         self._distance_traveled = self._drawn_at = 0.0
-        self._filter = MotionFilter(config.motion_filter)
+        self._filter = MotionFilter(
+            c.max_distance_meters, c.max_angle_radians, c.max_tilt_radians, c.max_time_seconds
+        )
 
-    def add_scan(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> AddedNodes:
-        """Predict the pose of a scan, register it, and draw it into the submaps if due."""
-        front, before = self.front, self.front.pose
+    def add_scan(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> tuple[list[Node], bool]:
+        """Predict the pose of a scan, register it, and draw it if due.
+
+        Returns:
+            Nodes for the pose graph, and whether they replace all nodes so far, as the start was refined.
+        """
+        front, before = self.front, self.front.estimate.pose
         level = front.leveler.level(scan, imu)
         step = self._reckoning.step(odometry, imu, scan.stamp)
         self._motion = self._motion if step is None else step.after(self._motion)
         prior = front.estimate if step is None else step.after(front.estimate)
-        match = front.match(level, prior, self._match)
-        self._distance_traveled += before.distance(front.pose)
+        estimate, match = self._register(level, prior)
+        fits = front.monitor(level, prior, estimate, match)
+        pose = front.estimate.pose
+        self._distance_traveled += before.distance(pose)
         if level.leveled:
-            registered = front.localizability.localizable
-            self.ground_filter.move(before.inverse() @ front.pose, level, registered=registered)
-        added = AddedNodes()
-        if front.fits(match) and self._filter.due(level, front.pose):
-            added = self._insert(level)
+            registered = front.monitors.localizability.localizable
+            self.ground_filter.move(before.inverse() @ pose, level, registered=registered)
+        due = fits and self._filter.due(level, pose)
+        added = self._insert(level, pose) if due else ([], False)
         front.note(scan.stamp)
         return added
 
-    def walls(self, scan: LeveledScan, pose: Pose2, height: float, known: ByteArray | None) -> FloatArray:
-        """Return (n,) weights of hits: 1 for walls, 0 for possible ground.
+    def walls(self, scan: LeveledScan, pose: Pose2, height: float) -> FloatArray:
+        """Return (n,) weights of hits: 1 for walls that the matching submap knows, else 0.
 
         Args:
-            scan: leveled.
+            scan: Leveled scan.
             pose: `T_local_base`.
-            height: of the base in the local frame, meters.
-            known: (n,) minimum slopes known before; None: as the matching submap knows them.
+            height: Height of the base in the local frame, meters.
         """
-        drawn = self.submaps.matching_submap.coarsest if known is None else None
-        return self.ground_filter.match_walls(scan, pose, height, known=known, drawn=drawn)
+        return self.ground_filter.match_walls(scan, pose, height, drawn=self.submaps.matching_submap.coarsest)
 
-    def _match(self, scan: LeveledScan, prior: PoseEstimate, seconds: float) -> Registered:
+    def _register(self, scan: LeveledScan, prior: PoseEstimate) -> tuple[PoseEstimate, Match | None]:
         """Match a scan to the matching submap; reject implausible matches on uneven ground."""
-        weights = self.walls(scan, prior.pose, self.ground_filter.height, None)
+        if not self.front.path:
+            return prior, None
+        seconds, before = scan.stamp - self.front.stamp, self.front.estimate.pose
+        weights = self.walls(scan, prior.pose, self.ground_filter.height)
         submap, wall_slope = self.submaps.matching_submap, self.ground_filter.match_wall_slope
         submap.set_wall_slope(wall_slope)
-        estimate, match = self.registration.register(
-            submap.pyramid, scan.hits, weights, prior, self.front.pose
-        )
+        estimate, match = self.registration.register(submap.pyramid, scan.hits, weights, prior, before)
         if wall_slope > 0 and not self._plausible(prior, estimate.pose, seconds):
             self.implausible += 1
             return prior, None
@@ -209,39 +155,38 @@ class LocalSlam:
 
         Checked on uneven ground only: a hill taken for a wall displaces a scan faster than wheels can slip.
         """
-        c, (x, y, yaw) = self._local, expected.covariance.diagonal().tolist()
+        c, (x, y, yaw) = self._config, expected.covariance.diagonal().tolist()
         slip, turn = pose.distance(expected.pose), abs(wrap_angle(pose.yaw - expected.pose.yaw))
         reach = c.slip_speed * seconds
-        return slip <= reach + c.slip_deviations * math.sqrt(
-            max(x, y)
-        ) and turn <= reach + c.slip_deviations * math.sqrt(yaw)
+        largest_slip = reach + c.slip_deviations * math.sqrt(max(x, y))
+        return slip <= largest_slip and turn <= reach + c.slip_deviations * math.sqrt(yaw)
 
-    def _insert(self, scan: LeveledScan) -> AddedNodes:
+    def _insert(self, scan: LeveledScan, pose: Pose2) -> tuple[list[Node], bool]:
         """Draw a scan into the submaps; refine the start when due."""
-        front, pose = self.front, self.front.pose
-        height, ground_filter = self.ground_filter.height, self.ground_filter
-        placed, min_slopes = ground_filter.insert(scan, pose)
-        drawn = placed, min_slopes
-        if self._distance_traveled - self._drawn_at >= self._local.sparse_distance:
-            spacing = self._local.submaps.resolution
-            drawn = interpolate_hits(placed, min_slopes, spacing, self._local.interpolation)
+        front, ground = self.front, self.ground_filter
+        height = ground.height
+        drawn = placed, min_slopes = ground.insert(scan, pose)
+        if self._distance_traveled - self._drawn_at >= self._config.sparse_distance:
+            drawn = interpolate_hits(placed, min_slopes, self._config.resolution)
         self._drawn_at = self._distance_traveled
-        entered = self.submaps.insert_range_data(
-            len(front.path), pose, *drawn, ground_filter.match_wall_slope
-        )
+        entered = self.submaps.insert_range_data(len(front.path), pose, *drawn, ground.match_wall_slope)
         motion, self._motion = self._motion, NOWHERE
         self._filter.note(scan, pose)
         node = Node(
             scan, pose, height, min_slopes, motion, front.estimate.covariance,
-            front.localizability.believed, entered, ground_filter.distance_traveled,
-            ground_filter.drift, ground_filter.tilt, self._distance_traveled,
+            front.monitors.localizability.believed, entered, ground.distance_traveled,
+            ground.drift, ground.tilt, self._distance_traveled,
         )  # fmt: skip
-        if not front.enter(node, self._refine):
-            return AddedNodes((node,))
-        self._filter.correct_pose(front.pose)
-        return AddedNodes(tuple(front.bootstrap.keyframes), anew=True)
+        front.path.append(pose)
+        refined = self._refine(self.start.keyframes) if self.start.add(node, ground.distance_traveled) else []
+        if not refined:
+            return [node], False
+        self.start.replace(refined)
+        front.replace_start(refined)
+        self._filter.correct_pose(front.estimate.pose)
+        return refined, True
 
-    def _refine(self, keyframes: list[Node]) -> list[Node] | None:
+    def _refine(self, nodes: list[Node]) -> list[Node]:
         """Draw the submaps again from the start with the present knowledge of ground and walls.
 
         On uneven ground no wall is known at first: the robot starts on odometry alone, and the first scans
@@ -249,55 +194,52 @@ class LocalSlam:
         known walls, and drawn at the registered poses.
 
         Args:
-            keyframes: all nodes so far.
+            nodes: All nodes so far.
 
         Returns:
-            The same nodes with new poses; None without known walls, or once a submap is finished.
+            The same nodes with new poses; none without known walls, or once a submap is finished.
         """
-        if not self.front.localizability.believed:
-            return None
-        if self.ground_filter.match_wall_slope == 0 or self.submaps.all[0].finished:
-            self.front.bootstrap.close()
-            return None
-        self.submaps = self.submaps.empty_copy(
-            replace(self._local.submaps, num_range_data=len(keyframes) + 1, max_distance=math.inf)
-        )
-        found = register_backwards(keyframes, partial(self._register, keyframes[0]))
-        self.submaps = self.submaps.empty_copy(self._local.submaps)
-        drawn = [self._known_walls(node, e.pose) for node, e in zip(keyframes, found, strict=True)]
-        self.submaps.reserve(found[0].pose, union_of([bounding_box(placed) for placed, _ in drawn]))
-        again: list[Node] = []
-        for node, estimate, (placed, min_slopes) in zip(keyframes, found, drawn, strict=True):
-            entered = self.submaps.insert_range_data(
-                len(again), estimate.pose, placed, min_slopes, self.ground_filter.match_wall_slope
+        if not self.front.monitors.localizability.believed:
+            return []
+        wall_slope = self.ground_filter.match_wall_slope
+        if wall_slope == 0 or self.submaps.all[0].finished:
+            self.start.close()
+            return []
+        estimates = self._register_backwards(nodes, wall_slope)
+        self.submaps = self.submaps.empty_copy(self._config)
+        drawn = [self._known_walls(node, e.pose) for node, e in zip(nodes, estimates, strict=True)]
+        self.submaps.reserve(estimates[0].pose, union_of([bounding_box(placed) for placed, _ in drawn]))
+        refined: list[Node] = []
+        for node, estimate, (placed, min_slopes) in zip(nodes, estimates, drawn, strict=True):
+            pose, covariance = estimate.pose, estimate.covariance
+            entered = self.submaps.insert_range_data(len(refined), pose, placed, min_slopes, wall_slope)
+            refined.append(
+                replace(node, pose=pose, covariance=covariance, min_slopes=min_slopes, submaps=entered)
             )
-            again.append(
-                replace(
-                    node,
-                    pose=estimate.pose,
-                    covariance=estimate.covariance,
-                    min_slopes=min_slopes,
-                    submaps=entered,
-                )
-            )
-        return again
+        return refined
 
-    def _register(self, final: Node, node: Node, later: Node | None, last: PoseEstimate) -> PoseEstimate:
-        """Return a node's estimate in the submap; draw it unless it is the final one."""
-        estimate, wall_slope = last, self.ground_filter.match_wall_slope
-        if later is not None:
-            back = PoseEstimate(later.motion.pose.inverse(), later.motion.covariance)
-            expected, submap = compose_estimates(last, back), self.submaps.matching_submap
-            weights = self.walls(node.scan, expected.pose, node.height, None)
-            submap.set_wall_slope(wall_slope)
-            estimate, _ = self.registration.register(
-                submap.pyramid, node.scan.hits, weights, expected, expected.pose
-            )
-        if node is not final:
-            # Matching only distinguishes walls from the rest.
-            drawn = self._known_walls(node, estimate.pose, (float(wall_slope), float(wall_slope)))
-            self.submaps.insert_range_data(0, estimate.pose, *drawn, wall_slope)
-        return estimate
+    def _register_backwards(self, nodes: list[Node], wall_slope: int) -> list[PoseEstimate]:
+        """Return the nodes' estimates in one new submap; the first keeps its pose."""
+        whole = replace(self._config, num_range_data=len(nodes) + 1, submap_distance=math.inf)
+        self.submaps = self.submaps.empty_copy(whole)
+        estimates = [PoseEstimate(nodes[-1].pose, NOWHERE.covariance)]
+        for node, later in zip(nodes[::-1], [None, *nodes[:0:-1]], strict=True):
+            estimate = estimates[-1]
+            if later is not None:
+                back = PoseEstimate(later.motion.pose.inverse(), later.motion.covariance)
+                expected, submap = compose_estimates(estimate, back), self.submaps.matching_submap
+                weights = self.walls(node.scan, expected.pose, node.height)
+                submap.set_wall_slope(wall_slope)
+                estimate, _ = self.registration.register(
+                    submap.pyramid, node.scan.hits, weights, expected, expected.pose
+                )
+            if node is not nodes[0]:
+                # Matching only distinguishes walls from the rest.
+                drawn = self._known_walls(node, estimate.pose, (float(wall_slope), float(wall_slope)))
+                self.submaps.insert_range_data(0, estimate.pose, *drawn, wall_slope)
+            estimates.append(estimate)
+        T_new_old = nodes[0].pose @ estimates[-1].pose.inverse()
+        return [PoseEstimate(T_new_old @ e.pose, e.covariance) for e in estimates[:0:-1]]
 
     def _known_walls(self, node: Node, pose: Pose2, limits: Limits = IN_FULL) -> tuple[ScanPoints, ByteArray]:
         """Return a node's scan in the local frame and its hits' present minimum slopes."""

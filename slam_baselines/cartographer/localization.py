@@ -22,9 +22,8 @@ from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.cartographer.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate
-from slam_baselines.front_end import PlanarMapper
 from slam_baselines.leveling import LeveledScan, ScanLeveler, voxel_filter
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.monitors import TrackingMonitor
 from slam_baselines.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
 from slam_baselines.registration import Match, Prior, Registration, ScanMatcher
@@ -127,17 +126,18 @@ class CartographerLocalizer(PlanarMapper):
     def __init__(self, config: CartographerConfig, known: KnownMap) -> None:
         """Begin at the configured start; None: anywhere in the map."""
         super().__init__()
-        self.config = c = config.localization
+        self.config = c = config
         self._known = known
-        registration = config.local.registration
-        self._registration, self._refiner = Registration(registration), ScanMatcher(registration.match)
-        self._reckoning = DeadReckoning(config.local.motion)
-        self._leveler = ScanLeveler(config.clear_range, config.max_range)
+        self._refiner = ScanMatcher(exact=True)
+        self._registration = Registration(c, self._refiner)
+        self._reckoning = DeadReckoning(c)
+        self._leveler = ScanLeveler(c.clear_range, c.max_range)
         meters, radians = c.start_deviation
         self._start_covariance = np.diag((meters**2, meters**2, radians**2))
-        self._located = self._anchored = config.start is not None
-        self._estimate = PoseEstimate(config.start or Pose2(), self._start_covariance)
-        self._tracking = TrackingMonitor(c.tracking, map_given=True)
+        self._anchored = c.start is not None
+        self.lost = not self._anchored
+        self._estimate = PoseEstimate(c.start or Pose2(), self._start_covariance)
+        self._tracking = TrackingMonitor(c, map_given=True)
         self._searched: tuple[float, float] | None = None
         self._distance_traveled = 0.0
         self._track = _Track()
@@ -161,9 +161,9 @@ class CartographerLocalizer(PlanarMapper):
         level = self._leveler.level(scan, imu)
         before = self._estimate.pose
         self._estimate = self._reckoning.predict(self._estimate, odometry, imu, scan.stamp)
-        if not self._located and self._search_due(scan.stamp):
+        if self.lost and self._search_due(scan.stamp):
             self._search_map(level)
-        if self._located:
+        if not self.lost:
             self._register(level, before)
         self._distance_traveled += before.distance(self._estimate.pose)
         self._track.scans[scan.stamp] = self._estimate.pose
@@ -177,11 +177,6 @@ class CartographerLocalizer(PlanarMapper):
         """Return the pose of every scan; odometry extends the first fix backward."""
         stamps = sorted(self._track.scans)
         return Trajectory.from_poses(stamps, [self._track.scans[t] for t in stamps])
-
-    @property
-    def lost(self) -> bool:
-        """Whether the robot's pose in the map is unknown."""
-        return not self._located
 
     def counts(self) -> MapperStats:
         """Return used and skipped scans, memory and other counts."""
@@ -205,31 +200,32 @@ class CartographerLocalizer(PlanarMapper):
             self._tracking.observe(match.score, match.known)
         else:
             self._tracking.observe(None)
-        self._located = not self._tracking.lost
+        self.lost = self._tracking.lost
 
     def _search_due(self, stamp: float) -> bool:
         """Whether the robot has moved, or time has passed, enough since the last search."""
         c, last = self.config, self._searched
         return (
             last is None
-            or self._distance_traveled - last[0] >= c.search_distance
-            or stamp - last[1] >= c.search_interval
+            or self._distance_traveled - last[0] >= c.localization_distance
+            or stamp - last[1] >= c.localization_interval
         )
 
     def _search_map(self, scan: LeveledScan) -> None:
         """Search the whole map; accept the best pose unless it is ambiguous."""
         c, known = self.config, self._known
-        sparse = voxel_filter(scan.hits, known.bounds.resolution, c.max_points)
-        if len(sparse) < c.min_points:
+        sparse = voxel_filter(scan.hits, known.bounds.resolution, c.localization_max_points)
+        if len(sparse) < c.localization_min_points:
             return
         self._searches += 1
         self._searched = self._distance_traveled, scan.stamp
         start, window = np.array((*known.center, 0.0)), SearchWindow(known.reach, math.pi)
-        found = branch_and_bound(known.bounds, sparse, start, window, c.min_score, c.max_search_nodes)
+        nodes = c.localization_search_nodes
+        found = branch_and_bound(known.bounds, sparse, start, window, c.localization_min_score, nodes)
         if found.score < 0:
             return
-        least, excluded = c.ambiguity_ratio * found.score, Exclusion(found.pose, c.min_separation)
-        other = branch_and_bound(known.bounds, sparse, start, window, least, c.max_search_nodes, excluded)
+        least, excluded = c.ambiguity_ratio * found.score, Exclusion(found.pose, c.localization_separation)
+        other = branch_and_bound(known.bounds, sparse, start, window, least, nodes, excluded)
         best, second = self._refine(scan, found.pose), None
         if other.score >= 0:
             best, second = sorted((best, self._refine(scan, other.pose)), key=lambda match: -match.score)
@@ -249,5 +245,5 @@ class CartographerLocalizer(PlanarMapper):
         if not self._anchored:
             self._track.anchor(pose @ self._estimate.pose.inverse())
             self._anchored = True
-        self._estimate, self._located = PoseEstimate(pose, self._start_covariance), True
-        self._tracking = TrackingMonitor(self.config.tracking, map_given=True)
+        self._estimate, self.lost = PoseEstimate(pose, self._start_covariance), False
+        self._tracking = TrackingMonitor(self.config, map_given=True)

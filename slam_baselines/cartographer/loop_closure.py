@@ -17,12 +17,18 @@ import numpy as np
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.cartographer.branch_and_bound import Exclusion, SearchWindow, branch_and_bound
-from slam_baselines.cartographer.config import CandidateConfig, ConstraintConfig, LoopVerificationConfig
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.submap import Submap
 from slam_baselines.leveling import voxel_filter
 from slam_baselines.linalg import invert
 from slam_baselines.registration import Match, Prior, ScanMatcher
 
+LOOP_ITERATIONS = (8, 5, 5)
+"""Largest numbers of Gauss-Newton steps in the refinement of a loop on each level."""
+SEARCH_DEVIATION = 0.2, 0.05
+"""Standard deviation of the search's result for the refinement, meters and radians."""
+MIN_DEVIATION = 0.02, 0.003
+"""Smallest standard deviation of a loop, meters and radians: submaps are not perfect."""
 Candidate = tuple[int, int]
 """Index of a node, index of a submap."""
 
@@ -34,7 +40,7 @@ class CandidateQueue:
         dropped: candidates that were never tried because too many waited.
     """
 
-    def __init__(self, config: CandidateConfig) -> None:
+    def __init__(self, config: CartographerConfig) -> None:
         self.config = config
         self.dropped = 0
         self._new_nodes: deque[Candidate] = deque()
@@ -68,7 +74,7 @@ class CandidateQueue:
         while self._new_nodes or self._old_nodes:
             node, submap = self._new_nodes.pop() if self._new_nodes else self._old_nodes.popleft()
             pair = self._home[node], submap
-            if self._found[pair] < c.found_per_pair and self._tried[pair] < c.tries_per_pair:
+            if self._found[pair] < c.loops_per_pair and self._tried[pair] < c.searches_per_pair:
                 return node, submap
         return None
 
@@ -138,11 +144,11 @@ class ConstraintBuilder:
         counts: outcomes of the searches.
     """
 
-    def __init__(self, config: ConstraintConfig) -> None:
+    def __init__(self, config: CartographerConfig) -> None:
         self.config = config
         self.counts = SearchCounts()
-        self._matcher = ScanMatcher(config.match)
-        meters, radians = config.min_deviation
+        self._matcher = ScanMatcher(LOOP_ITERATIONS, exact=True)
+        meters, radians = MIN_DEVIATION
         self._min_covariance = np.diag((meters**2, meters**2, radians**2))
 
     def compute_constraint(
@@ -160,8 +166,8 @@ class ConstraintBuilder:
             The match; None where the scan fits nowhere well.
         """
         self.counts.searched += 1
-        sparse = voxel_filter(points, self.config.voxel_size, self.config.max_points)
-        if len(sparse) < self.config.min_points:
+        sparse = voxel_filter(points, self.config.voxel_size, self.config.loop_max_points)
+        if len(sparse) < self.config.loop_min_points:
             self.counts.poor += 1
             return None
         match = self._match_scan(submap, points, sparse, start.as_array(), distance_traveled)
@@ -182,15 +188,15 @@ class ConstraintBuilder:
     ) -> Match | None:
         """Match from a well-known expected pose, else from the best pose of a window."""
         c = self.config
-        linear = min(c.linear_search_window, c.linear_start + c.linear_drift * distance_traveled)
-        angular = min(c.angular_search_window, c.angular_start + c.angular_drift * distance_traveled)
+        linear = min(c.loop_linear_window, c.loop_linear_start + c.loop_linear_drift * distance_traveled)
+        angular = min(c.loop_angular_window, c.loop_angular_start + c.loop_angular_drift * distance_traveled)
         if linear > c.max_refined_window:
             found = self._search_window(submap, sparse, start, SearchWindow(linear, angular))
             if found is None:
                 return None
-            start, linear, angular = found, *c.search_deviation
+            start, linear, angular = found, *SEARCH_DEVIATION
         prior = Prior(start, np.diag((linear**2, linear**2, angular**2)))
-        match = self._matcher.match(submap, points, None, prior, levels=len(c.match.iterations))
+        match = self._matcher.match(submap, points, None, prior, levels=len(LOOP_ITERATIONS))
         if match.score < c.min_refined_score or match.known < c.min_known_ratio:
             self.counts.poor += 1
             return None
@@ -201,15 +207,15 @@ class ConstraintBuilder:
     ) -> FloatArray | None:
         """Search a window; None if no pose fits, or two fit equally well."""
         c = self.config
-        min_score = c.min_score + (c.global_min_score - c.min_score) * window.linear / c.linear_search_window
-        best = branch_and_bound(submap.bounds, points, start, window, min_score, c.max_search_nodes)
+        min_score = c.min_score + (c.global_min_score - c.min_score) * window.linear / c.loop_linear_window
+        best = branch_and_bound(submap.bounds, points, start, window, min_score, c.loop_search_nodes)
         self.counts.given_up += not best.complete
         if best.score < 0:
             self.counts.poor += 1
             return None
         second = branch_and_bound(
-            submap.bounds, points, start, window, c.ambiguity_ratio * best.score, c.max_search_nodes,
-            Exclusion(best.pose, c.min_separation),
+            submap.bounds, points, start, window, c.ambiguity_ratio * best.score, c.loop_search_nodes,
+            Exclusion(best.pose, c.loop_separation),
         )  # fmt: skip
         if second.score >= 0 or not second.complete:
             self.counts.ambiguous += 1
@@ -220,7 +226,7 @@ class ConstraintBuilder:
 class LoopVerification:
     """Loops that wait for a second one."""
 
-    def __init__(self, config: LoopVerificationConfig) -> None:
+    def __init__(self, config: CartographerConfig) -> None:
         self._config = config
         self._pending: deque[tuple[LoopConstraint, float]] = deque(maxlen=config.max_pending)
 
@@ -242,11 +248,12 @@ class LoopVerification:
         here = nodes[loop.node]
         there = submaps[loop.submap] @ loop.T_submap_node
         turn = abs(wrap_angle(there.yaw - here.yaw))
-        if there.distance(here) <= c.max_translation and turn <= c.max_rotation:
+        if there.distance(here) <= c.verified_translation and turn <= c.verified_rotation:
             return [loop]
         agreeing = []
         for other, other_distance in self._pending:
-            if c.min_separation <= abs(distance_traveled - other_distance) <= c.max_separation:
+            between = abs(distance_traveled - other_distance)
+            if c.min_verifying_distance <= between <= c.max_verifying_distance:
                 correction = submaps[other.submap] @ other.T_submap_node @ nodes[other.node].inverse()
                 expected = correction @ here
                 turn = abs(wrap_angle(expected.yaw - there.yaw))

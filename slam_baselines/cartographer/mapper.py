@@ -6,26 +6,27 @@ Beyond it: the odometry is a prior of the registration, and a ground filter sepa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
-from slam_baselines.cartographer.config import (
-    CartographerConfig,
-    ConstraintConfig,
-    GlobalConfig,
-    LocalConfig,
-    SubmapConfig,
-)
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.global_slam import GlobalSlam
-from slam_baselines.cartographer.local_slam import LocalSlam, NodeMap
+from slam_baselines.cartographer.local_slam import LocalSlam, Node
 from slam_baselines.cartographer.localization import CartographerLocalizer, KnownMap
 from slam_baselines.cartographer.loop_closure import LoopEvent
-from slam_baselines.front_end import PlanarMapper
-from slam_baselines.mapper import Mapper, MapperStats
+from slam_baselines.ground_filter import GroundFilter
+from slam_baselines.mapper import Mapper, MapperStats, PlanarMapper
+from slam_baselines.occupancy_map import NO_WALL, OccupancyMap, bounding_box
 
 WARM_UP = {
-    "local": LocalConfig(submaps=SubmapConfig(num_range_data=20), sparse_distance=0.1),
-    "graph": GlobalConfig(constraints=ConstraintConfig(linear_start=1.0), optimize_every_n_nodes=5),
+    "num_range_data": 20,
+    "sparse_distance": 0.1,
+    "loop_linear_start": 1.0,
+    "optimize_every_n_nodes": 5,
 }
 """Configuration with which a short drive reaches every kernel: small submaps, searched in a wide window."""
+MAX_KEPT_BYTES = 64_000_000
+"""Memory up to which a drawing is kept for the next time."""
 
 
 def make_cartographer(config: CartographerConfig) -> Mapper:
@@ -53,11 +54,11 @@ class CartographerMapper(PlanarMapper):
     requires_odometry = True
 
     def __init__(self, config: CartographerConfig | None = None) -> None:
+        super().__init__()
         self.config = c = config or CartographerConfig()
         self.local = LocalSlam(c)
-        super().__init__(self.local.front.tracking)
-        self._graph = GlobalSlam(c.graph, self.local)
-        self._map = NodeMap(c.map_resolution, c.update, c.local.ground_filter)
+        self._graph = GlobalSlam(c, self.local)
+        self._map = NodeMap(c)
 
     @property
     def resolution(self) -> float:
@@ -66,18 +67,20 @@ class CartographerMapper(PlanarMapper):
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan to its submap and work on the graph; return `T_map_base`."""
-        added = self.local.add_scan(scan, odometry, imu)
-        if added.anew:
-            self._graph = GlobalSlam(self.config.graph, self.local)
-        for node in added.nodes:
+        nodes, restarted = self.local.add_scan(scan, odometry, imu)
+        self.lost = self.local.front.monitors.tracking.lost
+        if restarted:
+            self._graph = GlobalSlam(self.config, self.local)
+        for node in nodes:
             self._graph.add_node(node)
         self._graph.run_work_share()
-        return self._graph.T_map_local @ self.local.front.pose
+        return self._graph.T_map_local @ self.local.front.estimate.pose
 
     def map(self) -> OccupancyGrid:
         """Return the map of all nodes at their optimized poses (see LocalizabilityMonitor.draws)."""
         poses, _ = self._graph.optimized_poses()
-        return self._map.render(self._graph.nodes, poses, walls=self.local.front.draws_walls)
+        walls = self.local.front.monitors.localizability.draws(self.local.ground_filter.distance_traveled)
+        return self._map.render(self._graph.nodes, poses, walls=walls)
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan, by stamp."""
@@ -97,7 +100,7 @@ class CartographerMapper(PlanarMapper):
             used=front.matched,
             memory=sum(submap.nbytes for submap in submaps)
             + sum(node.nbytes for node in graph.nodes)
-            + front.ground_filter.grid.nbytes
+            + self.local.ground_filter.grid.nbytes
             + graph.trimmer.nbytes
             + self._map.nbytes,
             counts={
@@ -111,8 +114,48 @@ class CartographerMapper(PlanarMapper):
                 "loop_searches_waiting": len(graph.candidates),
                 "loop_searches_dropped": graph.candidates.dropped,
                 "optimizations": graph.optimizations,
-                "second_looks": front.bootstrap.refinements,
+                "second_looks": self.local.start.refinements,
                 "searches": self.local.registration.searches,
                 "matches_implausible": self.local.implausible,
             },
         )
+
+
+class NodeMap:
+    """Map drawn from nodes; a small one is kept while the nodes' poses stay."""
+
+    def __init__(self, config: CartographerConfig) -> None:
+        self._config = config
+        self._drawn: list[tuple[Pose2, bool]] = []
+        self._clear()
+
+    def render(self, nodes: Sequence[Node], poses: Sequence[Pose2], *, walls: bool = True) -> OccupancyGrid:
+        """Return the map of nodes at poses `T_map_base`; without walls, their cells are unknown."""
+        state = [(pose, node.trimmed) for node, pose in zip(nodes, poses, strict=True)]
+        if state[: len(self._drawn)] != self._drawn:
+            self._clear()
+        for node, (pose, trimmed) in zip(nodes[len(self._drawn) :], state[len(self._drawn) :], strict=True):
+            if not trimmed:
+                self._draw_node(node, pose)
+            self._drawn.append((pose, trimmed))
+        grid = self._map.occupancy_grid(self._ground_filter.wall_slope if walls else NO_WALL)
+        if self.nbytes > MAX_KEPT_BYTES:
+            self._clear()
+        return grid
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the kept map."""
+        return self._map.grid.nbytes + self._ground_filter.grid.nbytes
+
+    def _clear(self) -> None:
+        self._map = OccupancyMap(self._config.map_resolution, self._config)
+        self._ground_filter = GroundFilter(self._config)
+        self._drawn.clear()
+
+    def _draw_node(self, node: Node, pose: Pose2) -> None:
+        ground_filter = self._ground_filter
+        ground_filter.height, ground_filter.drift = node.height, node.drift
+        ground_filter.distance_traveled, ground_filter.tilt = node.leveled_distance, node.tilt
+        placed, min_slopes = ground_filter.insert(node.scan, pose)
+        self._map.update(placed, min_slopes, ground_filter.match_wall_slope, bounding_box(placed))

@@ -27,7 +27,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
-from slam_baselines.cartographer.config import OptimizationConfig
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.linalg import invert3, relative_poses, wrap
 
 
@@ -95,7 +95,7 @@ class OptimizationProblem:
         origin: (3,) pose at which the first node is held.
     """
 
-    config: OptimizationConfig
+    config: CartographerConfig
     to_nodes: PoseConstraints
     to_submaps: PoseConstraints
     origin: FloatArray

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.geometry import Pose2
 from slam_baselines.cartographer.branch_and_bound import BoundGrids
-from slam_baselines.cartographer.config import SubmapConfig
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.leveling import ScanPoints
 from slam_baselines.occupancy_map import (
     FREE,
@@ -37,7 +37,7 @@ from slam_baselines.occupancy_map import (
 
 
 class TracedScan(NamedTuple):
-    """Traces of a scan on all levels, and its (4,) box: west, south, east, north, meters."""
+    """Traces of a scan on all levels, and its (4,) bounding box, meters."""
 
     traces: Sequence[Trace]
     box: FloatArray
@@ -46,8 +46,8 @@ class TracedScan(NamedTuple):
 class Tracers:
     """Trace scans for all submaps, whose levels are parts of the same lattices."""
 
-    def __init__(self, config: SubmapConfig) -> None:
-        self._levels = [RayTracer(config.resolution * 2**level) for level in range(config.levels)]
+    def __init__(self, config: CartographerConfig) -> None:
+        self._levels = [RayTracer(config.resolution * 2**level) for level in range(config.submap_levels)]
 
     def trace(self, scan: ScanPoints) -> TracedScan:
         """Return a scan's traces in the local frame on each level; void after the next."""
@@ -65,7 +65,7 @@ class Submap:
         pyramid: occupancy, finest level first, in the local frame; empty when it is finished.
     """
 
-    def __init__(self, config: SubmapConfig, pose: Pose2) -> None:
+    def __init__(self, config: CartographerConfig, pose: Pose2) -> None:
         self.pose = pose
         self.nodes: list[int] = []
         self._config = config
@@ -73,8 +73,8 @@ class Submap:
         self._packed: PackedGrids | None = None
         self._unpacked: Levels | None = None
         self._bounds: BoundGrids | None = None
-        sizes = [config.resolution * 2**level for level in range(config.levels)]
-        self.pyramid = MapPyramid(tuple(OccupancyMap(size, config.update) for size in sizes))
+        sizes = [config.resolution * 2**level for level in range(config.submap_levels)]
+        self.pyramid = MapPyramid(tuple(OccupancyMap(size, config) for size in sizes))
 
     @property
     def finished(self) -> bool:
@@ -167,7 +167,7 @@ class Submap:
             return self._bounds
         c, levels = self._config, self.levels
         small = (k for k, value in enumerate(levels.values) if max(value.shape) <= c.max_search_cells)
-        k = max(c.search_level, next(small, c.levels - 1))
+        k = max(c.search_level, next(small, c.submap_levels - 1))
         row0, col0, resolution = levels.frames[k].tolist()
         bounds = BoundGrids.of_values(
             levels.values[k], (int(row0), int(col0)), resolution, c.branch_and_bound_depth
@@ -192,7 +192,7 @@ class Submap:
 class Submaps:
     """All submaps; the last two are being drawn."""
 
-    def __init__(self, config: SubmapConfig, tracers: Tracers | None = None) -> None:
+    def __init__(self, config: CartographerConfig, tracers: Tracers | None = None) -> None:
         """Start without any; `tracers` may be reused from submaps of the same levels."""
         self._config = config
         self._searched: OrderedDict[int, Submap] = OrderedDict()
@@ -200,7 +200,7 @@ class Submaps:
         self._last, self._distance = Pose2(), 0.0
         self.all: list[Submap] = []
 
-    def empty_copy(self, config: SubmapConfig) -> Submaps:
+    def empty_copy(self, config: CartographerConfig) -> Submaps:
         """Return an empty set with another configuration of the same levels."""
         return Submaps(config, self._tracers)
 
@@ -245,7 +245,7 @@ class Submaps:
     def _newest_full(self) -> bool:
         """Whether the newest submap has enough scans or distance for the next to begin."""
         c = self._config
-        return len(self.all[-1].nodes) >= c.num_range_data or self._distance >= c.max_distance
+        return len(self.all[-1].nodes) >= c.num_range_data or self._distance >= c.submap_distance
 
     def note_search(self, index: int) -> None:
         """Record a search in a finished submap; release those searched longest ago."""

@@ -3,51 +3,62 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from lirs_wct.checks import limited
+from lirs_wct.checks import limited, require_within
 from slam_baselines.dead_reckoning import MotionConfig
-from slam_baselines.front_end import BootstrapConfig
+from slam_baselines.front_end import FrontEndConfig
 from slam_baselines.gmapping.increment import GyroBiasConfig
-from slam_baselines.gmapping.proposal import ProposalConfig
-from slam_baselines.ground_filter import GroundFilterConfig
-from slam_baselines.leveling import InterpolationConfig
-from slam_baselines.monitors import LocalizabilityConfig, TrackingConfig
 
 
 @dataclass(frozen=True, kw_only=True)
-class GmappingConfig(ProposalConfig):
-    """Parameters, under gmapping's names where they exist.
+class GmappingConfig(FrontEndConfig, GyroBiasConfig, of="gmapping"):
+    """Parameters, under gmapping's names where they exist; scores of the monitors are hit ratios.
 
     Attributes:
-        particles: number of paths.
-        seed: of the random numbers.
-        linearUpdate: meters to drive before the next scan is processed.
-        angularUpdate: radians to turn before the next scan is processed.
-        resampleThreshold: particles are resampled when N_eff falls below this share of them.
-        srr: error of the odometry in translation after one meter, meters.
-        srt: error of the odometry in rotation after one meter, radians, as the original's code reads it.
-        str: error of the odometry in translation after one radian, meters; ROS's wiki exchanges the two.
-        stt: error of the odometry in rotation after one radian, radians.
-        ogain: likelihoods are taken to the power 1 / (ogain * particles), so that single scans with
+        particles: Number of paths.
+        seed: Seed of the random numbers.
+        linearUpdate: Distance to drive before the next scan is processed, meters.
+        angularUpdate: Angle to turn before the next scan is processed, radians.
+        resampleThreshold: Share of the particles below which N_eff lets them be resampled.
+        srr: Error of the odometry in translation after one meter, meters.
+        srt: Error of the odometry in rotation after one meter, radians, as the original's code reads it.
+        str: Error of the odometry in translation after one radian, meters; ROS's wiki exchanges the two.
+        stt: Error of the odometry in rotation after one radian, radians.
+        ogain: Likelihoods are taken to the power 1 / (ogain * particles), so that single scans with
             their correlated beams do not decide alone.
-        delta: edge of a map's cell, meters.
-        maxUrange: range from which on hits count as free up to here, meters; infinite: beams without return
+        delta: Edge of a map's cell, meters.
+        maxUrange: Range from which on hits count as free up to here, meters; infinite: beams without return
             are left out.
-        sparse_distance: mean distance between scans, a radian of turn counted as a meter, from which on they
+        sparse_distance: Mean distance between scans, a radian of turn counted as a meter, from which on they
             are matched by the wider search, and their hits are interpolated, meters.
-        sparse_memory: scans over which this mean is taken.
-        interpolation: of hits along surfaces.
-        tracking: share of the beams on known cells that end at a wall, below which a processed scan does not
-            enter the maps.
-        localizability: conditions for using scans on uneven ground; its scores are hit ratios.
-        bootstrap: when the first meters on uneven ground are refined.
-        ground_filter: separates hits on ground from hits on walls.
-        mahalanobis_gate: largest Mahalanobis distance from dead reckoning at which a match corrects it. On
+        sparse_memory: Number of scans over which this mean is taken.
+        mahalanobis_gate: Largest Mahalanobis distance from dead reckoning at which a match corrects it. On
             slopes wheels slide by up to four standard deviations.
-        gyro_bias: the gyro's errors by its data sheet, and parameters of the bias filter.
+        sigma: Standard deviation of a beam's end while matching, meters.
+        kernelSize: Cells looked at to each side of a beam's end.
+        iterations: Most Gauss-Newton steps, of the coarse and of the fine stage.
+        lsigma: Square of the distance in the likelihood exp(-d^2 / lsigma) of one beam, square meters. Far
+            above a laser's variance, since neighboring beams err together.
+        lstep: Step of the wider search in x and y, and edge of the cells of its map, meters.
+        astep: Step of the wider search in yaw, radians.
+        llsamplerange: Half the wider search's window, meters.
+        lasamplerange: Half the wider search's window, radians.
+        samples: Points evaluated around the maximum.
+        spread: Largest distance of these points from the maximum, standard deviations.
+        search_threshold: Hit ratio below which the wider search begins.
+        minimumScore: Hit ratio below which the match has failed and the odometry alone counts.
+        min_beams: Fewest beams at walls for a match.
+
+    Raises:
+        ConfigError: a value is not legal, or minimumScore is above search_threshold.
     """
 
+    lost_score: float = limited(0.3, "(0, 1]")
+    lost_after: int = limited(3, "[1, inf]")
+    localizable_score: float = limited(0.75, "(0, 1)")
+    localizable_memory: float = limited(10.0, "[1, inf]")
+    bootstrap_first: float = limited(2.0, "(0, inf]", "m")
     particles: int = limited(30, "(0, inf]")
     seed: int = 0
     linearUpdate: float = limited(1.0, "[0, inf]")  # noqa: N815  the original's names
@@ -62,19 +73,28 @@ class GmappingConfig(ProposalConfig):
     maxUrange: float = limited(math.inf, "(0, inf]")  # noqa: N815
     sparse_distance: float = limited(0.4, "(0, inf]")
     sparse_memory: float = limited(10.0, "(0, inf]")
-    interpolation: InterpolationConfig = field(default_factory=InterpolationConfig)
-    tracking: TrackingConfig = field(default_factory=lambda: TrackingConfig(lost_score=0.3, lost_after=3))
-    localizability: LocalizabilityConfig = field(
-        default_factory=lambda: LocalizabilityConfig(score=0.75, memory=10.0)
-    )
-    bootstrap: BootstrapConfig = field(default_factory=lambda: BootstrapConfig(first=2.0))
-    ground_filter: GroundFilterConfig = field(default_factory=GroundFilterConfig)
     mahalanobis_gate: float = limited(8.0, "(0, inf]")
-    gyro_bias: GyroBiasConfig = field(default_factory=GyroBiasConfig)
+    sigma: float = limited(0.05, "(0, inf]")
+    kernelSize: int = limited(1, "(0, inf]")  # noqa: N815
+    iterations: int = limited(8, "(0, inf]")
+    lsigma: float = limited(0.005, "(0, inf]")
+    lstep: float = limited(0.1, "(0, inf]")
+    astep: float = limited(0.02, "(0, inf]")
+    llsamplerange: float = limited(0.7, "(0, inf]")
+    lasamplerange: float = limited(0.5, "(0, inf]")
+    samples: int = limited(16, "(0, inf]")
+    spread: float = limited(2.0, "(0, inf]")
+    search_threshold: float = limited(0.5, "(0, inf]")
+    minimumScore: float = limited(0.15, "(0, inf]")  # noqa: N815
+    min_beams: int = limited(15, "(0, inf]")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_within(self, f"(0, {self.search_threshold}]", "minimumScore")
 
     @property
     def motion(self) -> MotionConfig:
-        """The odometry's errors for dead reckoning."""
+        """Errors of the odometry for dead reckoning."""
         return MotionConfig(
             translation_per_meter=self.srr,
             translation_per_radian=self.str,

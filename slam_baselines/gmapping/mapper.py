@@ -2,23 +2,21 @@
 
 Grisetti, Stachniss, Burgard 2007, "Improved Techniques for Grid Mapping with Rao-Blackwellized Particle
 Filters", written from the paper: every particle is a path with the map that follows from it; algorithm 1
-is GmappingMapper._process.
+is GmappingMapper.process.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.dead_reckoning import PoseEstimate
-from slam_baselines.front_end import FrontEnd, Keyframe, PlanarMapper, register_backwards
+from slam_baselines.front_end import Keyframe, StartUp
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.increment import GyroBias, GyroBiasConfig, MotionIncrement, remove_bias
@@ -26,9 +24,10 @@ from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagate
 from slam_baselines.gmapping.scan_matching import ScanBeams
 from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
-from slam_baselines.leveling import LeveledScan, ScanPoints, interpolate_hits
+from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interpolate_hits
 from slam_baselines.linalg import in_axes_of
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, PlanarMapper
+from slam_baselines.monitors import Monitors
 from slam_baselines.occupancy_map import NO_WALL
 
 __all__ = ["GmappingConfig", "GmappingMapper"]
@@ -99,28 +98,26 @@ ROUNDS = 2
 """Rounds of each refinement: one alone sees only a part of the bias, because of the prior."""
 
 
-class GyroIncrement(NamedTuple):
-    """Motion from one keyframe to the next.
+@dataclass(frozen=True, slots=True)
+class GmappingKeyframe(Keyframe):
+    """Keyframe with the motion since the one before.
 
     Attributes:
-        reckoned: by odometry and gyro as they are.
-        seconds: spent moving.
+        reckoned: Motion by odometry and gyro as they are.
+        seconds: Time spent moving.
     """
 
     reckoned: PoseEstimate
     seconds: float
 
 
-GmappingKeyframe = Keyframe[GyroIncrement]
-
-
 class BiasedRegistration:
-    """Backward registration of the first keyframes in a map of one particle, with the gyro's bias.
+    """Backward registration of the first keyframes, with the gyro's bias.
 
     The bias follows from the long-run disagreement between walls and gyro; the next round removes it.
 
     Attributes:
-        bias: of the gyro.
+        bias: Bias of the gyro.
     """
 
     def __init__(self, proposer: Proposer, ground_filter: GroundFilter, gyro: GyroBiasConfig) -> None:
@@ -134,50 +131,51 @@ class BiasedRegistration:
         Backwards, since the first scans know the fewest walls.
         """
         for _ in range(ROUNDS):
-            reckoned = self.reckon(keyframes)
-            register = partial(self._register, PatchMaps(1, maps.resolution), reckoned[0])
-            poses = [estimate.pose for estimate in register_backwards(reckoned, register)]
+            poses = self._register_backwards(self.reckon(keyframes), maps.resolution)
             self.learn(keyframes, poses)
-        found = [replace(k, pose=pose) for k, pose in zip(keyframes, poses, strict=True)]
-        return [replace(k, min_slopes=self._draw(maps, k, k.pose, IN_FULL)) for k in found]
+        refined = [replace(k, pose=pose) for k, pose in zip(keyframes, poses, strict=True)]
+        return [replace(k, min_slopes=self._draw(maps, k, k.pose, IN_FULL)) for k in refined]
 
     def reckon(self, keyframes: Sequence[GmappingKeyframe]) -> list[GmappingKeyframe]:
         """Return keyframes with their poses by odometry and gyro, less the bias."""
         path = [Pose2()]
         for keyframe in keyframes[1:]:
-            motion = keyframe.motion
-            path.append(path[-1] @ remove_bias(motion.reckoned.pose, self.bias.value, motion.seconds))
+            path.append(path[-1] @ remove_bias(keyframe.reckoned.pose, self.bias.value, keyframe.seconds))
         return [replace(k, pose=pose) for k, pose in zip(keyframes, path, strict=True)]
 
     def learn(self, keyframes: Sequence[GmappingKeyframe], poses: Sequence[Pose2]) -> None:
         """Estimate the bias from the disagreement between registered headings and the raw gyro."""
         self.bias = GyroBias.unknown(self.bias.config)
         for before, now, keyframe in zip(poses, poses[1:], keyframes[1:], strict=False):
-            motion = keyframe.motion
-            turned = wrap_angle(now.yaw - before.yaw - motion.reckoned.pose.yaw)
-            self.bias = self.bias.learned(turned, motion.seconds)
+            turned = wrap_angle(now.yaw - before.yaw - keyframe.reckoned.pose.yaw)
+            self.bias = self.bias.learned(turned, keyframe.seconds)
+
+    def _register_backwards(self, keyframes: list[GmappingKeyframe], resolution: float) -> list[Pose2]:
+        """Return the keyframes' poses in a new map; the first keeps its pose."""
+        maps, ground = PatchMaps(1, resolution), self._ground_filter
+        pose, poses = keyframes[-1].pose, list[Pose2]()
+        # Matching only distinguishes walls from the rest.
+        wall = float(ground.match_wall_slope)
+        for k in range(len(keyframes) - 1, -1, -1):
+            if k < len(keyframes) - 1:
+                pose = self._register(maps, keyframes[k], keyframes[k + 1], pose)
+            if k > 0:
+                self._draw(maps, keyframes[k], pose, (wall, wall))
+            poses.append(pose)
+        T_new_old = keyframes[0].pose @ poses[-1].inverse()
+        return [T_new_old @ pose for pose in poses[::-1]]
 
     def _register(
-        self, maps: PatchMaps, final: GmappingKeyframe, now: GmappingKeyframe,
-        later: GmappingKeyframe | None, last: PoseEstimate,
-    ) -> PoseEstimate:  # fmt: skip
-        """Register a keyframe and draw it unless it is the final one; return its estimate."""
-        pose = last.pose
-        if later is not None:
-            pose = pose @ (later.pose.inverse() @ now.pose)
-            covariance = in_axes_of(pose.inverse(), later.motion.reckoned.covariance)
-            ground = self._ground_filter
-            drawn = maps.min_slope(0, now.scan.transformed(pose, now.height).hits)
-            known = np.maximum(now.min_slopes, drawn)
-            walls = ground.match_walls(now.scan, pose, now.height, known=known)
-            view, beams = maps.view(0, ground.match_wall_slope), ScanBeams(now.scan.hits, walls)
-            found = self._proposer.match_scan(view, beams, pose.as_array(), covariance)
-            pose = pose if found is None else Pose2(*found.tolist())
-        if now is not final:
-            # Matching only distinguishes walls from the rest.
-            wall = float(self._ground_filter.match_wall_slope)
-            self._draw(maps, now, pose, (wall, wall))
-        return PoseEstimate(pose, last.covariance)
+        self, maps: PatchMaps, now: GmappingKeyframe, later: GmappingKeyframe, last: Pose2
+    ) -> Pose2:
+        """Return the pose of a keyframe in a map, given that of the later one."""
+        ground, pose = self._ground_filter, last @ (later.pose.inverse() @ now.pose)
+        covariance = in_axes_of(pose.inverse(), later.reckoned.covariance)
+        drawn = maps.min_slope(0, now.scan.transformed(pose, now.height).hits)
+        walls = ground.match_walls(now.scan, pose, now.height, known=np.maximum(now.min_slopes, drawn))
+        view, beams = maps.view(0, ground.match_wall_slope), ScanBeams(now.scan.hits, walls)
+        matched = self._proposer.match_scan(view, beams, pose.as_array(), covariance)
+        return pose if matched is None else Pose2(*matched.tolist())
 
     def _draw(self, maps: PatchMaps, keyframe: GmappingKeyframe, pose: Pose2, limits: Limits) -> ByteArray:
         """Draw a keyframe at a pose; return its hits' minimum slopes, exact between limits."""
@@ -199,17 +197,16 @@ class GmappingMapper(PlanarMapper):
     requires_odometry = True
 
     def __init__(self, config: GmappingConfig | None = None) -> None:
+        super().__init__()
         self.config = c = config or GmappingConfig()
-        self.ground_filter = GroundFilter(c.ground_filter)
-        clear_range = c.maxUrange if math.isfinite(c.maxUrange) else 0.0
-        self._front = FrontEnd[GmappingKeyframe].make(
-            self.ground_filter, c.tracking, c.localizability, c.bootstrap, clear_range, c.maxUrange
-        )
-        super().__init__(self._front.tracking)
+        self.ground_filter = GroundFilter(c)
+        self._leveler = ScanLeveler(c.maxUrange if math.isfinite(c.maxUrange) else 0.0, c.maxUrange)
+        self._monitors = Monitors(c)
         self._filter = ParticleFilter(c)
         self._increment = MotionIncrement(c.motion)
-        self._registration = BiasedRegistration(self._filter.proposer, self.ground_filter, c.gyro_bias)
-        self._bias = GyroBias.unknown(c.gyro_bias)
+        self._start = StartUp[GmappingKeyframe](c)
+        self._registration = BiasedRegistration(self._filter.proposer, self.ground_filter, c)
+        self._bias = GyroBias.unknown(c)
         self._spacing = 0.0
 
     @property
@@ -218,19 +215,31 @@ class GmappingMapper(PlanarMapper):
         return self.config.delta
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        """Follow the odometry; process the scan after enough motion. Return `T_map_base`."""
-        level = self._front.leveler.level(scan, imu)
+        """Follow the odometry; after enough motion, make the scan a generation of the filter."""
+        particles, motion = self._filter, self._increment
+        level = self._leveler.level(scan, imu)
         self._follow(level, odometry, imu)
-        if self._filter.tree.generations:
+        if particles.tree.generations:
             self._track(level)
         if self._due:
-            self._process(level)
-        self._filter.tree.add_scan(scan.stamp, self._increment.pose)
+            if particles.tree.generations:
+                self._sample(level)
+            particles.add_generation(motion.pose)
+            reckoned, seconds = motion.reckoned, motion.seconds
+            motion.begin()
+            # Until the start-up refinement is over, every scan is a link of the trajectory.
+            if self._monitors.tracking.fits or (level.leveled and not self._start.over):
+                self._insert(level, reckoned, seconds)
+            particles.resample_if_due()
+        particles.tree.add_scan(scan.stamp, motion.pose)
+        self.lost = self._monitors.tracking.lost
         return self._pose
 
     def map(self) -> OccupancyGrid:
         """Return the best particle's map; without walls if dead reckoning placed most of them."""
-        wall_slope = self.ground_filter.wall_slope if self._front.draws_walls else NO_WALL
+        ground = self.ground_filter
+        drawn = self._monitors.localizability.draws(ground.distance_traveled)
+        wall_slope = ground.wall_slope if drawn else NO_WALL
         return self._filter.maps.occupancy_grid(self._filter.best, wall_slope)
 
     def trajectory(self) -> Trajectory:
@@ -283,56 +292,36 @@ class GmappingMapper(PlanarMapper):
 
         A sparse scan that is processed at once is matched there, with dead reckoning as its prior.
         """
-        if (self._sparse and self._due) or (scan.leveled and not self._front.localizability.localizable):
+        if (self._sparse and self._due) or (scan.leveled and not self._monitors.localizability.localizable):
             return
         beams, wall_slope = self._beams(scan), self.ground_filter.match_wall_slope
         found = self._filter.match_best(beams, self._increment, wall_slope, wide=self._sparse)
         if found is not None and self._increment.distance_from(found) <= self.config.mahalanobis_gate:
             self._increment.pose = found
 
-    def _process(self, scan: LeveledScan) -> None:
-        """Make the scan a generation of the filter."""
-        particles, motion = self._filter, self._increment
-        if particles.tree.generations:
-            self._sample(scan)
-        particles.add_generation(motion.pose)
-        come = GyroIncrement(motion.reckoned, motion.seconds)
-        motion.begin()
-        # Until the start-up refinement is over, every scan is a link of the trajectory.
-        if self._front.tracking.fits or (scan.leveled and not self._front.bootstrap.over):
-            self._enter(scan, come)
-        particles.resample_if_due()
-
     def _sample(self, scan: LeveledScan) -> None:
         """Draw new poses and weigh them; follow dead reckoning where it is not localizable."""
-        particles, motion = self._filter, self._increment
+        particles, motion, monitors = self._filter, self._increment, self._monitors
+        localizability, c = monitors.localizability, self.config
         beams = self._beams(scan)
-        wall_slope = self.ground_filter.match_wall_slope
-        proposal = particles.propose(beams, motion, wall_slope, wide=self._sparse)
+        proposal = particles.propose(beams, motion, self.ground_filter.match_wall_slope, wide=self._sparse)
         hit, known = (float(ratio[particles.best]) for ratio in (proposal.hit_ratio, proposal.known_ratio))
-        informative = self._is_informative(beams, known)
+        informative = known >= c.known_ratio and beams.weights.sum() >= c.min_beams
         if scan.leveled:
-            self._front.reckoned_yaw += motion.reckoned.pose.yaw
+            monitors.reckoned_yaw += motion.reckoned.pose.yaw
             yaw = float(proposal.means[particles.best, 2])
-            self._front.observe_localizability(hit if informative else None, yaw, motion.seconds)
-        if not scan.leveled or (
-            self._front.localizability.localizable and (informative or self._front.localizability.steady)
-        ):
+            monitors.observe_match(hit if informative else None, yaw, motion.seconds)
+        if not scan.leveled or (localizability.localizable and (informative or localizability.steady)):
             particles.adopt(proposal)
         else:
             particles.follow(motion)
-        self._front.observe_fit(hit, known)
+        monitors.observe_fit(hit, known)
         self._learn_bias(motion)
-
-    def _is_informative(self, beams: ScanBeams, known_ratio: float) -> bool:
-        """Return whether enough beams at walls end where the map is known."""
-        c = self.config
-        return bool(known_ratio >= c.tracking.known_ratio and beams.weights.sum() >= c.min_beams)
 
     def _learn_bias(self, motion: MotionIncrement) -> None:
         """Update the gyro's bias once the start is refined; before, too few walls are known."""
-        fits = self._front.tracking.fits and self._front.localizability.believed
-        if self._front.bootstrap.refinements and fits and motion.seconds > 0:
+        fits = self._monitors.tracking.fits and self._monitors.localizability.believed
+        if self._start.refinements and fits and motion.seconds > 0:
             turned = self._filter.turned - motion.reckoned.pose.yaw
             self._bias = self._bias.learned(wrap_angle(turned), motion.seconds)
             motion.bias = self._bias.value
@@ -344,27 +333,23 @@ class GmappingMapper(PlanarMapper):
         known = None if placed is None else self._filter.maps.min_slope(self._filter.best, placed)
         return ScanBeams(scan.hits, ground.match_walls(scan, pose, known=known))
 
-    def _enter(self, scan: LeveledScan, motion: GyroIncrement) -> None:
-        """Draw the scan; on uneven ground, refine the start of the trajectory when due."""
-        ground = self.ground_filter
-        _, min_slopes = ground.insert(scan, self._pose)
+    def _insert(self, scan: LeveledScan, reckoned: PoseEstimate, seconds: float) -> None:
+        """Draw the scan into all maps; refine the start of the trajectory when due."""
+        ground, pose = self.ground_filter, self._pose
+        _, min_slopes = ground.insert(scan, pose)
         drawn = scan.transformed(Pose2(), ground.height), min_slopes
         if self._sparse:
-            drawn = interpolate_hits(*drawn, self.config.delta, self.config.interpolation)
+            drawn = interpolate_hits(*drawn, self.config.delta)
         self._filter.insert_scan(*drawn, ground.match_wall_slope)
-        keyframe = Keyframe(scan, self._pose, ground.height, min_slopes, motion)
-        self._front.refine_start(keyframe, self._refine)
+        keyframe = GmappingKeyframe(scan, pose, ground.height, min_slopes, reckoned, seconds)
+        if self._start.add(keyframe, ground.distance_traveled) and not ground.flat:
+            self._refine_start()
 
-    def _refine(self, keyframes: list[GmappingKeyframe]) -> list[GmappingKeyframe] | None:
-        """Register the start again with the gyro's bias; None on a floor.
-
-        All particles are replaced by one.
-        """
-        if self.ground_filter.flat:
-            return None
+    def _refine_start(self) -> None:
+        """Register the start again with the gyro's bias; one particle replaces all."""
         maps = PatchMaps(1, self.config.delta)
-        refined = self._registration.refine(keyframes, maps)
+        refined = self._registration.refine(self._start.keyframes, maps)
         self._bias = self._registration.bias
         self._increment.bias = self._bias.value
-        self._filter.restart([k.pose for k in refined], maps)
-        return refined
+        self._filter.restart([keyframe.pose for keyframe in refined], maps)
+        self._start.replace(refined)

@@ -12,14 +12,13 @@ The particle's new pose is drawn from N(mu, Sigma), and its weight is multiplied
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, njit
-from lirs_wct.checks import Checked, limited, require_within
 from lirs_wct.geometry import Pose2
+from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps, PatchMapView
 from slam_baselines.gmapping.scan_matching import (
     ALWAYS,
@@ -36,49 +35,6 @@ from slam_baselines.gmapping.scan_matching import (
     score,
 )
 from slam_baselines.linalg import between, compose
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProposalConfig(Checked):
-    """Parameters of scan matching and of the Gaussian; names as in gmapping where they exist.
-
-    Attributes:
-        sigma: standard deviation of a beam's end while matching, meters.
-        kernelSize: cells looked at to each side of a beam's end.
-        iterations: most Gauss-Newton steps, of the coarse and of the fine stage.
-        lsigma: of the likelihood exp(-d^2 / lsigma) of one beam, square meters. Far above a laser's
-            variance, since neighboring beams err together.
-        lstep: step of the wider search in x and y, and edge of the cells of its map, meters.
-        astep: step of the wider search in yaw, radians.
-        llsamplerange: half the wider search's window, meters.
-        lasamplerange: half the wider search's window, radians.
-        samples: points evaluated around the maximum.
-        spread: largest distance of these points from the maximum, standard deviations.
-        search_threshold: hit ratio below which the wider search begins.
-        minimumScore: hit ratio below which the match has failed and the odometry alone counts.
-        min_beams: fewest beams at walls for a match.
-
-    Raises:
-        ConfigError: minimumScore is above search_threshold, or a value is not above 0.
-    """
-
-    sigma: float = limited(0.05, "(0, inf]")
-    kernelSize: int = limited(1, "(0, inf]")  # noqa: N815  the original's name
-    iterations: int = limited(8, "(0, inf]")
-    lsigma: float = limited(0.005, "(0, inf]")
-    lstep: float = limited(0.1, "(0, inf]")
-    astep: float = limited(0.02, "(0, inf]")
-    llsamplerange: float = limited(0.7, "(0, inf]")
-    lasamplerange: float = limited(0.5, "(0, inf]")
-    samples: int = limited(16, "(0, inf]")
-    spread: float = limited(2.0, "(0, inf]")
-    search_threshold: float = limited(0.5, "(0, inf]")
-    minimumScore: float = limited(0.15, "(0, inf]")  # noqa: N815
-    min_beams: int = limited(15, "(0, inf]")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        require_within(self, f"(0, {self.search_threshold}]", "minimumScore")
 
 
 class Proposal(NamedTuple):
@@ -102,7 +58,7 @@ class Proposal(NamedTuple):
 
 
 class First(NamedTuple):
-    """Index of the particle that is matched first, and whether it always searches the wider window."""
+    """Particle that is matched first, and whether it always searches the wider window."""
 
     particle: int
     wide: bool
@@ -127,7 +83,7 @@ class Proposer:
         searches: number of wider searches.
     """
 
-    def __init__(self, config: ProposalConfig) -> None:
+    def __init__(self, config: GmappingConfig) -> None:
         self.config = config
         self.searches = 0
         self._cube = _points(config.samples) * config.spread

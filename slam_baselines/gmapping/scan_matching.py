@@ -40,7 +40,7 @@ class OdometryPrior(NamedTuple):
 
 
 class Tuning(NamedTuple):
-    """The numbers of ProposalConfig that the kernels need, under the same names."""
+    """The numbers of GmappingConfig that the kernels need, under the same names."""
 
     sigma: float
     kernelSize: int  # noqa: N815

@@ -54,7 +54,7 @@ def test_it_says_when_it_is_lost_and_when_it_is_back() -> None:
     for k in range(15):
         nowhere = rng.uniform(0.5, 2.5, 361).astype(np.float32)
         mapper.update(replace(room, ranges=nowhere, stamp=100.0 + k), home, None)
-        assert mapper.lost == (k + 1 >= mapper.config.tracking.lost_after)
+        assert mapper.lost == (k + 1 >= mapper.config.lost_after)
     np.testing.assert_array_equal(mapper.map().log_odds, before.log_odds)
     for k in range(3):
         mapper.update(replace(room, stamp=200.0 + k), home, None)

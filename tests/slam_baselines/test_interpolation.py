@@ -4,16 +4,16 @@ import math
 
 import numpy as np
 
-from slam_baselines.leveling import InterpolationConfig, ScanPoints, interpolate_hits, voxel_filter
+from slam_baselines.leveling import ScanPoints, interpolate_hits, voxel_filter
 
 SPACING = 0.05
 
 
-def interpolated(hits, slopes=None, **config):
+def interpolated(hits, slopes=None):
     hits = np.array([(*hit, 0.5)[:3] for hit in hits], dtype=np.float64).reshape(-1, 3)
     slopes = np.zeros(len(hits), np.uint8) if slopes is None else np.array(slopes, np.uint8)
     scan = ScanPoints(np.zeros(3), hits, np.empty((0, 3)))
-    out, found = interpolate_hits(scan, slopes, SPACING, InterpolationConfig(**config))
+    out, found = interpolate_hits(scan, slopes, SPACING)
     return out.hits, found
 
 
@@ -43,8 +43,8 @@ def test_no_wall_is_drawn_across_a_doorway_a_step_or_between_two_things():
     near_and_far = [(8.0, y) for y in (-0.4, -0.2, 0.0)] + [(8.7, y) for y in (0.1, 0.3, 0.5)]
     hits, _ = interpolated(near_and_far)
     assert not ((hits[:, 0] > 8.01) & (hits[:, 0] < 8.69)).any()
-    trees = [(8.0, 0.0), (9.0, 0.9), (8.0, 1.8), (9.0, 2.9)]
-    assert len(interpolated(trees, max_gap=2.0)[0]) == 4
+    trees = [(8.0, 0.0), (8.6, 0.5), (8.0, 1.0), (8.6, 1.5)]
+    assert len(interpolated(trees)[0]) == 4
 
 
 def test_few_hits_are_no_surface():

@@ -64,13 +64,12 @@ def test_a_mapper_of_your_own_goes_by_its_class(mapper: str, short: str, file: s
     assert (short_name(mapper), file_name(mapper)) == (short, file)
 
 
-def test_a_text_becomes_fields_of_the_configuration_and_of_its_parts() -> None:
-    text = "num_range_data=40,pose_graph.constraint_builder.min_score=0.6"
-    text += ",use_online_correlative_scan_matching=true"
+def test_a_text_becomes_fields_of_the_configuration() -> None:
+    text = "num_range_data=40,min_score=0.6,use_online_correlative_scan_matching=true"
     config = mapper_named("cartographer_original", 1, text).config  # type: ignore[union-attr]
     assert config.num_range_data == 40
-    assert config.pose_graph.constraint_builder.min_score == 0.6
-    assert config.pose_graph.constraint_builder.max_constraint_distance == 15.0
+    assert config.min_score == 0.6
+    assert config.max_constraint_distance == 15.0
     assert config.use_online_correlative_scan_matching is True
 
 
@@ -91,7 +90,6 @@ def test_a_text_that_is_no_list_is_refused(text: str) -> None:
         ({"particles": 3.5}, "particles of gmapping must be a whole number, got 3.5"),
         ({"srr": True}, "srr of gmapping must be a number, got True"),
         ({"srr.a": 1}, "unknown parameter"),
-        ({"tracking.lost": 1}, "unknown parameter of gmapping's tracking"),
     ],
 )
 def test_a_wrong_parameter_is_named(given: dict[str, object], message: str) -> None:

@@ -203,7 +203,7 @@ class TrajectoryBuilder:
             extrapolator.add_odometry(stamp, odometry)
         heading, predicted = extrapolator.heading_at(stamp), extrapolator.predict(stamp)
         data = read_scan(scan, c).transform(Pose2(yaw=heading)).thin(c.voxel_filter_size)
-        points = adaptive_voxel_filter(data.returns, c.adaptive_voxel_filter)
+        points = adaptive_voxel_filter(data.returns, c)
         if len(points) == 0:
             return LocalResult(predicted, False)
         expected = predicted @ Pose2(yaw=-heading)
@@ -222,8 +222,8 @@ class TrajectoryBuilder:
             return expected
         grid, start = self.submaps[self._active[0]].grid, expected
         if c.use_online_correlative_scan_matching:
-            start = search_online(grid, points, expected, c.real_time_correlative_scan_matcher)
-        return match_scan(grid, points, expected, start, c.ceres_scan_matcher)
+            start = search_online(grid, points, expected, c)
+        return match_scan(grid, points, expected, start, c.ceres_matcher)
 
     def _node_due(self, stamp: float, pose: Pose2) -> bool:
         """Return whether time, distance or turn since the last node exceed their limits."""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_extensions.originals.cartographer.config import ConstraintBuilderConfig
+from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
 from lirs_extensions.originals.cartographer.probability_grid import COST, MAX_COST, MIN_COST, ProbabilityGrid
 from lirs_extensions.originals.cartographer.scan_matching import match_scan, rotated_cells, shifted_pose
 from lirs_wct.arrays import ByteArray, Float32Array, njit
@@ -36,7 +36,7 @@ class FoundLoop(NamedTuple):
 class LoopSearcher:
     """Searches one finished submap; its bounds are computed once."""
 
-    def __init__(self, grid: ProbabilityGrid, config: ConstraintBuilderConfig) -> None:
+    def __init__(self, grid: ProbabilityGrid, config: CartographerOriginalConfig) -> None:
         self._grid, self._config = grid, config
         self._bounds = bound_grids(grid, config.branch_and_bound_depth)
         self._num_pulses = self._num_samples = 0
@@ -73,7 +73,7 @@ class LoopSearcher:
         edge = grid.resolution
         found = shifted_pose(expected, row * edge, col * edge, float(turns[k]))
         score = float(1 - MAX_COST) + scale * total / len(points)
-        return FoundLoop(match_scan(grid, points, found, found, c.ceres_scan_matcher), score)
+        return FoundLoop(match_scan(grid, points, found, found, c.loop_matcher), score)
 
 
 def bound_grids(grid: ProbabilityGrid, depth: int) -> ByteArray:

@@ -9,18 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from lirs_extensions.originals.cartographer.config import (
-    CartographerOriginalConfig,
-    ConstraintBuilderConfig,
-    PoseGraphConfig,
-)
+from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
 from lirs_extensions.originals.cartographer.local_slam import TrajectoryBuilder
 from lirs_extensions.originals.cartographer.pose_graph import OriginalPoseGraph
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.cartographer.loop_closure import LoopEvent
-from slam_baselines.front_end import KeyframeTrajectory, PlanarMapper
+from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.leveling import LeveledScan, ScanLeveler
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.occupancy_map import OccupancyMap, bounding_box
 
 __all__ = ["CartographerOriginalConfig", "CartographerOriginalMapper"]
@@ -28,9 +24,8 @@ __all__ = ["CartographerOriginalConfig", "CartographerOriginalMapper"]
 WARM_UP = {
     "num_range_data": 20,
     "use_online_correlative_scan_matching": True,
-    "pose_graph": PoseGraphConfig(
-        optimize_every_n_nodes=5, constraint_builder=ConstraintBuilderConfig(min_score=0.3)
-    ),
+    "optimize_every_n_nodes": 5,
+    "min_score": 0.3,
 }
 """Configuration with which a short drive reaches every kernel: small submaps, often optimized."""
 
@@ -47,7 +42,7 @@ class CartographerOriginalMapper(PlanarMapper):
         super().__init__()
         self.config = c = config or CartographerOriginalConfig()
         self._local = TrajectoryBuilder(c)
-        self._graph = OriginalPoseGraph(c.pose_graph, self._local.submaps)
+        self._graph = OriginalPoseGraph(c, self._local.submaps)
         self._leveler = ScanLeveler(c.missing_data_ray_length, c.max_range)
         self._scans = KeyframeTrajectory()
         self._kept: list[LeveledScan] = []

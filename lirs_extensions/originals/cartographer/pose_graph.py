@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, solve
 
-from lirs_extensions.originals.cartographer.config import PoseGraphConfig
+from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
 from lirs_extensions.originals.cartographer.local_slam import GridSubmap, TrajectoryNode
 from lirs_extensions.originals.cartographer.loop_search import LoopSearcher
 from lirs_extensions.originals.cartographer.trust_region import NormalEquations, minimize
@@ -169,7 +169,7 @@ class OriginalPoseGraph:
         optimizations: number of them.
     """
 
-    def __init__(self, config: PoseGraphConfig, submaps: list[GridSubmap]) -> None:
+    def __init__(self, config: CartographerOriginalConfig, submaps: list[GridSubmap]) -> None:
         """Use the submaps of local SLAM; the list grows there."""
         self._config, self._submaps = config, submaps
         self.nodes: list[TrajectoryNode] = []
@@ -209,8 +209,7 @@ class OriginalPoseGraph:
         for submap in self._searchers:
             self._search(index, submap)
         if node.finished:
-            builder = c.constraint_builder
-            self._searchers[oldest] = LoopSearcher(self._submaps[oldest].grid, builder)
+            self._searchers[oldest] = LoopSearcher(self._submaps[oldest].grid, c)
             for earlier in range(index + 1):
                 if earlier not in self._members[oldest]:
                     self._search(earlier, oldest)
@@ -257,9 +256,9 @@ class OriginalPoseGraph:
 
     def _search(self, index: int, submap: int) -> None:
         """Search for a node in a finished submap near it; tie it if found."""
-        builder, node, searcher = self._config.constraint_builder, self.nodes[index], self._searchers[submap]
+        c, node, searcher = self._config, self.nodes[index], self._searchers[submap]
         relative = self._submap_poses[submap].inverse() @ self._node_poses[index]
-        if relative.distance(Pose2()) > builder.max_constraint_distance or not searcher.draw_sample():
+        if relative.distance(Pose2()) > c.max_constraint_distance or not searcher.draw_sample():
             return
         self.loop_searches += 1
         T_local_submap = self._submaps[submap].pose
@@ -267,7 +266,7 @@ class OriginalPoseGraph:
         if found is None:
             return
         measured = T_local_submap.inverse() @ found.pose
-        weights = builder.loop_closure_translation_weight, builder.loop_closure_rotation_weight
+        weights = c.loop_closure_translation_weight, c.loop_closure_rotation_weight
         self._ties.append(pose_tie(submap, index, measured, weights, loop=True))
         seen = self.nodes[min(self._members[submap])].stamp
         base = Pose2(yaw=node.heading)

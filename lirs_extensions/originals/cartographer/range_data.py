@@ -11,10 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_extensions.originals.cartographer.config import (
-    AdaptiveVoxelFilterConfig,
-    CartographerOriginalConfig,
-)
+from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
 from lirs_wct.geometry import LaserScan, Pose2
 
@@ -104,20 +101,20 @@ def voxel_filter(points: Float32Array, size: float) -> Float32Array:
     return kept
 
 
-def adaptive_voxel_filter(points: Float32Array, config: AdaptiveVoxelFilterConfig) -> Float32Array:
+def adaptive_voxel_filter(points: Float32Array, config: CartographerOriginalConfig) -> Float32Array:
     """Return points of the coarsest voxels that keep enough, to a tenth of the edge."""
     c = config
-    points = points[np.hypot(points[:, 0], points[:, 1]) <= c.max_range]
-    if len(points) <= c.min_num_points:
+    points = points[np.hypot(points[:, 0], points[:, 1]) <= c.adaptive_max_range]
+    if len(points) <= c.adaptive_min_num_points:
         return points
-    found = voxel_filter(points, c.max_length)
-    if len(found) >= c.min_num_points:
+    found = voxel_filter(points, c.adaptive_max_length)
+    if len(found) >= c.adaptive_min_num_points:
         return found
-    high = c.max_length
-    while high > 0.01 * c.max_length:
+    high = c.adaptive_max_length
+    while high > 0.01 * c.adaptive_max_length:
         found = voxel_filter(points, low := high / 2)
-        if len(found) >= c.min_num_points:
-            return _bisect_length(points, found, low, high, c.min_num_points)
+        if len(found) >= c.adaptive_min_num_points:
+            return _bisect_length(points, found, low, high, c.adaptive_min_num_points)
         high = low
     return found
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_extensions.originals.cartographer.config import CeresMatcherConfig, OnlineSearchConfig
+from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig, CeresMatcher
 from lirs_extensions.originals.cartographer.probability_grid import COST, ProbabilityGrid
 from lirs_extensions.originals.cartographer.trust_region import NormalEquations, minimize
 from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
@@ -16,16 +16,16 @@ from lirs_wct.geometry import Pose2, wrap_angle
 
 
 def match_scan(
-    grid: ProbabilityGrid, points: Float32Array, target: Pose2, start: Pose2, config: CeresMatcherConfig
+    grid: ProbabilityGrid, points: Float32Array, target: Pose2, start: Pose2, matcher: CeresMatcher
 ) -> Pose2:
     """Return the pose of points (n, 2) in the frame of the grid.
 
     The cost holds 1 - p at the points, interpolated bicubically, the distance from `target` and the turn from
     `start` (Hess et al. 2016, eq. CS).
     """
-    problem = _MatchProblem(grid, points, np.array((target.x, target.y, start.yaw)), config)
+    problem = _MatchProblem(grid, points, np.array((target.x, target.y, start.yaw)), matcher)
     x = minimize(
-        problem, start.as_array(), config.max_num_iterations, nonmonotonic=config.use_nonmonotonic_steps
+        problem, start.as_array(), matcher.max_num_iterations, nonmonotonic=matcher.use_nonmonotonic_steps
     )
     return Pose2(float(x[0]), float(x[1]), wrap_angle(float(x[2])))
 
@@ -35,11 +35,11 @@ class _MatchProblem:
     grid: ProbabilityGrid
     points: Float32Array
     prior: FloatArray
-    config: CeresMatcherConfig
+    matcher: CeresMatcher
 
     def evaluate(self, x: FloatArray) -> NormalEquations:
         """Return the normal equations at x, y, yaw."""
-        c, H, g = self.config, np.zeros((3, 3)), np.zeros(3)
+        c, H, g = self.matcher, np.zeros((3, 3)), np.zeros(3)
         squares = _occupied_space(
             self.grid.cells, self.grid.corner, self.grid.resolution, COST, self.points, x, H, g
         )
@@ -152,12 +152,12 @@ def rotated_cells(
 
 
 def search_online(
-    grid: ProbabilityGrid, points: Float32Array, expected: Pose2, config: OnlineSearchConfig
+    grid: ProbabilityGrid, points: Float32Array, expected: Pose2, config: CartographerOriginalConfig
 ) -> Pose2:
     """Return the pose with the best score in a small window around the expected one."""
     c = config
     cells, turns, reach = rotated_cells(
-        grid, points, expected, c.linear_search_window, c.angular_search_window
+        grid, points, expected, c.online_linear_search_window, c.online_angular_search_window
     )
     weights = c.translation_delta_cost_weight, c.rotation_delta_cost_weight
     k, row, col = _best_shift(grid.cells, COST, cells, turns, reach, grid.resolution, weights)

@@ -19,10 +19,10 @@ from lirs_extensions.originals.gmapping.hit_maps import HitMaps, MatchingParamet
 from lirs_wct.arrays import BoolArray, FloatArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
-from slam_baselines.front_end import KeyframeTrajectory, PlanarMapper
+from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.linalg import compose_poses
-from slam_baselines.mapper import MapperStats
+from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.occupancy_map import GrowingGrid, line_cells
 
 MILLIMETER, MICROMETER = 3, 6
@@ -36,7 +36,7 @@ WARM_UP = {"resampleThreshold": 1.0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class GmappingOriginalConfig(Checked):
+class GmappingOriginalConfig(Checked, of="gmapping_original"):
     """Parameters of OpenSLAM's GMapping with its defaults.
 
     Attributes:

@@ -25,7 +25,7 @@ from lirs_extensions.search.case_search import (
     trial_key,
 )
 from lirs_extensions.search.options import TuneOptions
-from lirs_extensions.search.tune.tunable import TUNABLE, usual_values
+from lirs_extensions.search.tune.tunable import TUNABLE, default_parameters
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.experiment.scenario import ScenarioCache
@@ -73,7 +73,7 @@ def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpa
     """
     if mapper not in TUNABLE:
         raise unknown_name("mapper with parameters to tune", mapper, TUNABLE)
-    usual, given = usual_values(mapper), read_parameters(parameters)
+    usual, given = default_parameters(mapper), read_parameters(parameters)
     whole = {name for name, value in usual.items() if isinstance(value, int)}
     made = [
         SearchParameter(t.name, mapper, usual[t.name], t.low, t.high, whole=t.name in whole, log=t.log)
@@ -103,7 +103,7 @@ class TuneDrives:
         pool: WorkerPool | None = None,
     ) -> None:
         self.target, self.options, self.space = target, options, space
-        self.usual = Case(dict(usual_values(target.mapper)))
+        self.usual = Case(dict(default_parameters(target.mapper)))
         self.archive = TrialArchive(out / "drives.jsonl", TuneScore, pool)
 
     def text(self, case: Case) -> str:

@@ -16,11 +16,11 @@ class Tunable(NamedTuple):
     """One parameter that a search may change.
 
     Attributes:
-        name: field of the configuration, `part.field` of a part.
-        low: smallest plausible value.
-        high: largest plausible value.
-        log: whether equal steps multiply the value.
-        ros: name of the ROS parameter or path in Cartographer's Lua tables; empty = as `name`.
+        name: Field of the configuration.
+        low: Smallest plausible value.
+        high: Largest plausible value.
+        log: Whether equal steps multiply the value.
+        ros: Name of the ROS parameter or path in Cartographer's Lua tables; empty = as `name`.
     """
 
     name: str
@@ -48,12 +48,13 @@ _HECTOR = (
     Tunable("map_update_angle_thresh", 0.05, 1.5),
 )
 _BUILDER, _GRAPH = "TRAJECTORY_BUILDER_2D", "POSE_GRAPH"
+_MATCHER = f"{_BUILDER}.ceres_scan_matcher"
 _INSERTER = f"{_BUILDER}.submaps.range_data_inserter.probability_grid_range_data_inserter"
 
 
-def _lua(table: str, name: str, low: float, high: float, *, part: str = "", log: bool = True) -> Tunable:
-    """Return a parameter whose path in the Lua table is that of its field."""
-    return Tunable(f"{part}{name}", low, high, log, f"{table}.{name}")
+def _lua(path: str, low: float, high: float, *, name: str = "", log: bool = True) -> Tunable:
+    """Return a parameter of Cartographer, whose field is called as in Lua unless named."""
+    return Tunable(name or path.rpartition(".")[2], low, high, log, path)
 
 
 TUNABLE: Mapping[str, tuple[Tunable, ...]] = {
@@ -78,41 +79,30 @@ TUNABLE: Mapping[str, tuple[Tunable, ...]] = {
         Tunable("laser_max_dist", 4.0, 30.0),
     ),
     "cartographer": (
-        _lua(_BUILDER, "submaps.num_range_data", 20, 200, part="local."),
-        _lua(_BUILDER, "motion_filter.max_distance_meters", 0.05, 0.5, part="local."),
-        _lua(_BUILDER, "motion_filter.max_angle_radians", 0.01, 0.5, part="local."),
-        Tunable("graph.optimize_every_n_nodes", 10, 200, ros=f"{_GRAPH}.optimize_every_n_nodes"),
+        _lua(f"{_BUILDER}.submaps.num_range_data", 20, 200),
+        _lua(f"{_BUILDER}.motion_filter.max_distance_meters", 0.05, 0.5),
+        _lua(f"{_BUILDER}.motion_filter.max_angle_radians", 0.01, 0.5),
+        _lua(f"{_GRAPH}.optimize_every_n_nodes", 10, 200),
     ),
     "cartographer_original": (
-        _lua(_BUILDER, "max_range", 5.0, 60.0),
-        _lua(_BUILDER, "voxel_filter_size", 0.01, 0.1),
-        _lua(_BUILDER, "ceres_scan_matcher.translation_weight", 0.1, 100.0),
-        _lua(_BUILDER, "ceres_scan_matcher.rotation_weight", 0.1, 400.0),
-        Tunable("max_distance_meters", 0.05, 0.5, ros=f"{_BUILDER}.motion_filter.max_distance_meters"),
-        Tunable("max_angle_radians", 0.005, 0.2, ros=f"{_BUILDER}.motion_filter.max_angle_radians"),
-        Tunable("num_range_data", 20, 200, ros=f"{_BUILDER}.submaps.num_range_data"),
-        Tunable("hit_probability", 0.51, 0.7, False, f"{_INSERTER}.hit_probability"),
-        Tunable("miss_probability", 0.4, 0.49, False, f"{_INSERTER}.miss_probability"),
-        _lua(_GRAPH, "constraint_builder.min_score", 0.4, 0.8, part="pose_graph.", log=False),
-        Tunable(
-            "pose_graph.odometry_translation_weight", 1e2, 1e6,
-            ros=f"{_GRAPH}.optimization_problem.odometry_translation_weight",
-        ),
-        Tunable(
-            "pose_graph.odometry_rotation_weight", 1e2, 1e6,
-            ros=f"{_GRAPH}.optimization_problem.odometry_rotation_weight",
-        ),
+        _lua(f"{_BUILDER}.max_range", 5.0, 60.0),
+        _lua(f"{_BUILDER}.voxel_filter_size", 0.01, 0.1),
+        _lua(f"{_MATCHER}.translation_weight", 0.1, 100.0, name="ceres_translation_weight"),
+        _lua(f"{_MATCHER}.rotation_weight", 0.1, 400.0, name="ceres_rotation_weight"),
+        _lua(f"{_BUILDER}.motion_filter.max_distance_meters", 0.05, 0.5),
+        _lua(f"{_BUILDER}.motion_filter.max_angle_radians", 0.005, 0.2),
+        _lua(f"{_BUILDER}.submaps.num_range_data", 20, 200),
+        _lua(f"{_INSERTER}.hit_probability", 0.51, 0.7, log=False),
+        _lua(f"{_INSERTER}.miss_probability", 0.4, 0.49, log=False),
+        _lua(f"{_GRAPH}.constraint_builder.min_score", 0.4, 0.8, log=False),
+        _lua(f"{_GRAPH}.optimization_problem.odometry_translation_weight", 1e2, 1e6),
+        _lua(f"{_GRAPH}.optimization_problem.odometry_rotation_weight", 1e2, 1e6),
     ),
-}  # fmt: skip
+}
 """Parameters by mapper."""
 
 
-def usual_values(mapper: str) -> dict[str, float]:
+def default_parameters(mapper: str) -> dict[str, float]:
     """Return the default of each of a mapper's parameters by name."""
-    found = {}
-    for tunable in TUNABLE[mapper]:
-        value = make_mapper(mapper).config  # type: ignore[attr-defined]
-        for part in tunable.name.split("."):
-            value = getattr(value, part)
-        found[tunable.name] = value
-    return found
+    config = make_mapper(mapper).config  # type: ignore[attr-defined]
+    return {tunable.name: getattr(config, tunable.name) for tunable in TUNABLE[mapper]}

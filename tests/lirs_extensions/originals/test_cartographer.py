@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from lirs_envs.robots.robot import make_robot
-from lirs_extensions.originals.cartographer.config import ConstraintBuilderConfig, PoseGraphConfig
 from lirs_extensions.originals.cartographer.local_slam import TrajectoryBuilder
 from lirs_extensions.originals.cartographer.mapper import (
     CartographerOriginalConfig,
@@ -78,8 +77,7 @@ def test_it_maps_without_odometry() -> None:
 @pytest.mark.slow
 def test_loops_are_found_and_tied() -> None:
     """A second lap in a room finds the submap of the first one, and every look gives the same poses."""
-    graph = PoseGraphConfig(constraint_builder=ConstraintBuilderConfig(min_score=0.4))
-    mapper = CartographerOriginalMapper(CartographerOriginalConfig(num_range_data=30, pose_graph=graph))
+    mapper = CartographerOriginalMapper(CartographerOriginalConfig(num_range_data=30, min_score=0.4))
     drive_room(mapper)
     loops, counts = mapper.loops, mapper.stats.counts
     assert 0 < len(loops) == counts["loops"] <= counts["loop_searches"]
@@ -123,7 +121,6 @@ def test_the_published_defaults_are_set() -> None:
     assert (c.num_range_data, c.resolution, c.max_range, c.missing_data_ray_length) == (90, 0.05, 30.0, 5.0)
     assert (c.max_time_seconds, c.max_distance_meters) == (5.0, 0.2)
     assert c.max_angle_radians == math.radians(1.0)
-    matcher, graph = c.ceres_scan_matcher, c.pose_graph
-    assert (matcher.translation_weight, matcher.rotation_weight) == (10.0, 40.0)
-    assert (graph.optimize_every_n_nodes, graph.huber_scale) == (90, 10.0)
-    assert (graph.constraint_builder.sampling_ratio, graph.constraint_builder.min_score) == (0.3, 0.55)
+    assert (c.ceres_translation_weight, c.ceres_rotation_weight) == (10.0, 40.0)
+    assert (c.optimize_every_n_nodes, c.huber_scale) == (90, 10.0)
+    assert (c.sampling_ratio, c.min_score) == (0.3, 0.55)

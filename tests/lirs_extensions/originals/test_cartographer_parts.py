@@ -8,12 +8,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import least_squares
 
-from lirs_extensions.originals.cartographer.config import (
-    AdaptiveVoxelFilterConfig,
-    CeresMatcherConfig,
-    ConstraintBuilderConfig,
-    OnlineSearchConfig,
-)
+from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
 from lirs_extensions.originals.cartographer.local_slam import PoseExtrapolator
 from lirs_extensions.originals.cartographer.loop_search import LoopSearcher, bound_grids
 from lirs_extensions.originals.cartographer.pose_graph import PoseGraphProblem, adjust, pose_tie
@@ -139,7 +134,7 @@ def test_interpolation_is_catmull_rom_s() -> None:
 
 
 def test_the_matcher_s_equations_are_those_of_its_residuals() -> None:
-    grid, points, config = drawn_grid(), wall_points(), CeresMatcherConfig()
+    grid, points, config = drawn_grid(), wall_points(), CartographerOriginalConfig().ceres_matcher
     problem = _MatchProblem(grid, points, np.array((0.01, 0.0, 0.02)), config)
     x, h = np.array((0.02, -0.03, 0.01)), 1e-6
     at = problem.evaluate(x)
@@ -186,7 +181,7 @@ def test_voxels_keep_one_point_each() -> None:
     voxels = {tuple(v) for v in np.floor(points / 0.5 + 0.5).astype(int).tolist()}
     assert {tuple(v) for v in np.floor(kept / 0.5 + 0.5).astype(int).tolist()} == voxels
     assert len(kept) == len(voxels)
-    config = AdaptiveVoxelFilterConfig()
+    config = CartographerOriginalConfig()
     assert len(adaptive_voxel_filter(points[:150], config)) == 150
     assert 200 <= len(adaptive_voxel_filter(points, config)) < 260
 
@@ -209,7 +204,7 @@ def test_bounds_hold_the_largest_cell_below_them() -> None:
 
 def test_the_loop_search_finds_the_best_of_all_poses() -> None:
     grid, points = drawn_grid().crop(), wall_points(40)
-    config = ConstraintBuilderConfig(
+    config = CartographerOriginalConfig(
         linear_search_window=0.4, angular_search_window=0.1, branch_and_bound_depth=3, min_score=0.3
     )
     expected = Pose2(0.22, -0.17, 0.05)
@@ -222,16 +217,16 @@ def test_the_loop_search_finds_the_best_of_all_poses() -> None:
     assert found is not None
     assert found.score == pytest.approx(best, abs=0.004)
     assert found.pose.distance(Pose2()) < grid.resolution
-    assert LoopSearcher(grid, ConstraintBuilderConfig()).search(points + 50, expected) is None
+    assert LoopSearcher(grid, CartographerOriginalConfig()).search(points + 50, expected) is None
 
 
 def test_the_online_search_prefers_small_shifts() -> None:
     grid, points = drawn_grid(), wall_points()
-    found = search_online(grid, points, Pose2(0.1, -0.05, 0.2), OnlineSearchConfig())
+    found = search_online(grid, points, Pose2(0.1, -0.05, 0.2), CartographerOriginalConfig())
     assert found.distance(Pose2()) < 0.03
     assert abs(found.yaw) < 0.02
     unknown = ProbabilityGrid(0.05, np.zeros(2))
-    stay = search_online(unknown, points, Pose2(0.1, -0.05, 0.2), OnlineSearchConfig())
+    stay = search_online(unknown, points, Pose2(0.1, -0.05, 0.2), CartographerOriginalConfig())
     assert (stay.x, stay.y, stay.yaw) == pytest.approx((0.1, -0.05, 0.2))
 
 

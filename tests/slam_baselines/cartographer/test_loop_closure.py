@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.cartographer.config import (
-    CandidateConfig,
-    ConstraintConfig,
-    GlobalConfig,
-    LoopVerificationConfig,
-    SubmapConfig,
-)
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.global_slam import GlobalSlam
 from slam_baselines.cartographer.loop_closure import (
     CandidateQueue,
@@ -27,7 +21,7 @@ from tests.slam_baselines.cartographer.corridor import corridor_scan, ring
 
 
 def test_the_queue_takes_new_nodes_first_and_enough_is_enough():
-    queue = CandidateQueue(CandidateConfig(found_per_pair=2, tries_per_pair=3, max_num_candidates=5))
+    queue = CandidateQueue(CartographerConfig(loops_per_pair=2, searches_per_pair=3, max_num_candidates=5))
     queue.add_candidate(1, 0, 7, new_node=False)
     queue.add_candidate(20, 5, 7, new_node=True)
     queue.add_candidate(21, 5, 7, new_node=True)
@@ -48,14 +42,14 @@ def test_the_queue_takes_new_nodes_first_and_enough_is_enough():
 
 def test_a_scan_is_found_in_a_submap():
     rng = np.random.default_rng(0)
-    submap = Submap(SubmapConfig(), Pose2())
+    submap = Submap(CartographerConfig(), Pose2())
     pose = Pose2(7.5, 0.0, math.pi / 2)
     scan = corridor_scan(pose, 0.0, rng)
     hits = ends(scan)
     for _ in range(4):
         placed = ScanPoints(np.zeros(3), lifted(pose.apply(hits)), np.empty((0, 3)))
         submap.draw_range_data(0, placed, np.zeros(len(hits), np.uint8), 0)
-    builder = ConstraintBuilder(ConstraintConfig())
+    builder = ConstraintBuilder(CartographerConfig())
     for distance_traveled, shift in ((0.0, Pose2(0.1, -0.1, 0.02)), (100.0, Pose2(0.9, 0.6, -0.2))):
         found = builder.compute_constraint(submap, lifted(hits), pose @ shift, distance_traveled)
         assert found is not None
@@ -76,7 +70,7 @@ def lifted(points):
 
 
 def test_one_loop_that_moves_far_waits_for_a_second():
-    verification = LoopVerification(LoopVerificationConfig())
+    verification = LoopVerification(CartographerConfig())
     submaps, nodes = [Pose2()], [Pose2(i, 0.0) for i in range(4)]
     moved = Pose2(0.0, 2.0, 0.1)
     loops = [LoopConstraint(0, i, moved @ nodes[i], np.eye(3)) for i in range(4)]
@@ -99,7 +93,7 @@ def test_the_same_nodes_added_again_are_constrained_alike():
             break
     else:
         pytest.fail("the drive is too short for a second submap")
-    again = GlobalSlam(mapper.config.graph, local)
+    again = GlobalSlam(mapper.config, local)
     for node in mapper._graph.nodes:
         again.add_node(node)
     now, before = again._to_submaps.constraints(), mapper._graph._to_submaps.constraints()
@@ -109,8 +103,8 @@ def test_the_same_nodes_added_again_are_constrained_alike():
 
 
 def test_the_path_is_that_after_all_waiting_searches_and_the_drive_goes_on_as_before():
-    often = GlobalConfig(candidates=CandidateConfig(sampling_ratio=1.0, found_per_pair=99, tries_per_pair=99))
-    rng, mapper, truth = np.random.default_rng(2), make_mapper("cartographer", graph=often), ring(1.4, 0.3)
+    often = {"sampling_ratio": 1.0, "loops_per_pair": 99, "searches_per_pair": 99}
+    rng, mapper, truth = np.random.default_rng(2), make_mapper("cartographer", **often), ring(1.4, 0.3)
     for i, pose in enumerate(truth):
         mapper.update(corridor_scan(pose, 0.2 * i, rng), truth[0].inverse() @ pose, None)
     graph = mapper._graph

@@ -10,7 +10,7 @@ from lirs_validation.metrics.trajectory import constraint_errors, read_constrain
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
-from slam_baselines.cartographer.config import ConstraintConfig, GlobalConfig, SubmapConfig
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.cartographer.corridor import CORRIDOR, corridor_scan, ring
 
@@ -72,15 +72,10 @@ def test_a_ring_driven_twice_closes(twice_round):
 
 def test_without_loops_the_same_drive_is_worse(twice_round):
     mapper, _, truth = twice_round
-    alone, _ = drive(truth, config={"graph": no_loops()})
+    no_loops = {"min_refined_score": 1.0, "min_score": 1.0, "global_min_score": 1.0}
+    alone, _ = drive(truth, config=no_loops)
     assert alone.stats.counts["loops"] == 0
     assert closure(alone.trajectory(), truth) > 2 * closure(mapper.trajectory(), truth)
-
-
-def no_loops():
-    return GlobalConfig(
-        constraints=ConstraintConfig(min_refined_score=1.0, min_score=1.0, global_min_score=1.0)
-    )
 
 
 def test_the_map_shows_single_walls(twice_round):
@@ -123,8 +118,8 @@ def test_the_map_grows_as_if_drawn_at_once():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: SubmapConfig(search_level=3), "search_level"),
-        (lambda: ConstraintConfig(min_score=0.9), "global_min_score"),
+        (lambda: CartographerConfig(search_level=3), "search_level"),
+        (lambda: CartographerConfig(min_score=0.9), "global_min_score"),
         (lambda: make_mapper("cartographer", nonsense=1), "nonsense"),
     ],
 )

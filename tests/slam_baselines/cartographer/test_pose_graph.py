@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slam_baselines.cartographer.config import OptimizationConfig
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.pose_graph import (
     FIRST_ROWS,
     ConstraintTable,
@@ -143,7 +143,7 @@ def test_a_square_is_recovered(outliers):
     start = drifted(nodes, rng)
     constraints = constraints_of(nodes, start, per, rng, outliers)
     solution = solved(
-        OptimizationProblem(OptimizationConfig(), constraints, NONE, np.zeros(3)), start[::per], start
+        OptimizationProblem(CartographerConfig(), constraints, NONE, np.zeros(3)), start[::per], start
     )
     second = len(nodes) // 2  # the first round closes nowhere: that the second lies on it is what loops say
     assert rmse(start[second:], start[:second]) > 1.0
@@ -157,8 +157,8 @@ def test_outliers_ruin_it_without_the_robust_kernel():
     nodes, _, per = square()
     start = drifted(nodes, rng)
     constraints = constraints_of(nodes, start, per, rng, 0.05)
-    least_squares = OptimizationProblem(OptimizationConfig(cauchy_scale=1e6), constraints, NONE, np.zeros(3))
-    robust = OptimizationProblem(OptimizationConfig(), constraints, NONE, np.zeros(3))
+    least_squares = OptimizationProblem(CartographerConfig(cauchy_scale=1e6), constraints, NONE, np.zeros(3))
+    robust = OptimizationProblem(CartographerConfig(), constraints, NONE, np.zeros(3))
     plain, resistant = (solved(p, start[::per], start) for p in (least_squares, robust))
     half = len(nodes) // 2
     assert rmse(plain.nodes[half:], plain.nodes[:half]) > 3 * rmse(
@@ -176,7 +176,7 @@ def test_the_step_solves_the_whole_system():
         for k in range(7)
     ]
     problem = OptimizationProblem(
-        OptimizationConfig(gauge_information=100.0), constraints, PoseConstraints.stack(odometry), np.zeros(3)
+        CartographerConfig(gauge_information=100.0), constraints, PoseConstraints.stack(odometry), np.zeros(3)
     )
     s0, n0 = submaps + rng.normal(0, 0.05, submaps.shape), nodes + rng.normal(0, 0.05, nodes.shape)
     s, n = len(s0), len(n0)
@@ -193,7 +193,7 @@ def test_the_step_solves_the_whole_system():
     J = np.stack([(stacked(x + d) - stacked(x - d)) / 2e-6 for d in 1e-6 * np.eye(len(x))], axis=1)
     # Loops are robust: hold their weights at 1 by a wide kernel.
     wide = OptimizationProblem(
-        OptimizationConfig(gauge_information=100.0, cauchy_scale=1e6),
+        CartographerConfig(gauge_information=100.0, cauchy_scale=1e6),
         constraints,
         problem.to_submaps,
         np.zeros(3),
@@ -208,6 +208,6 @@ def test_the_scale_is_that_of_cauchys_loss():
     """At the scale, Cauchy's loss is log 2 times the squared scale; Huber's would still be quadratic."""
     z = np.array((3.0, 0.0, 0.0))
     constraint = PoseConstraints.stack([PoseConstraint(0, 0, z, np.eye(3), True)])
-    problem = OptimizationProblem(OptimizationConfig(cauchy_scale=3.0), constraint, NONE, np.zeros(3))
+    problem = OptimizationProblem(CartographerConfig(cauchy_scale=3.0), constraint, NONE, np.zeros(3))
     cost = problem.cost(np.zeros((1, 3)), np.zeros((1, 3)), 1.0)
     assert cost == pytest.approx(0.5 * 9 * np.log(2))

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.cartographer.config import (
-    CartographerConfig,
-    GlobalConfig,
-    LocalConfig,
-    SubmapConfig,
-    TrimmingConfig,
-)
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.global_slam import Trimmer
 from slam_baselines.cartographer.mapper import CartographerMapper
 from slam_baselines.cartographer.submap import Submap, Submaps
@@ -24,7 +18,7 @@ from tests.slam_baselines.synthetic import loop, room_scan
 
 
 def test_submaps_overlap_and_finish():
-    submaps = Submaps(SubmapConfig(num_range_data=3))
+    submaps = Submaps(CartographerConfig(num_range_data=3))
     scan = ScanPoints(np.zeros(3), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.empty((0, 3)))
     entered = [
         list(submaps.insert_range_data(i, Pose2(i, 0), scan, np.zeros(2, np.uint8), 0)) for i in range(10)
@@ -37,7 +31,7 @@ def test_submaps_overlap_and_finish():
 
 
 def test_few_scans_over_a_long_way_end_a_submap():
-    submaps = Submaps(SubmapConfig(num_range_data=60, max_distance=3.0))
+    submaps = Submaps(CartographerConfig(num_range_data=60, submap_distance=3.0))
     scan = ScanPoints(np.zeros(3), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]), np.empty((0, 3)))
     for i in range(10):
         submaps.insert_range_data(i, Pose2(i, 0), scan, np.zeros(2, np.uint8), 0)
@@ -46,7 +40,7 @@ def test_few_scans_over_a_long_way_end_a_submap():
 
 
 def test_room_made_at_once_holds_the_same_as_room_made_scan_by_scan():
-    rng, config = np.random.default_rng(4), SubmapConfig()
+    rng, config = np.random.default_rng(4), CartographerConfig()
     away = [np.array((2.0 * k, -1.5 * k, 0.0)) for k in range(6)]
     hits = [rng.uniform((-9, -7, -0.3), (8, 6, 1), (90, 3)) + shift for shift in away]
     scans = [ScanPoints(o, ends, np.empty((0, 3))) for o, ends in zip(away, hits, strict=True)]
@@ -65,9 +59,9 @@ def test_room_made_at_once_holds_the_same_as_room_made_scan_by_scan():
             np.testing.assert_array_equal(before, after)
 
 
-def drawn(config: SubmapConfig | None = None, seed: int = 0) -> Submap:
+def drawn(config: CartographerConfig | None = None, seed: int = 0) -> Submap:
     """A submap of ten scans, some of whose hits are steep."""
-    rng, submap = np.random.default_rng(seed), Submap(config or SubmapConfig(), Pose2(1, 2, 0.3))
+    rng, submap = np.random.default_rng(seed), Submap(config or CartographerConfig(), Pose2(1, 2, 0.3))
     for k in range(10):
         hits = np.column_stack((rng.uniform(-9, 7, 60), rng.uniform(-3, 5, 60), rng.uniform(0, 1, 60)))
         free = np.column_stack((rng.uniform(-9, 7, 9), rng.uniform(-3, 5, 9), rng.uniform(0, 1, 9)))
@@ -125,7 +119,7 @@ def test_what_was_searched_in_longest_ago_is_released() -> None:
     _ = one.bounds
     unpacked = one.unpacked_nbytes
     assert packed < unpacked / 4
-    config = SubmapConfig(max_unpacked_bytes=2 * unpacked + unpacked // 2)
+    config = CartographerConfig(max_unpacked_bytes=2 * unpacked + unpacked // 2)
     submaps = Submaps(config)
     submaps.all = [drawn(config) for _ in range(4)]
     for index, submap in enumerate(submaps.all):
@@ -142,7 +136,7 @@ def test_what_was_searched_in_longest_ago_is_released() -> None:
 
 def test_large_submaps_are_searched_on_a_coarser_level() -> None:
     assert drawn().bounds.resolution == pytest.approx(0.1)
-    assert drawn(SubmapConfig(max_search_cells=100)).bounds.resolution == pytest.approx(0.2)
+    assert drawn(CartographerConfig(max_search_cells=100)).bounds.resolution == pytest.approx(0.2)
 
 
 LAP = 100
@@ -150,7 +144,7 @@ LAP = 100
 
 def submap_at(x: float, size: float = 4.0) -> Submap:
     """A submap with walls around a square of floor at (x, 0)."""
-    submap = Submap(SubmapConfig(), Pose2(x, 0, 0.3))
+    submap = Submap(CartographerConfig(), Pose2(x, 0, 0.3))
     angle = np.linspace(0, 2 * np.pi, 2000)
     reach = size / 2 / np.maximum(abs(np.cos(angle)), abs(np.sin(angle)))
     hits = np.stack((x + reach * np.cos(angle), reach * np.sin(angle), 0 * angle), axis=-1)
@@ -161,7 +155,7 @@ def submap_at(x: float, size: float = 4.0) -> Submap:
 
 
 def trimmer_of(xs: list[float], **config: int) -> tuple[Trimmer, list[Pose2]]:
-    trimmer, poses = Trimmer(TrimmingConfig(**config)), []
+    trimmer, poses = Trimmer(CartographerConfig(**config)), []
     for i, x in enumerate(xs):
         submap = submap_at(x)
         trimmer.add_finished_submap(i, submap)
@@ -206,10 +200,7 @@ def test_a_trimmed_submap_holds_nothing() -> None:
 @pytest.fixture(scope="module")
 def ten_laps() -> tuple[CartographerMapper, list[Pose2], list[int]]:
     """A room driven round ten times, in small submaps; the mapper, the truth, memory after each lap."""
-    config = CartographerConfig(
-        local=LocalConfig(submaps=SubmapConfig(num_range_data=15)),
-        graph=GlobalConfig(trimming=TrimmingConfig(min_added_submaps_count=2), optimize_every_n_nodes=10),
-    )
+    config = CartographerConfig(num_range_data=15, min_added_submaps_count=2, optimize_every_n_nodes=10)
     mapper, rng, memory = CartographerMapper(config), np.random.default_rng(1), []
     truth = [pose for _ in range(10) for pose in loop(LAP + 1)[:LAP]]
     for i, pose in enumerate(truth):

@@ -13,17 +13,15 @@ from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.dead_reckoning import PoseEstimate
-from slam_baselines.front_end import Keyframe
 from slam_baselines.gmapping.increment import GyroBiasConfig, remove_bias
 from slam_baselines.gmapping.mapper import (
     BiasedRegistration,
     GmappingConfig,
     GmappingKeyframe,
     GmappingMapper,
-    GyroIncrement,
 )
 from slam_baselines.gmapping.particles import TrajectoryTree
-from slam_baselines.gmapping.proposal import ProposalConfig, Proposer
+from slam_baselines.gmapping.proposal import Proposer
 from slam_baselines.ground_filter import GroundFilter
 from slam_baselines.leveling import LeveledScan
 from slam_baselines.mapper import Mapper, make_mapper
@@ -199,14 +197,14 @@ BIAS = math.radians(0.03)
 def test_the_bias_is_learnt_from_where_the_walls_put_the_scans(bias: float) -> None:
     rng = np.random.default_rng(2)
     nothing = np.empty((0, 3))
-    scan = LeveledScan(np.zeros(3), nothing, nothing, (0.0, 0.0), 0.01, 0.0)
+    scan = LeveledScan(np.zeros(3), nothing, nothing, (0.0, 0.0), True, 0.0)
 
     def keyframe(step: Pose2, seconds: float) -> GmappingKeyframe:
-        motion = GyroIncrement(PoseEstimate(step, np.eye(3)), seconds)
-        return Keyframe(scan, Pose2(), 0.0, np.empty(0, np.uint8), motion)
+        reckoned = PoseEstimate(step, np.eye(3))
+        return GmappingKeyframe(scan, Pose2(), 0.0, np.empty(0, np.uint8), reckoned, seconds)
 
-    gyro = GyroBiasConfig(prior=2 * BIAS, walk=math.radians(0.01))
-    registration, truth = BiasedRegistration(Proposer(ProposalConfig()), GroundFilter(), gyro), [Pose2()]
+    gyro = GyroBiasConfig(gyro_bias_prior=2 * BIAS, heading_walk=math.radians(0.01))
+    registration, truth = BiasedRegistration(Proposer(GmappingConfig()), GroundFilter(), gyro), [Pose2()]
     keyframes = [keyframe(Pose2(), 0.0)]
     for _ in range(30):
         step = Pose2(1.0, 0, float(rng.normal(0, 0.3)))

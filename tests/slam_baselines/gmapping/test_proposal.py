@@ -5,9 +5,10 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
+from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
 from slam_baselines.gmapping.particles import effective_number, normalize, systematic_resample
-from slam_baselines.gmapping.proposal import First, PoseDistributions, Proposal, ProposalConfig, Proposer
+from slam_baselines.gmapping.proposal import First, PoseDistributions, Proposal, Proposer
 from slam_baselines.gmapping.scan_matching import ScanBeams, log_likelihood, near_beams
 from slam_baselines.leveling import ScanPoints
 
@@ -45,7 +46,7 @@ def proposed(
 ) -> Proposal:
     odometry = PoseDistributions(expected, np.tile(np.diag((0.01, 0.01, 0.01)), (len(expected), 1, 1)))
     beams = ScanBeams(points, np.ones(len(points)))
-    return Proposer(ProposalConfig()).propose(maps, beams, 0, odometry, first, np.random.default_rng(seed))
+    return Proposer(GmappingConfig()).propose(maps, beams, 0, odometry, first, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize(
@@ -116,7 +117,7 @@ def test_same_seed_same_draw() -> None:
 
 def test_illegal_numbers_are_named() -> None:
     with pytest.raises(ConfigError, match="minimumScore"):
-        ProposalConfig(minimumScore=0.9)
+        GmappingConfig(minimumScore=0.9)
 
 
 def test_copies_of_a_particle_get_what_each_would_get() -> None:

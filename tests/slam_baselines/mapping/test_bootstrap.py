@@ -3,23 +3,23 @@
 import numpy as np
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.front_end import Bootstrap, BootstrapConfig, Keyframe
+from slam_baselines.front_end import FrontEndConfig, Keyframe, StartUp
 from slam_baselines.leveling import LeveledScan
 
 NOTHING = np.empty((0, 3))
-SCAN = LeveledScan(np.zeros(3), NOTHING, NOTHING, (0.0, 0.0), 0.0, 0.0)
+SCAN = LeveledScan(np.zeros(3), NOTHING, NOTHING, (0.0, 0.0), True, 0.0)
 
 
 def refined_at(first: float, last: float, ready: float) -> list[float]:
     """Distances of the refinements of a drive over 30 m, each done when it is due and `ready` is reached."""
-    bootstrap: Bootstrap[Keyframe[None]] = Bootstrap(BootstrapConfig(first=first, last=last))
+    start = StartUp[Keyframe](FrontEndConfig(bootstrap_first=first, bootstrap_last=last))
     found = []
     for k in range(61):
-        keyframe = Keyframe(SCAN, Pose2(0.5 * k), 0.0, np.empty(0, np.uint8), None)
-        if bootstrap.add(keyframe, 0.5 * k) and 0.5 * k >= ready:
-            bootstrap.replace(bootstrap.keyframes)
+        keyframe = Keyframe(SCAN, Pose2(0.5 * k), 0.0, np.empty(0, np.uint8))
+        if start.add(keyframe, 0.5 * k) and 0.5 * k >= ready:
+            start.replace(start.keyframes)
             found.append(0.5 * k)
-    assert bootstrap.refinements == len(found)
+    assert start.refinements == len(found)
     return found
 
 

@@ -33,12 +33,12 @@ LASER = np.array((0.0, 0.0, 0.32))
 
 
 def leaning(pitch: float) -> LeveledScan:
-    return LeveledScan(LASER, NONE, NONE, (-math.tan(pitch), 0.0), abs(pitch), 0.0)
+    return LeveledScan(LASER, NONE, NONE, (-math.tan(pitch), 0.0), True, 0.0)
 
 
 def on_hills(tilt: float = 0.1, distance_traveled: float = 50.0) -> GroundFilter:
     """A filter that has met slopes, far enough from the start to know them."""
-    ground_filter = GroundFilter(GroundFilterConfig(drift=1e-6))
+    ground_filter = GroundFilter(GroundFilterConfig(height_drift=1e-6))
     ground_filter.move(Pose2(distance_traveled), leaning(tilt))
     ground_filter.height = 0.0
     return ground_filter
@@ -126,7 +126,7 @@ def test_a_beam_that_passes_low_in_front_proves_a_wall() -> None:
 def test_old_heights_are_believed_less_after_a_long_way() -> None:
     min_slope = []
     for drift in (0.0001, 0.02):
-        ground_filter = GroundFilter(GroundFilterConfig(drift=drift))
+        ground_filter = GroundFilter(GroundFilterConfig(height_drift=drift))
         ground_filter.observe(ScanPoints(LASER, np.array(((6.0, 0.0, 0.1),)), NONE), Pose2())
         ground_filter.move(Pose2(20.0), leaning(0.0))
         high = ScanPoints(LASER, np.array(((6.0, 0.0, 0.75),)), NONE)
@@ -226,7 +226,7 @@ def leveled_hits(rng: np.random.Generator) -> Array:
 def test_kernels_follow_the_formula(seed: int, yaw: float) -> None:
     rng = np.random.default_rng(seed)
     bound, hits, pose = hilly_bound(rng), leveled_hits(rng), Pose2(GROUND[0], GROUND[1], yaw)
-    placed = LeveledScan(ORIGIN, hits, FREE, (0.0, 0.0), 0.1, 0.0).transformed(pose, 0.2)
+    placed = LeveledScan(ORIGIN, hits, FREE, (0.0, 0.0), True, 0.0).transformed(pose, 0.2)
     place = pose.x, pose.y, pose.yaw, 0.2
     expected = formula(bound, placed)
     slopes = np.zeros(len(hits), np.uint8)
@@ -245,7 +245,7 @@ def test_weights_are_those_of_the_slopes_told_in_full(seed: int, wall: int, full
     """Slopes that the kernel does not distinguish have the same weight."""
     rng = np.random.default_rng(seed)
     bound, hits, pose = hilly_bound(rng), leveled_hits(rng), Pose2(GROUND[0], GROUND[1], 0.4)
-    placed = LeveledScan(ORIGIN, hits, FREE, (0.0, 0.0), 0.1, 0.0).transformed(pose, 0.2)
+    placed = LeveledScan(ORIGIN, hits, FREE, (0.0, 0.0), True, 0.0).transformed(pose, 0.2)
     drawn = OccupancyMap(0.2)
     box = np.array((-2.0, -2.0, 4.0, 6.0))
     drawn.update(ScanPoints(ORIGIN, placed.hits[:20], FREE), rng.integers(0, 256, 20).astype(np.uint8), 1,
@@ -280,7 +280,7 @@ def test_the_filter_weighs_hits_as_by_slopes_found_one_after_the_other() -> None
     shares = []
     for k in range(12):
         hits = rng.uniform((-9, -9, -0.2), (9, 9, 1.2), (200, 3))
-        scan = LeveledScan(ORIGIN, hits, FREE, (0.1, 0.0), 0.1, 0.1 * k)
+        scan = LeveledScan(ORIGIN, hits, FREE, (0.1, 0.0), True, 0.1 * k)
         pose = Pose2(1.5 * k, -0.7 * k, 0.3 * k)
         ground_filter.move(Pose2(1.5), scan)
         wall = ground_filter.match_wall_slope

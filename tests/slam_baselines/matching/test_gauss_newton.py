@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.leveling import ScanLeveler
 from slam_baselines.map_builder import BuilderConfig, MapBuilder
-from slam_baselines.registration import MatchConfig, Prior, ScanMatcher, linearize
+from slam_baselines.registration import Prior, ScanMatcher, linearize
 from tests.slam_baselines.matching.room import room_map
 from tests.slam_baselines.synthetic import ranges_to, room_scan
 
@@ -52,9 +52,7 @@ def test_known_offsets_are_found(offset: tuple[float, float, float]) -> None:
     true = Pose2(0.5, -0.3, 0.4)
     builder, points = room_map(true)
     start = true.as_array() + offset
-    match = ScanMatcher(MatchConfig(iterations=(10, 6, 6))).match(
-        builder.pyramid, points, None, Prior(start, LOOSE), levels=3
-    )
+    match = ScanMatcher((10, 6, 6)).match(builder.pyramid, points, None, Prior(start, LOOSE), levels=3)
     np.testing.assert_allclose(match.pose, true.as_array(), atol=0.02)
     assert match.score > 0.5
 
@@ -69,14 +67,12 @@ def test_in_a_corridor_the_odometry_holds_the_direction_along_it() -> None:
     level = ScanLeveler().level(room_scan(Pose2(), 0.0, np.random.default_rng(0)), None)
     for shift in np.linspace(-3, 3, 13):
         moved = type(level)(
-            level.origin, points + np.array((shift, 0, 0)), level.free, (0.0, 0.0), math.nan, 0.0
+            level.origin, points + np.array((shift, 0, 0)), level.free, (0.0, 0.0), False, 0.0
         )
         builder.enter(moved, Pose2())
     prior = np.array((0.2, 0.05, 0.02))
     covariance = np.diag((0.05**2, 0.05**2, 0.02**2))
-    match = ScanMatcher(MatchConfig()).match(
-        builder.pyramid, points, None, Prior(prior, covariance), levels=3
-    )
+    match = ScanMatcher().match(builder.pyramid, points, None, Prior(prior, covariance), levels=3)
     # Cells are ragged, so even a straight wall seems to say something: less than across it, though.
     assert match.pose[0] == pytest.approx(0.2, abs=0.1)
     np.testing.assert_allclose(match.pose[1:], 0, atol=0.025)
@@ -87,9 +83,7 @@ def test_open_ground_follows_the_odometry() -> None:
     builder, _ = room_map(Pose2())
     nothing = np.zeros((0, 3))
     prior = np.array((0.2, 0.05, 0.02))
-    match = ScanMatcher(MatchConfig()).match(
-        builder.pyramid, nothing, np.zeros(0), Prior(prior, np.eye(3)), levels=3
-    )
+    match = ScanMatcher().match(builder.pyramid, nothing, np.zeros(0), Prior(prior, np.eye(3)), levels=3)
     np.testing.assert_array_equal(match.pose, prior)
     assert not match.information.any()
 
@@ -100,14 +94,12 @@ def test_a_share_of_information_is_as_good_as_small_weights() -> None:
     builder, points = room_map(true)
     share, covariance = 0.3, np.diag((0.05**2, 0.05**2, 0.02**2))
     prior = Prior(true.as_array() + np.array((0.05, -0.04, 0.02)), covariance)
-    exact = ScanMatcher(MatchConfig(iterations=(10, 6, 6), exact=True))
+    exact = ScanMatcher((10, 6, 6), exact=True)
     whole = exact.match(builder.pyramid, points, np.full(len(points), share), prior)
     same = exact.match(builder.pyramid, points, None, prior, information_share=share)
     for name in ("pose", "information", "score", "known"):
         np.testing.assert_allclose(getattr(same, name), getattr(whole, name), rtol=1e-9)
-    match = ScanMatcher(MatchConfig(iterations=(10, 6, 6))).match(
-        builder.pyramid, points, None, prior, information_share=share
-    )
+    match = ScanMatcher((10, 6, 6)).match(builder.pyramid, points, None, prior, information_share=share)
     np.testing.assert_allclose(match.pose, whole.pose, atol=1e-9)
     np.testing.assert_allclose(match.information, whole.information, rtol=0.1, atol=30)
     np.testing.assert_allclose(
@@ -120,7 +112,7 @@ def test_a_share_of_information_is_as_good_as_small_weights() -> None:
 def test_nothing_known_says_nothing() -> None:
     builder, points = room_map(Pose2())
     far = np.array((500.0, 500.0, 0.0))
-    match = ScanMatcher(MatchConfig()).match(builder.pyramid, points, None, Prior(far, np.eye(3)), levels=3)
+    match = ScanMatcher().match(builder.pyramid, points, None, Prior(far, np.eye(3)), levels=3)
     assert (match.score, match.known) == (0.0, 0.0)
     np.testing.assert_allclose(match.pose, far)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
-from slam_baselines.monitors import LocalizabilityConfig, LocalizabilityMonitor
+from slam_baselines.monitors import LocalizabilityMonitor, MonitorConfig
 
 PERIOD = 0.1
 DEGREE = math.radians(1.0)
@@ -14,7 +14,7 @@ DEGREE = math.radians(1.0)
 
 def observed(*scores: float | None, turn: float = 0.0) -> LocalizabilityMonitor:
     """A monitor that saw these scores; the match turns away from dead reckoning by `turn` each scan."""
-    monitor = LocalizabilityMonitor(LocalizabilityConfig())
+    monitor = LocalizabilityMonitor(MonitorConfig())
     for k, score in enumerate(scores):
         monitor.observe(score, k * turn, PERIOD)
     return monitor
@@ -45,7 +45,7 @@ def test_a_slow_drift_of_the_gyro_is_no_contradiction() -> None:
 
 
 def test_a_turn_across_the_half_circle_is_small() -> None:
-    monitor = LocalizabilityMonitor(LocalizabilityConfig())
+    monitor = LocalizabilityMonitor(MonitorConfig())
     for k in range(60):
         monitor.observe(0.9, math.pi - 1e-3 if k % 2 else -math.pi + 1e-3, PERIOD)
     assert monitor.localizable
@@ -76,7 +76,7 @@ def test_walls_that_came_late_are_drawn_once_they_are_sure() -> None:
 
 
 def test_without_an_attitude_nothing_is_observed_and_all_is_believed() -> None:
-    monitor = LocalizabilityMonitor(LocalizabilityConfig())
+    monitor = LocalizabilityMonitor(MonitorConfig())
     assert monitor.believed
     assert monitor.draws(1e3)
 
@@ -101,9 +101,9 @@ def test_no_more_is_proven_than_was_held(scores: list[float | None]) -> None:
     monitor = observed(*scores)
     assert monitor.scans == len(scores)
     assert monitor.localizable or not monitor.steady
-    assert not monitor.proven or len(scores) >= LocalizabilityConfig().memory
+    assert not monitor.proven or len(scores) >= MonitorConfig().localizable_memory
 
 
 def test_the_least_share_is_no_more_than_the_share() -> None:
-    with pytest.raises(ConfigError, match="least_share"):
-        LocalizabilityConfig(least_share=0.8)
+    with pytest.raises(ConfigError, match="least_localizable_share"):
+        MonitorConfig(least_localizable_share=0.8)

@@ -8,13 +8,13 @@ import pytest
 from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
-from slam_baselines.cartographer.config import SUBMAP_REGISTRATION
+from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.dead_reckoning import PoseEstimate
-from slam_baselines.registration import Registration, RegistrationConfig, SearchConfig, correlative_search
+from slam_baselines.registration import Registration, RegistrationConfig, ScanMatcher, correlative_search
 from tests.slam_baselines.matching.room import room_map
 
 TRUE = Pose2(0.5, -0.3, 0.4)
-CONFIGS = [RegistrationConfig(), SUBMAP_REGISTRATION]
+CONFIGS = [RegistrationConfig(), CartographerConfig()]
 
 
 def near(dx: float, dy: float, dyaw: float, sigma: float = 0.05) -> PoseEstimate:
@@ -25,7 +25,7 @@ def near(dx: float, dy: float, dyaw: float, sigma: float = 0.05) -> PoseEstimate
 @pytest.mark.parametrize("config", CONFIGS)
 def test_a_small_error_needs_no_search(config: RegistrationConfig) -> None:
     builder, points = room_map(TRUE)
-    registration, expected = Registration(config), near(0.04, -0.03, 0.02)
+    registration, expected = Registration(config, ScanMatcher()), near(0.04, -0.03, 0.02)
     estimate, match = registration.register(builder.pyramid, points, None, expected, expected.pose)
     assert match is not None
     assert estimate.pose.distance(TRUE) < 0.02
@@ -35,7 +35,7 @@ def test_a_small_error_needs_no_search(config: RegistrationConfig) -> None:
 
 def test_a_sharp_turn_is_searched_for() -> None:
     builder, points = room_map(TRUE)
-    registration, expected = Registration(RegistrationConfig()), near(0.4, -0.3, 0.42)
+    registration, expected = Registration(RegistrationConfig(), ScanMatcher()), near(0.4, -0.3, 0.42)
     estimate, _ = registration.register(builder.pyramid, points, None, expected, Pose2())
     assert registration.searches == 1
     assert estimate.pose.distance(TRUE) < 0.03
@@ -51,7 +51,9 @@ def test_fewest_beams_are_enough_however_small_their_share(config: RegistrationC
         before, expected = TRUE @ Pose2(share), near(0, 0, 0)
         for beams in (config.min_beams - 1, config.min_beams):
             hits = np.concatenate((some[:beams], far))
-            _, match = Registration(config).register(builder.pyramid, hits, None, expected, before)
+            _, match = Registration(config, ScanMatcher()).register(
+                builder.pyramid, hits, None, expected, before
+            )
             assert (match is not None) == (beams == config.min_beams)
 
 
@@ -60,13 +62,16 @@ def test_on_uneven_ground_a_poor_match_is_rejected_where_that_is_configured() ->
     noise = np.column_stack((np.random.default_rng(0).uniform(-2, 2, (len(points), 2)), points[:, 2]))
     weights: NDArray[np.float64] = np.ones(len(points))
     expected = near(0, 0, 0)
-    estimate, match = Registration(CONFIGS[0]).register(builder.pyramid, noise, weights, expected, Pose2())
+    estimate, match = Registration(CONFIGS[0], ScanMatcher()).register(
+        builder.pyramid, noise, weights, expected, Pose2()
+    )
     assert match is not None
     assert match.score < CONFIGS[0].search_threshold
     assert estimate is expected
     forced = replace(CONFIGS[0], reject_poor=False, mahalanobis_gate=math.inf)
     assert (
-        Registration(forced).register(builder.pyramid, noise, weights, expected, Pose2())[0] is not expected
+        Registration(forced, ScanMatcher()).register(builder.pyramid, noise, weights, expected, Pose2())[0]
+        is not expected
     )
 
 
@@ -74,8 +79,6 @@ def test_the_wider_search_survives_a_sharp_turn() -> None:
     true = Pose2(0.5, -0.3, 0.4)
     builder, points = room_map(true)
     start = true.as_array() + np.array((0.4, -0.3, 0.42))
-    found = correlative_search(
-        builder.pyramid.maps[2].grid, points, np.ones(len(points)), start, SearchConfig()
-    )
+    found = correlative_search(builder.pyramid.maps[2].grid, points, np.ones(len(points)), start, 0.7, 0.5)
     np.testing.assert_allclose(found[:2], true.as_array()[:2], atol=0.2)
     assert found[2] == pytest.approx(0.4, abs=0.04)

@@ -1,8 +1,8 @@
 """The tracking monitor: "lost" means the same in every mapper."""
 
-from slam_baselines.monitors import TrackingConfig, TrackingMonitor
+from slam_baselines.monitors import MonitorConfig, TrackingMonitor
 
-CONFIG = TrackingConfig(lost_score=0.3, known_ratio=0.3, lost_after=3)
+CONFIG = MonitorConfig(lost_score=0.3, known_ratio=0.3, lost_after=3)
 
 
 def test_lost_after_so_many_in_a_row_and_back_with_the_first_that_fits() -> None:

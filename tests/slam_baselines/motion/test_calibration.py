@@ -66,16 +66,16 @@ def test_the_covariance_stays_within_bounds_whatever_is_driven(
     parts: list[tuple[tuple[float, float], int]], scale: float, memory: float
 ) -> None:
     """Positive definite, never above what was assumed at first, never below what the memory can hold."""
-    config = CalibrationConfig(memory=memory)
+    config = CalibrationConfig(calibration_memory=memory)
     calibration = Calibration(config)
     longest = max(math.hypot(*step) for step, _ in parts) * scale
-    most = longest**2 / config.noise**2 / (1 - math.exp(-1 / memory))
+    most = longest**2 / config.calibration_noise**2 / (1 - math.exp(-1 / memory))
     for (d, a), times in parts:
         for _ in range(times):
             calibration.learn(Pose2(d * scale, 0.0, a * scale), Pose2(d * scale, 0.0, a * scale))
             low, high = eigenvalues(calibration)
-            assert low >= 1 / (1 / config.per_meter**2 + 1.001 * most) * (1 - 1e-9)
-            assert high <= config.per_meter**2 * (1 + 1e-9)
+            assert low >= 1 / (1 / config.calibration_per_meter**2 + 1.001 * most) * (1 - 1e-9)
+            assert high <= config.calibration_per_meter**2 * (1 + 1e-9)
 
 
 def test_circles_do_not_unlearn_the_straight() -> None:

@@ -25,7 +25,7 @@ def test_steps_at_once_are_steps_one_after_the_other(
     before = PoseEstimate(start, A @ A.T)
     expected = before
     for step, tilt in steps:
-        expected = config.predict(expected, step, seconds, step.yaw, tilt)
+        expected = config.step(step, seconds, step.yaw, tilt).after(expected)
     found = config.predict_all(before, steps, seconds)
     assert found.pose == expected.pose
     np.testing.assert_array_equal(found.covariance, expected.covariance)

@@ -17,7 +17,7 @@ from lirs_extensions.search.tune.search import (
     search_space,
     tune,
 )
-from lirs_extensions.search.tune.tunable import TUNABLE, usual_values
+from lirs_extensions.search.tune.tunable import TUNABLE, default_parameters
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
 from lirs_validation.record.verdict import VerdictFigures
@@ -107,7 +107,7 @@ def test_a_path_that_follows_the_odometry_or_a_map_of_false_walls_does_not_win()
 
 @pytest.mark.parametrize("mapper", sorted(TUNABLE))
 def test_parameters_are_fields_whose_defaults_lie_within_the_limits(mapper: str) -> None:
-    usual = usual_values(mapper)
+    usual = default_parameters(mapper)
     for tunable in TUNABLE[mapper]:
         assert tunable.low <= usual[tunable.name] <= tunable.high
         for value in (tunable.low, tunable.high):
