@@ -7,10 +7,10 @@ if TYPE_CHECKING:
     from lirs_validation.analysis.results import read_results
     from lirs_validation.config import RunConfig
     from lirs_validation.experiment.run import Run, validate
-    from lirs_validation.gui.notebook import EmbeddedPage, show
+    from lirs_validation.gui import EmbeddedPage, show
     from lirs_validation.logs.map_log import MappedLog, map_log, resolve_source
     from lirs_validation.record.run_record import RunRecord, read_record
-    from lirs_validation.report.page import report_of
+    from lirs_validation.report.run_report import report_of
 
 __all__ = [
     "EmbeddedPage",
@@ -28,8 +28,8 @@ __all__ = [
 ]
 
 _HOMES = {
-    "EmbeddedPage": "gui.notebook",
-    "show": "gui.notebook",
+    "EmbeddedPage": "gui",
+    "show": "gui",
     "MappedLog": "logs.map_log",
     "map_log": "logs.map_log",
     "resolve_source": "logs.map_log",
@@ -39,7 +39,7 @@ _HOMES = {
     "RunRecord": "record.run_record",
     "read_record": "record.run_record",
     "read_results": "analysis.results",
-    "report_of": "report.page",
+    "report_of": "report.run_report",
 }
 
 

@@ -76,7 +76,7 @@ def plain_pictures() -> Iterator[None]:
 def empty_charts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Charts without content in reports: drawing them takes most of the time."""
     empty = '<svg role="img" aria-label="{}"></svg>'
-    as_svg = "lirs_validation.report.charts.as_svg"
+    as_svg = "lirs_validation.report.pictures.as_svg"
     monkeypatch.setattr(as_svg, lambda figure, label, key: empty.format(label))
 
 

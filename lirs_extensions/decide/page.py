@@ -16,7 +16,7 @@ from lirs_validation.metrics.alignment import associated
 from lirs_validation.record.metric_catalog import NOTHING, Entry
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import VerdictClass
-from lirs_validation.report.page import data_url, png, render
+from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
 from lirs_validation.report.table import ReportTable
 from lirs_wct import SourceError, Trajectory
 from lirs_wct.arrays import FloatArray
@@ -106,16 +106,19 @@ def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:
     write_json(out / "verdict.json", {"command": command, "answers": [a.to_dict() for a in answers]})
     with atomic_write(out / "verdict.png") as path:
         path.write_bytes(picture)
-    html = render(
-        "decision.html.j2",
-        package=__package__,
-        title="Verdict: " + ", ".join(dict.fromkeys(answer.world for answer in answers)),
-        sentences=[answer.sentence for answer in answers],
-        methods=methods_table(answers),
-        changed=changes_table(answers),
-        drives=drives_table(answers),
-        picture=data_url(picture),
-        command=command,
+    drawn = PageFigure(data_url(picture), "Paths of the drives by verdict, and where they failed")
+    changes = changes_table(answers)
+    sections = (
+        PageSection("methods", "Decision", tables=(methods_table(answers),)),
+        PageSection("map", "Where it worked and failed", figures=(drawn,)),
+        *([PageSection("changes", changes.title, tables=(changes,))] if changes.rows else []),
+        PageSection("drives", "Drives", tables=(drives_table(answers),)),
+        PageSection("command", "Command", commands=(command,)),
+    )
+    html = page_html(
+        "Verdict: " + ", ".join(dict.fromkeys(answer.world for answer in answers)),
+        [answer.sentence for answer in answers],
+        sections,
     )
     page = out / "verdict.html"
     with atomic_write(page) as path:

@@ -1,21 +1,83 @@
-"""Server of the live page: one page per client, closed when the client disconnects."""
+"""Server of the live page: one page per client, closed when the client disconnects.
+
+The HTML around viser's client is ours: title, icon, loading state, dark mode.
+"""
 
 from __future__ import annotations
 
+import re
 import socket
 import threading
 import time
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import rich
 import viser
+from viser import infra
 
-from lirs_validation.gui.page_html import served_from, write_page
-from lirs_validation.gui.view.page import Page
-from lirs_wct.errors import ConfigError
+from lirs_validation.gui.construction import Shown
+from lirs_validation.gui.page import PageContext, asset
+from lirs_validation.gui.scene import ground_point
+from lirs_validation.gui.tabs import DriveTab, ReplayTab, WorldTab, first_sources
+from lirs_wct import ConfigError
+
+LOADING = '<div id="root"><div class="lirs-loading" role="status">LIRS-WCT is loading ...</div></div>'
+
+
+class Page(PageContext):
+    """State and tabs of one client, separate from other clients."""
+
+    def __init__(self, client: viser.ClientHandle, source: str | None, runs: Path | None) -> None:
+        super().__init__(client)
+        self._add_tabs(source, runs)
+        client.gui.add_command("Pause or go on", hotkey="space").on_trigger(self.guard(self._press_play))
+        client.scene.on_click()(self.guard(self._click))
+        self.world.preview()
+
+    def _add_tabs(self, source: str | None, runs: Path | None) -> None:
+        tabs = self.client.gui.add_tab_group()
+        with tabs.add_tab("World", viser.Icon.MOUNTAIN):
+            self.world = WorldTab(self, first_sources(source), self._world_changed)
+        with tabs.add_tab("Drive", viser.Icon.STEERING_WHEEL):
+            self.drive = DriveTab(self, lambda: self.world.shown, lambda: self._forget(self.replay))
+        with tabs.add_tab("Replay", viser.Icon.HISTORY):
+            self.replay = ReplayTab(self, runs, lambda: self._forget(self.drive))
+
+    def _press_play(self, _: object) -> None:
+        """Pause the drive or the replay, or let it go on."""
+        (self.drive if self.replay.playback is None else self.replay).press_play()
+
+    def _click(self, event: viser.SceneClickEvent) -> None:
+        """Pass a click on the ground to the drive."""
+        if self.world.shown is None:
+            return
+        surface = self.world.shown.world.surface
+        place = ground_point(surface, event.ray_origin, event.ray_direction)
+        if place is not None:
+            self.drive.click(place)
+
+    def _world_changed(self, _: Shown) -> None:
+        """Drop drive and replay: their world is no longer shown."""
+        self._forget(self.drive, self.replay)
+        self.scene.unmark()
+
+    def _forget(self, *tabs: DriveTab | ReplayTab) -> None:
+        for tab in tabs:
+            tab.forget()
+        self.drive_scene.clear()
+
+    def close(self) -> None:
+        """End the page's work; free its simulation and its files."""
+        self.worker.close(at_end=self._free)
+
+    def _free(self) -> None:
+        self.drive.playback = self.replay.playback = None
+        self.uploads.close()
 
 
 class Server:
@@ -114,6 +176,27 @@ class Server:
             page = self._pages.pop(client.client_id, None)
         if page is not None:
             page.close()
+
+
+def write_page(folder: Path) -> None:
+    """Write viser's page with our head and our loading state."""
+    page = (Path(viser.__file__).parent / "client/build/index.html").read_text(encoding="utf-8")
+    start = page.index("<script")
+    head = re.sub(r"<title>.*?</title>|<link\s+rel=\"icon\".*?/>", "", page[:start], flags=re.DOTALL)
+    body = page[start:].replace('<div id="root"></div>', LOADING)
+    (folder / "index.html").write_text(head + asset("head.html") + body, encoding="utf-8")
+
+
+@contextmanager
+def served_from(folder: Path) -> Iterator[None]:
+    """Let a server that starts meanwhile serve this folder; viser has no option for it."""
+    module: Any = infra
+    theirs = module.WebsockServer
+    module.WebsockServer = lambda **given: theirs(**given | {"http_server_root": folder})
+    try:
+        yield
+    finally:
+        module.WebsockServer = theirs
 
 
 def _check_free(host: str, port: int) -> None:

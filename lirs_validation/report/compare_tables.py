@@ -37,8 +37,8 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> ReportTable
         reading(comparison),
         HEADINGS,
         tuple(rows),
+        remarks=True,
         styles=tuple(styles),
-        keep=("verdict",),
     )
 
 

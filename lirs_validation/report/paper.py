@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise, product
-from typing import Final, Literal
+from typing import Final
 
-from lirs_validation.record.metric_catalog import Entry, Metric, metrics_named, significant, span
+from lirs_validation.record.metric_catalog import NOTHING, Entry, Metric, metrics_named, significant, span
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.run_tables import EXTRAPOLATED, over_runs
-from lirs_validation.report.table import Content, ReportTable
+from lirs_validation.report.table import Content, MetricSpread, ReportTable
 
 HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
 VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}
@@ -37,13 +36,14 @@ HUSKY = "husky"
 """Robot of Tables II to IV."""
 ROBOT_MEANS: Final = {"husky": 0.38, "turtlebot2": 0.52, "jackal": 0.47}
 """Average RTF over the three methods (Section III-D)."""
-COMFORTABLE = 0.3
+COMFORTABLE_RTF = 0.3
 """Below this RTF the paper calls navigation infeasible (Section V-B)."""
 RTF: Metric = metrics_named(["rtf.mean"])[0]
 Means = Mapping[tuple[str, str, str], float]
-Answer = Literal["holds", "holds in part", "does not hold", "cannot be said"]
+Finding = tuple[str, str, str]
+"""A claim of the paper, whether it holds, and the runs that say so."""
 
-COLLAPSE = 10.0
+COLLAPSE_RATIO = 10.0
 """Slowdown against solids from which on a heightmap collapses; all heightmaps of the paper do."""
 
 
@@ -83,7 +83,7 @@ def _robot_table(entries: Sequence[Entry]) -> ReportTable:
     for robot, value in ROBOT_MEANS.items():
         runs = [entry for entry in entries if entry["config"]["robot"] == robot]
         here = [over_runs(RTF, [e for e in runs if _view(e) == view]) for view in (SOLID, OURS)]
-        rows.append((robot, _published_text(value), *(spread.text(interval=False) for spread in here)))
+        rows.append((robot, _published_text(value), *map(_mean_text, here)))
     caption = (
         "Mean RTF over all worlds, methods and seeds; without an interval, since worlds and methods are no "
         "repeats. The paper's are means on its solid worlds (Section III-D)."
@@ -94,6 +94,10 @@ def _robot_table(entries: Sequence[Entry]) -> ReportTable:
 
 def _published_text(value: float | None) -> str:
     return "lost" if value is None else f"{value:.2f}" if value > 0.02 else f"{value:.3f}"
+
+
+def _mean_text(spread: MetricSpread) -> str:
+    return NOTHING if spread.values is None else RTF.formatted(spread.values.mean) + spread.mark
 
 
 def husky_runs(entries: Sequence[Entry], world: str, mapper: str, view: str) -> list[Entry]:
@@ -111,37 +115,26 @@ def _view(entry: Entry) -> str | None:
     return next((view for view, asked in VIEWS.items() if asked == held), None)
 
 
-@dataclass(frozen=True)
-class Finding:
-    """A finding of the paper, and its check against the runs here."""
-
-    claim: str
-    answer: Answer
-    because: str
-
-
-def findings(entries: Sequence[Entry]) -> tuple[Finding, ...]:
+def findings_table(entries: Sequence[Entry]) -> ReportTable:
     """Return the paper's findings, each checked against the runs."""
-    means = _means([entry for entry in entries if succeeded(entry)])
-    return (
+    good = [entry for entry in entries if succeeded(entry)]
+    means = {
+        key: values.mean
+        for key in product(WORLDS, MAPPERS, VIEWS)
+        if (values := over_runs(RTF, husky_runs(good, *key)).values) is not None
+    }
+    rows = (
         _collapse(means),
         _worse_with_terrain(means),
         _rank_finding(means, "hector", "fastest", max),
         _rank_finding(means, "gmapping", "slowest", min),
         _comfortable(means),
     )
+    headings = ("finding", "here", "runs here")
+    return ReportTable("findings", "Which of its findings hold here", "", headings, rows, 3)
 
 
-def _means(entries: Sequence[Entry]) -> Means:
-    """Return the mean RTF by world, mapper and view, where there is one."""
-    return {
-        key: values.mean
-        for key in product(WORLDS, MAPPERS, VIEWS)
-        if (values := over_runs(RTF, husky_runs(entries, *key)).values) is not None
-    }
-
-
-def _answer(yes: int, of: int) -> Answer:
+def _answer(yes: int, of: int) -> str:
     """Return the answer for `yes` of `of` cases; in part = at least half."""
     if of == 0:
         return "cannot be said"
@@ -151,23 +144,21 @@ def _answer(yes: int, of: int) -> Answer:
 def _collapse(means: Means) -> Finding:
     """Check the finding that only heightmap-based worlds are unusably slow."""
     claim = "Heightmap-based worlds collapse: their RTF falls towards zero, solid-based ones stay usable."
-    ratios = {
-        key[:2]: means[(*key[:2], SOLID)] / rtf
-        for key, rtf in means.items()
-        if key[2] == HEIGHTMAP and (*key[:2], SOLID) in means
-    }
+    ratios = _ratios(means)
     if not ratios:
-        return Finding(claim, "cannot be said", "no heightmap-based run has a solid-based one beside it.")
+        return (claim, "cannot be said", "no heightmap-based run has a solid-based one beside it.")
     slow = [rtf for key, rtf in means.items() if key[2] == HEIGHTMAP]
+    published = list(_ratios(PUBLISHED_RTF).values())
     collapsed = sum(
-        ratio >= COLLAPSE and means[(*key, HEIGHTMAP)] < COMFORTABLE for key, ratio in ratios.items()
+        ratio >= COLLAPSE_RATIO and means[(*key, HEIGHTMAP)] < COMFORTABLE_RTF
+        for key, ratio in ratios.items()
     )
     because = (
-        f"{collapsed} of {len(ratios)} heightmap-based groups are below RTF {COMFORTABLE:g} and at least "
-        f"{COLLAPSE:g} times as slow as their solid-based twin; RTF {span(slow)}, solid-based "
-        f"{span(list(ratios.values()))} times as fast (paper: {span(_published_ratios())} times)."
+        f"{collapsed} of {len(ratios)} heightmap-based groups are below RTF {COMFORTABLE_RTF:g} and at least "
+        f"{COLLAPSE_RATIO:g} times as slow as their solid-based twin; RTF {span(slow)}, solid-based "
+        f"{span(list(ratios.values()))} times as fast (paper: {span(published)} times)."
     )
-    return Finding(claim, _answer(collapsed, len(ratios)), because)
+    return (claim, _answer(collapsed, len(ratios)), because)
 
 
 def _worse_with_terrain(means: Means) -> Finding:
@@ -179,9 +170,7 @@ def _worse_with_terrain(means: Means) -> Finding:
     asked = {m: values for m, values in whole.items() if len(values) == len(worlds)}
     falling = sum(all(a > b for a, b in pairwise(v)) for v in asked.values())
     series = "; ".join(f"{MAPPERS[m]} {', '.join(map(significant, v))}" for m, v in asked.items())
-    return Finding(
-        claim, _answer(falling, len(asked)), f"{series}." if series else "not all worlds have such runs."
-    )
+    return (claim, _answer(falling, len(asked)), f"{series}." if series else "not all worlds have such runs.")
 
 
 def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable[float]], float]) -> Finding:
@@ -195,30 +184,29 @@ def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable
             won[next(m for m, v in values.items() if v == wanted)].append(f"{world} {view}")
     asked = sum(map(len, won.values()))
     if not asked:
-        return Finding(claim, "cannot be said", "no world has runs of all three.")
+        return (claim, "cannot be said", "no world has runs of all three.")
     others = [f"{MAPPERS[m]} ({', '.join(where)})" for m, where in won.items() if where and m != mapper]
     because = (
         f"in {len(won[mapper])} of {asked} comparisons (world and representation, Husky, by the mean RTF)"
     )
     because += f"; else {'; '.join(others)}." if others else "."
-    return Finding(claim, _answer(len(won[mapper]), asked), because)
+    return (claim, _answer(len(won[mapper]), asked), because)
 
 
 def _comfortable(means: Means) -> Finding:
     """Check the finding that all methods are fast enough on solid worlds."""
-    claim = f"On solid-based worlds every method reaches RTF {COMFORTABLE:g} or more (0.42 to 0.73)."
+    claim = f"On solid-based worlds every method reaches RTF {COMFORTABLE_RTF:g} or more (0.42 to 0.73)."
     values = [rtf for key, rtf in means.items() if key[2] == SOLID]
     ours = [rtf for key, rtf in means.items() if key[2] == OURS]
-    enough = sum(rtf >= COMFORTABLE for rtf in values)
+    enough = sum(rtf >= COMFORTABLE_RTF for rtf in values)
     because = (
         f"{enough} of {len(values)} solid-based groups, RTF {span(values)}" if values else "no such runs"
     )
     because += f"; ours {span(ours)}." if ours else "."
-    return Finding(claim, _answer(enough, len(values)), because)
+    return (claim, _answer(enough, len(values)), because)
 
 
-def _published_ratios() -> list[float]:
-    """Return the paper's ratios of RTF on solids to RTF on heightmaps."""
-    return [
-        PUBLISHED_RTF[(*key[:2], SOLID)] / rtf for key, rtf in PUBLISHED_RTF.items() if key[2] == HEIGHTMAP
-    ]
+def _ratios(means: Means) -> dict[tuple[str, str], float]:
+    """Return the RTF on solids over the RTF on heightmaps, by world and mapper."""
+    pairs = {(w, m): (means.get((w, m, SOLID)), means.get((w, m, HEIGHTMAP))) for w, m, _ in means}
+    return {key: solid / slow for key, (solid, slow) in pairs.items() if solid and slow}

@@ -1,9 +1,12 @@
-"""Tables of runs: one row a run or group, failures, methods as published, all tables of a sweep."""
+"""Tables of runs and collision validations: one row a run or group, failures, methods, commands, a sweep."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -17,9 +20,12 @@ from lirs_validation.analysis.groups import (
     repeats,
     unusual_fields,
 )
-from lirs_validation.config import RUN_AXES
+from lirs_validation.analysis.results import recorded_config
+from lirs_validation.collision.validation import Check, CollisionVerdict
+from lirs_validation.config import RUN_AXES, WORLD_FLAGS, RunConfig
 from lirs_validation.record.metric_catalog import (
     ATE,
+    NOTHING,
     ODOMETRY_ATE,
     WORSE,
     WORSE_MARK,
@@ -37,10 +43,11 @@ from lirs_validation.record.metric_catalog import (
 )
 from lirs_validation.record.run_record import read_record, succeeded
 from lirs_validation.record.verdict import LIMITS, VerdictLimits, class_counts, stored_verdict
-from lirs_validation.report.collision_tables import verdicts_table
 from lirs_validation.report.table import Content, MetricSpread, ReportTable
 from lirs_validation.sweep.sweep import Sweep
 from lirs_validation.sweep.tasks import CollisionTask, read_verdict
+from lirs_wct import Pose2, WctError
+from lirs_wct.option import Options, changed, declared
 
 EXTRAPOLATED = "†"
 SECTIONS: dict[Section, str] = {
@@ -51,9 +58,9 @@ SECTIONS: dict[Section, str] = {
     "cost": "Cost",
 }
 """Sections of the report and their titles."""
-SINGLE = {"world", "robot", "mapper"}
+RUN_COLUMNS = {"world", "robot", "mapper"}
 """Fields with columns in the table of single runs, in addition to the seed."""
-MOST_NAMED = 12
+MAX_NAMED = 12
 """Largest number of groups that a caption names one by one."""
 ERROR, ODOMETRY_ERROR = metrics_named((ATE, ODOMETRY_ATE))
 CAPTION = (
@@ -63,10 +70,31 @@ CAPTION = (
 AS_PUBLISHED, WITHOUT_ATTITUDE = "as published", "without attitude"
 FACTS = {"world": "world.name", **{name: f"config.{name}" for name in RUN_AXES}, "status": "status"}
 """Columns before the metrics, and their keys in the record."""
-ALWAYS = ("world", "robot", "mapper", "seed", "status")
+FIXED_COLUMNS = ("world", "robot", "mapper", "seed", "status")
 """Columns that are always shown."""
-DECIDING = ("verdict", *(m.short or m.heading for m in metrics_named((ATE, ODOMETRY_ATE, "map.f1"))))
-"""Columns of the table of runs that a narrow screen never hides."""
+
+COLLISION_COLUMNS: tuple[tuple[str, Callable[[CollisionVerdict], str]], ...] = (
+    ("world", lambda v: v.world),
+    ("robot", lambda v: v.robot),
+    ("terrain", lambda v: v.terrain),
+    ("seed", lambda v: str(v.seed)),
+    ("verdict", lambda v: "pass" if v.passed else "FAIL"),
+    ("penetration, 99.9 % [mm]", lambda v: f"{1e3 * v.penetration_p999:.2f}"),
+    ("peak [mm]", lambda v: f"{1e3 * v.penetration_peak:.2f}"),
+    ("its limit [mm]", lambda v: f"{1e3 * v.penetration_limit:.1f}"),
+    ("steps inside", lambda v: str(v.inside_steps)),
+    ("energy gained [J]", lambda v: f"{v.energy_gain:.2f}"),
+    ("its limit [J]", lambda v: f"{v.energy_limit:.2f}"),
+    ("peak force [N]", lambda v: f"{v.force_peak:.0f}"),
+    ("mean force [N]", lambda v: f"{v.force_mean:.0f}"),
+    ("slope [deg]", lambda v: _text(v.slope)),
+    ("slid [m]", lambda v: _text(v.slid, 2)),
+    ("climbed", lambda v: _text(v.climbed, 2)),
+    ("tip-overs", lambda v: str(v.tip_overs)),
+    ("stuck [s]", lambda v: f"{v.stuck:.1f}"),
+    ("driven [m]", lambda v: f"{v.driven:.0f}"),
+)
+"""Headings and contents; the first five columns hold text."""
 
 
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
@@ -186,8 +214,8 @@ def _worse(entries: Sequence[Entry]) -> list[str]:
         worse = sum(map(worse_than_odometry, runs))
         if worse:
             named.append(f"{group.label(fields)} ({worse} of {len(runs)} run{'s' if len(runs) > 1 else ''})")
-    more = f" and {len(named) - MOST_NAMED} more" if len(named) > MOST_NAMED else ""
-    return [f"{WORSE_MARK} {WORSE}: {'; '.join(named[:MOST_NAMED])}{more}."] if named else []
+    more = f" and {len(named) - MAX_NAMED} more" if len(named) > MAX_NAMED else ""
+    return [f"{WORSE_MARK} {WORSE}: {'; '.join(named[:MAX_NAMED])}{more}."] if named else []
 
 
 def _fields(groups: Iterable[RunGroup]) -> tuple[str, ...]:
@@ -251,7 +279,7 @@ def results_table(entries: Sequence[Entry]) -> ReportTable:
     Values that all runs share are in the title, so that the table fits a terminal of 80 characters.
     """
     entries = sorted(entries, key=succeeded)
-    shown = {*ALWAYS, *unusual_fields(map(RunGroup.of, entries))}
+    shown = {*FIXED_COLUMNS, *unusual_fields(map(RunGroup.of, entries))}
     facts = [name for name in FACTS if name in shown]
     metrics = [m for m in metrics_selected("runs") if not m.optional or _existing([m], entries)]
     rows = [
@@ -272,7 +300,6 @@ def results_table(entries: Sequence[Entry]) -> ReportTable:
         styles=tuple(
             "bold red" if not succeeded(e) else "yellow" if worse_than_odometry(e) else "" for e in entries
         ),
-        keep=DECIDING,
     )
     return table.with_common_in_title(RUN_AXES, unnamed=("robot", "mapper"))
 
@@ -313,7 +340,7 @@ def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:
     checks = [check for check in finished if isinstance(check, CollisionTask)]
     entries = [read_record(sweep.out / run.name) for run in finished if run not in checks]
     groups = by_group(entries)
-    if len(groups) < len(entries) or not set(distinguishing_fields(groups)) <= SINGLE:
+    if len(groups) < len(entries) or not set(distinguishing_fields(groups)) <= RUN_COLUMNS:
         if lines := ended_lines(entries):
             yield Text("\n".join(lines), style="bold red")
         yield replace(summary_table(entries), title="")
@@ -323,3 +350,98 @@ def sweep_tables(sweep: Sweep) -> Iterator[RenderableType]:
     verdicts = [read_verdict(sweep.out / c.name) for c in checks if sweep.outcomes[c.name].succeeded]
     if verdicts:
         yield verdicts_table(verdicts)
+
+
+def verdicts_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
+    """Return the verdicts for the screen, with a line per metric over its limit.
+
+    Values that all verdicts share are in the title, so that the table fits a terminal of 80 characters.
+    """
+    lines = "\n".join(line for verdict in _failures_first(verdicts) for line in over_limits(verdict))
+    table = replace(collision_table(verdicts), title="", caption=lines)
+    return table.with_common_in_title(("robot", "terrain", "seed"))
+
+
+def collision_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
+    """Return all metrics of the verdicts, failures first."""
+    ordered = _failures_first(verdicts)
+    caption = "Limits are explained in docs/results.md; tip-overs and stuck time have none."
+    headings = tuple(heading for heading, _ in COLLISION_COLUMNS)
+    rows = tuple(tuple(text(verdict) for _, text in COLLISION_COLUMNS) for verdict in ordered)
+    styles = tuple("" if verdict.passed else "bold red" for verdict in ordered)
+    return ReportTable("collisions", "Collision validation", caption, headings, rows, 5, styles=styles)
+
+
+def _failures_first(verdicts: Sequence[CollisionVerdict]) -> list[CollisionVerdict]:
+    return sorted(verdicts, key=lambda verdict: verdict.passed)
+
+
+def _text(value: float | None, digits: int = 0) -> str:
+    return NOTHING if value is None else f"{value:.{digits}f}"
+
+
+def over_limits(verdict: CollisionVerdict) -> list[str]:
+    """Return a line for each metric over its limit."""
+    who = f"{verdict.world}, {verdict.robot}, {verdict.terrain}, seed {verdict.seed}"
+    return [
+        f"{who}: {verdict.diverged if check.name == 'diverged' else _over(check)}"
+        for check in verdict.checks
+        if not check.passed
+    ]
+
+
+def _over(check: Check) -> str:
+    unit = f" {check.unit}" if check.unit else ""
+    limit = "at least" if check.least else "at most"
+    return f"{check.name} {check.value:.3g}{unit}, legal: {limit} {check.limit:.3g}{unit}"
+
+
+def checks_failed_table(failed: Sequence[CollisionVerdict], broken: Sequence[tuple[str, str]]) -> ReportTable:
+    """Return the exceeded limits, and validations without a result."""
+    rows = [(v.world, v.robot, line) for v in failed for line in over_limits(v)]
+    rows += [(name, NOTHING, reason) for name, reason in broken]
+    title, headings = "Collision checks over their limits", ("world", "robot", "figure")
+    return ReportTable("checks-failed", title, "", headings, tuple(rows), 3)
+
+
+def commands_table(entries: Sequence[Entry]) -> ReportTable:
+    """Return the command that repeats each run."""
+    rows = []
+    for entry in entries:
+        try:
+            command = command_of(recorded_config(entry))
+        except WctError as error:
+            command = f"not known: {error}"
+        rows.append((str(entry["name"]), command))
+    return ReportTable("commands", "The command of every run", "", ("run", "command"), tuple(rows), 2)
+
+
+def command_of(config: RunConfig) -> str:
+    """Return the command line that repeats a run; defaults are left out."""
+    always = ["--robot", config.robot, "--mapper", config.mapper, "--seed", str(config.seed)]
+    stated = ("robot", "mapper", "seed")
+    given = [*always, *_arguments(config, stated), *_arguments(config.build, flags=WORLD_FLAGS)]
+    return shlex.join(["lirs-wct", "validate", config.source, *given])
+
+
+def _arguments(
+    options: Options, stated: tuple[str, ...] = (), flags: tuple[str, ...] | None = None
+) -> Iterator[str]:
+    """Yield the changed options as a command line takes them, by `--option` those without a flag."""
+    for name, value in changed(options).items():
+        if name not in stated:
+            has_flag = None if flags is None else name in flags
+            yield from declared(type(options))[name].arguments(_option_text(value), has_flag)
+
+
+def _option_text(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, Pose2):
+        value = tuple(value.as_array().tolist())
+    if isinstance(value, tuple):
+        return ",".join(map(_option_text, value))
+    if isinstance(value, (str, Path)):
+        return str(value)
+    short = f"{value:.12g}"
+    return short if float(short) == value else repr(value)

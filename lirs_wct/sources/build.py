@@ -12,6 +12,7 @@ import numpy as np
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.formats.elevation import FLATTEST, STEEPEST
+from lirs_wct.geometry.heightfield import fewer_nodes
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.meshing.ground_texture import checked_texture
@@ -66,6 +67,25 @@ READERS: dict[SourceKind, Callable[[Source, BuildOptions], Reading]] = {
     SourceKind.CLOUD: read_point_cloud,
 }
 """Readers of the sources that are files, and of bundled worlds."""
+
+
+def preview_world(source: str | Path, options: BuildOptions, nodes: int) -> World:
+    """Return a world to look at: no start poses, and of a picture so many nodes along its longer side.
+
+    Raises:
+        WctError: see `build_world`.
+    """
+    site = find_source(source, options)
+    if site.kind is SourceKind.FOLDER:
+        return World.load(site.path).with_export(options)
+    ground, scale, _ = READERS[site.kind](site, options)
+    if READERS[site.kind] is read_terrain:
+        ground, scale = Terrain(fewer_nodes(ground.surface, nodes)), "preview"
+    for texture in (options.texture, options.wall_texture):
+        checked_texture(texture, options.max_pixels)
+    world = World(site.name, ground, scale=scale).with_export(options)
+    warn_of_result(site, options, world)
+    return world
 
 
 def _load_world(source: Source, options: BuildOptions) -> World:

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from lirs_validation.cli.command import Command
 from lirs_validation.config import RUN_AXES, RunConfig
-from lirs_validation.gui.session.controls import controls
+from lirs_validation.gui.controls import controls
 from lirs_validation.sweep.tasks import cross
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import documented, option, within

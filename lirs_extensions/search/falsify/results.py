@@ -29,7 +29,7 @@ from lirs_extensions.search.falsify.search import LEAST, NEW_SEEDS, FoundCase
 from lirs_extensions.search.options import FAILURE_FACTOR
 from lirs_validation.experiment.run import run
 from lirs_validation.record.run_record import RunRecord
-from lirs_validation.report.page import data_url, png, render
+from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
 from lirs_validation.report.table import ReportTable
 from lirs_validation.sweep.tasks import CASE
 from lirs_wct import MapperError, Pose2, Trajectory, World
@@ -168,6 +168,12 @@ CAPTION = (
 )
 
 
+SEARCH_TEXT = (
+    "One point per drive. Hollow points do not count: the robot could not drive, its lidar saw no walls, or "
+    "the reference fails there, too. Vertical lines: confirmed cases."
+)
+
+
 @dataclass(frozen=True)
 class WrittenCase:
     """A case with its folder, its failures with new seeds, and its PNG."""
@@ -217,16 +223,18 @@ def _write_files(
     (folder / "cases.md").write_text(table.as_markdown(), encoding="utf-8")
     chart = png(search_figure(drives, [c.found.position for c in written]))
     (folder / "search.png").write_bytes(chart)
-    html = render(
-        "falsify.html.j2",
-        "lirs_extensions.search",
-        title=f"Failures of {short_name(drives.options.method)}",
-        sentences=sentences,
-        table=table,
-        cases=[(c, data_url(c.picture), parameters_table(c, drives.limits.parameters)) for c in written],
-        chart=data_url(chart),
-        command=command,
+    sections = (
+        *([PageSection("cases", "Cases", tables=(table,))] if table.rows else []),
+        *(_case_section(case, drives.limits.parameters) for case in written),
+        PageSection(
+            "search",
+            "Search",
+            SEARCH_TEXT,
+            figures=(PageFigure(data_url(chart), "Error over limit of each drive"),),
+        ),
+        PageSection("command", "Command", commands=(command,)),
     )
+    html = page_html(f"Failures of {short_name(drives.options.method)}", sentences, sections)
     (folder / PAGE).write_text(html, encoding="utf-8")
 
 
@@ -257,6 +265,14 @@ def parameters_table(case: WrittenCase, parameters: Sequence[SearchParameter]) -
     )
     headings = ("parameter", "default", "as found", "simplest")
     return ReportTable(f"{case.name}-parameters", f"Parameters of {case.name}", "", headings, rows)
+
+
+def _case_section(case: WrittenCase, parameters: Sequence[SearchParameter]) -> PageSection:
+    label = f"World, paths and moment of failure of {case.name}"
+    figure = PageFigure(data_url(case.picture), label)
+    table = parameters_table(case, parameters)
+    tables = (table,) if table.rows else ()
+    return PageSection(case.name, case.name, case.sentence, figures=(figure,), tables=tables)
 
 
 def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found: FoundCase) -> WrittenCase:

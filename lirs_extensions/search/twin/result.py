@@ -16,7 +16,7 @@ from lirs_extensions.search.twin.compare import CLUSTER, GATE, LogComparison, no
 from lirs_extensions.search.twin.fit import FittedNoise, FittedOdometry, curve
 from lirs_extensions.search.twin.replay import FACTOR, Replay
 from lirs_validation.record.metric_catalog import NOTHING
-from lirs_validation.report.page import data_url, png, render
+from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
 from lirs_validation.report.table import ReportTable
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.drawing.canvas import BLUE, GRAY, VERMILLION, Drawing, new_figure, plain_axes, title
@@ -167,21 +167,18 @@ def write_page(folder: Path, result: TwinResult, command: str) -> Path:
     drawn = {name: png(drawing) for name, drawing in pictures.items()}
     for name, picture in drawn.items():
         (folder / f"{name}.png").write_bytes(picture)
-    urls = {name: data_url(picture) for name, picture in drawn.items()}
-    tables = (
-        scans_table(result),
-        residuals_table(result),
-        odometry_table(result),
-        replay_table(result.replay),
-    )
-    html = render(
-        "twin.html.j2",
-        "lirs_extensions.search",
-        title=f"Twin test: {result.name}",
-        sentences=result.sentences,
-        sections=[(t, urls.get(t.key), "60%" if t.key == "replay" else "100%") for t in tables],
-        command=command,
-    )
+    figures = {
+        name: PageFigure(data_url(picture), name, width="60%" if name == "replay" else "100%")
+        for name, picture in drawn.items()
+    }
+    tables = [make(result) for make in (scans_table, residuals_table, odometry_table)]
+    tables.append(replay_table(result.replay))
+    sections = [
+        PageSection(t.key, t.title, tables=(t,), figures=(figures[t.key],) if t.key in figures else ())
+        for t in tables
+    ]
+    command_section = PageSection("command", "Command", commands=(command,))
+    html = page_html(f"Twin test: {result.name}", result.sentences, [*sections, command_section])
     page = folder / "twin.html"
     page.write_text(html, encoding="utf-8")
     return page

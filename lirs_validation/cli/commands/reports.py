@@ -117,7 +117,7 @@ def report(options: ReportOptions) -> None:
     lirs-wct report out/ -o report.html --tables report.md
     """
     from lirs_validation.analysis.results import read_results
-    from lirs_validation.report.page import page, report_of
+    from lirs_validation.report.run_report import report_of, report_page
 
     results, output = options.results, options.output
     with err.status(f"reading {results}") as status:
@@ -125,13 +125,13 @@ def report(options: ReportOptions) -> None:
         _print_skipped(read.skipped)
         contents = report_of(read)
         status.update("drawing")
-        html = page(contents, shlex.join(["lirs-wct", "report", str(results), "-o", str(output)]))
+        html = report_page(contents, shlex.join(["lirs-wct", "report", str(results), "-o", str(output)]))
     _write(output, html)
     if options.tables is not None and options.tables.suffix == ".md":
-        tables = [table.as_markdown() for table in contents.tables]
+        tables = [table.as_markdown() for table in contents.tables.values()]
         _write(options.tables, "\n".join((f"# {contents.title}\n", *tables)))
     elif options.tables is not None:
-        for table in contents.tables:
+        for table in contents.tables.values():
             _write(options.tables / f"{table.key}.csv", table.as_csv())
     out.print(
         f"{output}: {len(contents.runs)} runs, {len(html.encode()) / 1e6:.1f} MB",

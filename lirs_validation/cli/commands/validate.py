@@ -248,7 +248,7 @@ def collide(options: CollideOptions, build: World) -> None:
     lirs-wct collide simple advanced --robot husky,turtlebot2 --seconds 60 -o out/
     """
     from lirs_validation.collision.validation import write_verdicts
-    from lirs_validation.report.collision_tables import verdicts_table
+    from lirs_validation.report.run_tables import verdicts_table
 
     sources, build = map_logs(options.sources, build, options.output)
     verdicts: list[CollisionVerdict] = []

@@ -122,7 +122,7 @@ def test_the_verdict_stands_however_narrow_the_screen() -> None:
     console.print(compare_table(compare(a, b, ATE), ("a", "b")))
     text = console.export_text()
     assert "b worse" in text
-    assert "Columns hidden (widen the terminal): p, n, 95 %" in " ".join(text.split())
+    assert "Columns hidden (widen the terminal): b - a, 95 %, n, p" in " ".join(text.split())
 
 
 def test_runs_are_chosen_by_the_fields_of_their_groups() -> None:

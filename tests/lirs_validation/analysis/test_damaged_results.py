@@ -12,7 +12,7 @@ import pytest
 
 from lirs_validation import resolve_source
 from lirs_validation.analysis.results import read_results, recorded_config
-from lirs_validation.report.page import report_of
+from lirs_validation.report.run_report import report_of
 from lirs_validation.report.run_tables import results_table
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import OutputError, SourceError
@@ -106,7 +106,7 @@ def test_nonsense_in_a_record_is_named_or_does_not_matter(tmp_path: Path) -> Non
             assert outcome is None or isinstance(outcome.reason, str), (place, value)
             with suppress(SourceError):
                 results = read_results(tmp_path)
-                assert len(report_of(results).commands.texts()) == 1
+                assert len(report_of(results).tables["commands"].rows) == 1
                 results_table([run.entry for run in results.runs])
                 recorded_config(results.runs[0].entry)
 

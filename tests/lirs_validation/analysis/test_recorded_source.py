@@ -12,8 +12,9 @@ from lirs_validation import validate
 from lirs_validation.analysis.results import RunFolder, read_results, read_run, recorded_world_config
 from lirs_validation.analysis.score import score
 from lirs_validation.config import RunConfig
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import same_source, source_files
-from lirs_validation.report.pictures import Painter
+from lirs_validation.report.pictures import run_figure
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import write_map
@@ -48,14 +49,14 @@ def test_score_and_report_take_the_source_of_the_run(run: RunFolder, tmp_path: P
     assert run.entry["world"]["files"] == [{"path": str(picture), "sha256": content}]
     assert recorded_world_config(run.entry).source == str(picture)
     assert score(run, map_yaml=run.folder / "map.yaml", frame="world").map["f1"] == run.entry["map"]["f1"]
-    assert Painter(1).paint(run).note == ""
+    assert run_figure(run, ScenarioCache(), 1).note == ""
 
 
 def test_another_source_of_that_name_is_refused(run: RunFolder, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "here" / "hills.png"), hills(7))
     with pytest.raises(SourceError, match=r"here/hills\.png: is not what the run was made from: sha256 "):
         score(run, map_yaml=run.folder / "map.yaml", frame="world")
-    assert "without its terrain: " in Painter(1).paint(run).note
+    assert "without its terrain: " in run_figure(run, ScenarioCache(), 1).note
     (tmp_path / "here" / "hills.png").unlink()
     with pytest.raises(SourceError, match=r"here/hills\.png: no such file"):
         score(run, map_yaml=run.folder / "map.yaml", frame="world")

@@ -13,7 +13,7 @@ from lirs_validation.cli.command import Command, Few
 from lirs_validation.cli.sources import OneSource
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_validation.report.provenance import command_of
+from lirs_validation.report.run_tables import command_of
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.option import option, positive
 from lirs_wct.sources.source import BuildOptions, Source, SourceKind, warn_without_effect

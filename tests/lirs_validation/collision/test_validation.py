@@ -25,7 +25,7 @@ from lirs_validation.collision.validation import (
     stuck_seconds,
     write_verdicts,
 )
-from lirs_validation.report.collision_tables import verdicts_table
+from lirs_validation.report.run_tables import verdicts_table
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField

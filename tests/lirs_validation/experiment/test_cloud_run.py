@@ -15,11 +15,11 @@ from lirs_validation.config import RunConfig
 from lirs_validation.drawing import FULL_COLOR_ERROR, error_picture
 from lirs_validation.experiment.loading import mapper_named, package_versions
 from lirs_validation.experiment.mapper_under_test import LocalMapper, SensorReadings, check_sensors
-from lirs_validation.gui.session.finished_run import read_playback
+from lirs_validation.gui.playback import read_playback
 from lirs_validation.metrics.elevation import MAX_CLOUDS, CloudSample, ElevationMap, read_elevation
 from lirs_validation.record.provenance import damaged_files
 from lirs_validation.record.run_record import read_record, schema_error
-from lirs_validation.report.page import page, report_of
+from lirs_validation.report.run_report import report_of, report_page
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb
 from lirs_wct.errors import ConfigError, MapperError
@@ -151,7 +151,7 @@ def test_a_run_by_another_version_of_the_mapper_is_run_again(
     assert still.folder is not None
     experiment, out = RunTask(still.record.config), still.folder.parent
     assert experiment.find_outcome(out) is not None
-    monkeypatch.setattr("lirs_validation.sweep.experiment.package_versions", lambda *_: {"kiss-icp": "0.0.1"})
+    monkeypatch.setattr("lirs_validation.sweep.tasks.package_versions", lambda *_: {"kiss-icp": "0.0.1"})
     assert experiment.find_outcome(out) is None
     assert package_versions("hector") == package_versions("own_mappers:Still") == {}
     if CLOUD_MAPPERS["kiss-icp"].installed:
@@ -166,9 +166,9 @@ def test_one_table_and_one_page_hold_planar_and_cloud_mappers(still: Run, hills:
     still.overview().savefig(still.folder / "overview.png")
     report = report_of(read_results(out))
     assert {entry["config"]["mapper"] for entry in report.entries} == {"hector", "own_mappers:Still"}
-    headings = report.summary.headings
+    headings = report.tables["summary"].headings
     assert {"ATE [m]", "ATE in space [m]", "elevation RMSE [m]"} <= set(headings)
-    text = page(report, "lirs-wct report out")
+    text = report_page(report, "lirs-wct report out")
     assert text.count("data:image/webp") == 2
     assert "maps of hills, husky, own_mappers:Still" in text
 

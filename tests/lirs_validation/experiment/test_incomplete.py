@@ -11,8 +11,9 @@ import pytest
 from lirs_validation import map_log, validate
 from lirs_validation.analysis.results import read_run
 from lirs_validation.experiment.mapper_under_test import LocalMapper
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import damaged_files
-from lirs_validation.report.pictures import Painter
+from lirs_validation.report.pictures import run_figure
 from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.hector import HectorMapper
 from tests.command_line import run_command
@@ -71,8 +72,8 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
     assert record["trajectory"]["scan_coverage"] == pytest.approx(coverage)
     assert ("ate_rmse" in record["trajectory"]) == ate
     assert damaged_files(run.folder, "record.json") == []
-    picture = Painter(1).paint(read_run(run.folder))
-    assert picture.url or "estimate.tum" in picture.note
+    picture = run_figure(read_run(run.folder), ScenarioCache(), 1)
+    assert picture.picture or "estimate.tum" in picture.note
 
 
 def test_a_log_whose_trajectory_leaves_out_scans_is_incomplete(

@@ -18,8 +18,8 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     pytest.importorskip("viser", reason="viser is not installed (extra [gui])")
     from lirs_validation.gui.server import Server
 
-    monkeypatch.setattr("lirs_validation.gui.view.scene.PREVIEW_TRIANGLES", 6_000)
-    monkeypatch.setattr("lirs_validation.gui.view.scene.BUILT_TRIANGLES", 8_000)
+    monkeypatch.setattr("lirs_validation.gui.scene.PREVIEW_TRIANGLES", 6_000)
+    monkeypatch.setattr("lirs_validation.gui.scene.BUILT_TRIANGLES", 8_000)
     server = Server(port=0)
     yield server
     server.stop()

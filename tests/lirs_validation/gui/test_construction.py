@@ -12,9 +12,8 @@ import trimesh
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.gui.session.construction import Construction, zip_folder
-from lirs_validation.gui.session.glb import world_glb
-from lirs_validation.gui.session.uploads import Uploads
+from lirs_validation.gui.construction import Construction, Uploads, zip_folder
+from lirs_validation.gui.scene import world_glb
 from lirs_wct import build_world, write_package
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.sources.source import BuildOptions
@@ -74,13 +73,13 @@ def test_the_package_is_that_of_the_command_line(tmp_path: Path, picture: Path) 
 
 def test_another_file_of_the_same_name_is_read_anew(tmp_path: Path, picture: Path) -> None:
     scenarios, config = ScenarioCache(), RunConfig(source=str(picture))
-    construction = Construction(tmp_path, NODES, scenarios)
+    construction = Construction(tmp_path, NODES)
     before = construction.preview(str(picture), BuildOptions()).world.surface.z
     driven = scenarios.scenario(config).world.surface.z
     pixels = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
     assert pixels is not None
     cv2.imwrite(str(picture), 255 - pixels)
-    construction.forget()
+    scenarios.clear()
     after = construction.preview(str(picture), BuildOptions()).world.surface.z
     np.testing.assert_allclose(after, 6.0 - before, atol=0.05)
     np.testing.assert_allclose(scenarios.scenario(config).world.surface.z, 6.0 - driven, atol=0.05)

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from lirs_validation.gui.session.controls import controls, read_controls
+from lirs_validation.gui.controls import controls, read_controls
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.source import BuildOptions, SourceKind

@@ -14,14 +14,12 @@ import pytest
 from lirs_validation.config import MANUAL, RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.gui.session.construction import zip_folder
-from lirs_validation.gui.session.controls import to_goal
-from lirs_validation.gui.session.finished_run import read_playback, runs_in, unpacked_run
-from lirs_validation.gui.session.live_drive import LiveDrive
-from lirs_validation.gui.session.playback import ate
+from lirs_validation.gui.construction import zip_folder
+from lirs_validation.gui.controls import to_goal
+from lirs_validation.gui.playback import LiveDrive, ate, read_playback, runs_in, unpacked_run
 from lirs_validation.record.run_record import read_record, schema_error
 from lirs_validation.record.verdict import judge
-from lirs_validation.report.provenance import command_of
+from lirs_validation.report.run_tables import command_of
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
 from tests.kit import SMALL
 
@@ -79,7 +77,7 @@ def driven(config: RunConfig, scenarios: ScenarioCache, ticks: int | None = None
 def test_a_saved_drive_is_validates_run(
     tmp_path: Path, scenarios: ScenarioCache, mapper: str, driver: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lirs_validation.gui.session.live_drive.MAP_WALL_SECONDS", 0.0)
+    monkeypatch.setattr("lirs_validation.gui.playback.MAP_WALL_SECONDS", 0.0)
     config = RunConfig(source="simple", build=SMALL, mapper=mapper, driver=driver, seconds=1.0, seed=2)
     by_validate = run(config, out=tmp_path / "validate", scenarios=scenarios).folder
     drive = driven(config, scenarios)
@@ -130,7 +128,7 @@ def test_a_failing_mapper_ends_the_drive_with_reason_and_verdict(
 def test_closed_loops_and_lost_places_are_marked(
     tmp_path: Path, scenarios: ScenarioCache, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lirs_validation.gui.session.live_drive.MAP_WALL_SECONDS", 0.0)
+    monkeypatch.setattr("lirs_validation.gui.playback.MAP_WALL_SECONDS", 0.0)
     (tmp_path / "looping_slam.py").write_text(LOOPING)
     monkeypatch.syspath_prepend(str(tmp_path))
     drive = driven(RunConfig(source="simple", mapper="looping_slam:Looping", seconds=2.5), scenarios)

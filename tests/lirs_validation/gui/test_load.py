@@ -40,7 +40,7 @@ SIZE = 300_000
 @pytest.fixture
 def errors(monkeypatch: pytest.MonkeyPatch) -> list[Exception]:
     """Errors that the pages show."""
-    from lirs_validation.gui.view.page_context import Guard
+    from lirs_validation.gui.page import Guard
 
     shown: list[Exception] = []
     show = Guard.show

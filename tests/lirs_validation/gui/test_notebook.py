@@ -42,6 +42,6 @@ def test_what_is_no_source(tmp_path: Path) -> None:
 
 def test_without_viser(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    monkeypatch.setattr("lirs_validation.gui.notebook.find_spec", lambda name: None)
+    monkeypatch.setattr("lirs_validation.gui.find_spec", lambda name: None)
     with pytest.raises(ConfigError, match=r"pip install '.\[gui\]'"):
         show("simple")

@@ -5,10 +5,10 @@ import pytest
 
 pytest.importorskip("viser")
 
-from lirs_validation.gui.session.controls import without_flags
-from lirs_validation.gui.session.playback import MapSnapshot
-from lirs_validation.gui.view.page_context import ABSOLUTE_PATH
-from lirs_validation.gui.view.scene import error_colors, ground_point, round_length
+from lirs_validation.gui.controls import without_flags
+from lirs_validation.gui.page import ABSOLUTE_PATH
+from lirs_validation.gui.playback import MapSnapshot
+from lirs_validation.gui.scene import error_colors, ground_point, round_length
 from lirs_wct import HeightField, OccupancyGrid, Pose2
 
 SLOPE = HeightField.centered(np.tile(np.linspace(0, 8, 41, dtype=np.float32), (41, 1)), (0.5, 0.5))

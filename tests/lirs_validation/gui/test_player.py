@@ -9,18 +9,20 @@ import pytest
 
 viser = pytest.importorskip("viser")
 
-from lirs_validation.gui.session.playback import Moment, Playback  # noqa: E402
-from lirs_validation.gui.view.playback_tabs import ReplayTab  # noqa: E402
-from lirs_wct import LaserScan, Pose3  # noqa: E402
+from lirs_envs.sensing.sensors import Observation  # noqa: E402
+from lirs_validation.experiment.drive import DriveLog  # noqa: E402
+from lirs_validation.gui.playback import Moment, Playback  # noqa: E402
+from lirs_validation.gui.tabs import ReplayTab  # noqa: E402
+from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3  # noqa: E402
 
 
 def drive() -> Playback:
     """Return five seconds of standing, ten scans a second."""
-    standing = Playback("husky", None, 5.0)
+    log = DriveLog()
     for k in range(51):
         scan = LaserScan(np.ones(3, np.float32), -0.1, 0.1, 0.1, 10.0, stamp=k * 0.1)
-        standing.add(scan, Pose3(), (0.0, 0.0))
-    return standing
+        log.add(Observation(scan, Pose2(), Imu()), Pose3(), Pose2())
+    return Playback("husky", None, 5.0, log)
 
 
 class _Scene:

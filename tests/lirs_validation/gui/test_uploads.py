@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from lirs_validation.gui.session.uploads import MAX_NAME, Uploads
+from lirs_validation.gui.construction import MAX_STEM_CHARACTERS, Uploads
 from lirs_wct import build_world
 from lirs_wct.errors import SourceError, WctError
 
@@ -30,7 +30,7 @@ def uploads() -> Iterator[Uploads]:
         ("my terrain (2).PNG", "my_terrain_2.PNG"),
         ("путь.png", "file.png"),
         ("a\0b\n.png", "a_b.png"),
-        ("x" * 500 + ".png", "x" * MAX_NAME + ".png"),
+        ("x" * 500 + ".png", "x" * MAX_STEM_CHARACTERS + ".png"),
     ],
 )
 def test_names_become_harmless(uploads: Uploads, given: str, kept: str) -> None:

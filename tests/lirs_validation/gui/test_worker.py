@@ -5,7 +5,7 @@ import threading
 import pytest
 
 pytest.importorskip("viser")
-from lirs_validation.gui.view.page_context import PageWorker
+from lirs_validation.gui.page import PageWorker
 
 
 def test_the_newest_of_a_kind_is_done_in_order() -> None:

@@ -24,7 +24,7 @@ from lirs_validation.record.metric_catalog import (
 )
 from lirs_validation.record.run_record import record_schema
 from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
-from lirs_validation.report.page import page, report_of
+from lirs_validation.report.run_report import report_of, report_page
 from lirs_validation.report.run_tables import results_table
 from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.records import entry
@@ -98,12 +98,11 @@ def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.Monk
     assert "| blur [cm] |" in results_table(runs).as_markdown()
     assert ("blur", "1.23 cm") in picture_lines(runs[0])
     report = report_of(read_results(tmp_path))
-    tables = {table.key: table for table in report.tables}
     for key in ("summary", "map", "map-runs"):
-        row = next(csv.DictReader(io.StringIO(tables[key].as_csv())))
+        row = next(csv.DictReader(io.StringIO(report.tables[key].as_csv())))
         assert float(row["blur [cm]"]) == pytest.approx(1.23)
-        assert "blur [cm]" in tables[key].as_markdown()
-    html = page(report, "lirs-wct report out")
+        assert "blur [cm]" in report.tables[key].as_markdown()
+    html = report_page(report, "lirs-wct report out")
     assert "median blur [cm]" in html
     assert html.count("blur [cm]") >= 5  # tile, summary, section by group and by run, distributions
     comparison = compare(runs, runs_with(blur=0.0100), metrics_selected("compared"))

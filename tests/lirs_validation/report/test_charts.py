@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lirs_validation.report.charts import series_band
+from lirs_validation.report.pictures import series_band
 from tests.lirs_validation.records import entry
 
 

@@ -12,11 +12,11 @@ import pytest
 
 from lirs_validation.analysis.groups import RunGroup, by_group, repeats
 from lirs_validation.analysis.results import RunFolder, read_results
+from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.metric_catalog import metrics_in, metrics_named, significant
-from lirs_validation.report import charts
-from lirs_validation.report.charts import INK
-from lirs_validation.report.page import Report, page, report_of
-from lirs_validation.report.pictures import BUDGET, MOST_BYTES, Painter
+from lirs_validation.report import pictures
+from lirs_validation.report.pictures import BUDGET, INK, MAX_BYTES, run_figure
+from lirs_validation.report.run_report import Report, report_of, report_page
 from lirs_validation.report.run_tables import group_table, summary_table
 from lirs_validation.report.table import MetricSpread, ReportTable
 from lirs_wct.formats.drive_files import write_tum
@@ -27,12 +27,12 @@ from tests.command_line import run_command
 from tests.lirs_validation.records import entry, saved
 
 pytestmark = pytest.mark.usefixtures("empty_charts")
-AS_SVG = charts.as_svg
+AS_SVG = pictures.as_svg
 
 
 def reported(root: Path) -> tuple[Report, str]:
     report = report_of(read_results(root))
-    return report, page(report, "lirs-wct report out -o report.html")
+    return report, report_page(report, "lirs-wct report out -o report.html")
 
 
 class Reader(HTMLParser):
@@ -77,7 +77,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_page_is_whole_and_needs_nothing_else(mixed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(charts, "as_svg", AS_SVG)
+    monkeypatch.setattr(pictures, "as_svg", AS_SVG)
     _, html = reported(mixed)
     reader = Reader(html)
     assert not any(tag in ("script", "link", "iframe", "object") for tag, _ in reader.seen)
@@ -108,7 +108,9 @@ def test_failures_come_first_and_are_in_no_mean(mixed: Path) -> None:
     assert "my&lt;b&gt;.mapper:Own" in html
     assert "my<b>" not in html
     assert "not a run&#39;s record, or damaged" in html
-    advanced = next(row for row in report.summary.rows if row[0] == "advanced" and row[1] == "hector")
+    advanced = next(
+        row for row in report.tables["summary"].rows if row[0] == "advanced" and row[1] == "hector"
+    )
     assert advanced[2] == "0 of 1"
     assert all(isinstance(c, MetricSpread) and c.values is None for c in advanced[3:])
 
@@ -124,13 +126,13 @@ def test_means_and_intervals_are_those_of_the_records(mixed: Path) -> None:
     spread = row[-1]
     assert isinstance(spread, MetricSpread)
     assert spread.values == expected
-    assert spread.text() == f"{expected.mean:.3f} ± {expected.half_width:.3f}"
+    assert str(spread) == f"{expected.mean:.3f} ± {expected.half_width:.3f}"
     rows = list(csv.DictReader(io.StringIO(table.as_csv())))
     line = next(r for r in rows if r["world"] == "simple" and r["mapper"] == "gmapping")
     assert float(line["ATE [m]"]) == expected.mean
     assert float(line["ATE [m] std"]) == expected.std
     assert line["ATE [m] n"] == "3"
-    assert spread.text() in table.as_markdown()
+    assert str(spread) in table.as_markdown()
     assert "3 seeds" in report.subtitle
 
 
@@ -139,13 +141,13 @@ def test_a_mean_says_how_many_values_it_holds(tmp_path: Path) -> None:
     for seed, f1 in ((1, 0.8), (2, None), (3, None)):
         saved(tmp_path, seed=seed, f1=f1)
     report, html = reported(tmp_path)
-    heading = report.summary.headings.index("F1")
-    spread = report.summary.rows[0][heading]
+    heading = report.tables["summary"].headings.index("F1")
+    spread = report.tables["summary"].rows[0][heading]
     assert isinstance(spread, MetricSpread)
-    assert spread.text() == "0.800 (1 of 3)"
-    assert "(n of N): n of the N runs have this value." in report.summary.caption
+    assert str(spread) == "0.800 (1 of 3)"
+    assert "(n of N): n of the N runs have this value." in report.tables["summary"].caption
     assert "median F1 (1 of 3 runs)" in html
-    line = next(csv.DictReader(io.StringIO(report.summary.as_csv())))
+    line = next(csv.DictReader(io.StringIO(report.tables["summary"].as_csv())))
     assert (line["F1 n"], line["F1 of"], line["ATE [m] of"]) == ("1", "3", "3")
 
 
@@ -154,7 +156,7 @@ def test_one_seed_says_that_it_is_one(tmp_path: Path) -> None:
     report, html = reported(tmp_path)
     assert "One seed: one run&#39;s values, without any interval." in html
     assert "one seed" in report.subtitle
-    assert "±" not in report.summary.as_markdown()
+    assert "±" not in report.tables["summary"].as_markdown()
 
 
 def test_seeds_are_counted_in_each_group(tmp_path: Path) -> None:
@@ -179,7 +181,7 @@ def test_each_group_is_shown_where_not_all_pictures_fit(
 ) -> None:
     for world, seed in (("simple", 1), ("simple", 2), ("medium", 2), ("medium", 3)):
         saved(tmp_path, world, seed)
-    monkeypatch.setattr("lirs_validation.report.page.MOST_PICTURES", 3)
+    monkeypatch.setattr("lirs_validation.report.run_report.MAX_PICTURES", 3)
     _, html = reported(tmp_path)
     assert "Shown are 2 of 4 runs: the first seed of each group." in html
     named = re.findall(r"<figcaption>(\w+), .* seed (\d)", html)
@@ -216,7 +218,7 @@ def test_what_ran_beside_others_has_no_rtf_and_what_was_stopped_is_marked() -> N
     assert isinstance(here, MetricSpread)
     assert here.values == repeats([40.0, 42.0])
     assert isinstance(there, MetricSpread)
-    assert there.text() == "0.0200†"
+    assert str(there) == "0.0200†"
     assert "1 concurrent run has no RTF here." in table.caption
     assert "† extrapolated" in table.caption
     assert table.rows[0][column + 1].values.count == 3  # type: ignore[union-attr]
@@ -235,7 +237,7 @@ def test_a_page_of_failures_alone_is_a_page(tmp_path: Path) -> None:
     report, html = reported(tmp_path)
     Reader(html)
     assert "0 of 1" in html
-    assert [table.key for table in report.tables] == ["verdicts", "failures", "summary", "commands"]
+    assert list(report.tables) == ["verdicts", "failures", "summary", "versions", "commands"]
 
 
 def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
@@ -243,8 +245,7 @@ def test_a_suites_page_tells_of_the_paper(tmp_path: Path) -> None:
     (tmp_path / "sweep.json").write_text(
         json.dumps({"suite": "paper", "command": "lirs-wct validate --suite paper"})
     )
-    report, html = reported(tmp_path)
-    assert report.paper is not None
+    _, html = reported(tmp_path)
     for words in ("Table II: simple map", "Table IV: advanced map", "Average RTF by robot", "lost"):
         assert words in html
     assert "lirs-wct validate --suite paper" in html
@@ -267,16 +268,16 @@ def with_files(folder: Path, seed: int) -> RunFolder:
 @pytest.mark.slow
 def test_pictures_keep_their_budget(tmp_path: Path) -> None:
     run = with_files(saved(tmp_path), 3)
-    few, many = Painter(2).paint(run), Painter(100).paint(run)
-    assert few.url.startswith("data:image/webp;base64,")
-    assert 5_000 < len(many.url) <= BUDGET / 100 < len(few.url) <= MOST_BYTES
+    few, many = (run_figure(run, ScenarioCache(), runs) for runs in (2, 100))
+    assert few.picture.startswith("data:image/webp;base64,")
+    assert 5_000 < len(many.picture) <= BUDGET / 100 < len(few.picture) <= MAX_BYTES
     assert (few.note, many.note) == ("", "")
 
 
 def test_a_lost_source_costs_the_terrain_only(tmp_path: Path) -> None:
     run = with_files(saved(tmp_path, str(tmp_path / "gone.png")), 3)
-    picture = Painter(2).paint(run)
-    assert picture.url
+    picture = run_figure(run, ScenarioCache(), 2)
+    assert picture.picture
     assert "without its terrain" in picture.note
     assert "gone.png" in picture.note
 
@@ -284,7 +285,7 @@ def test_a_lost_source_costs_the_terrain_only(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_hundred_runs_stay_under_five_megabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures have a budget of 3 MB of their own: all the rest must stay under 2."""
-    monkeypatch.setattr(charts, "as_svg", AS_SVG)
+    monkeypatch.setattr(pictures, "as_svg", AS_SVG)
     for seed in range(1, 6):
         for world in ("simple", "medium", "advanced", "depot", "dune"):
             for mapper in ("hector", "gmapping", "cartographer", "mine:Own"):
@@ -324,7 +325,7 @@ def test_numbers_have_three_digits_that_count() -> None:
         "0",
         "10.00",
     ]
-    assert MetricSpread(metrics_in("rtf")[0], None).text() == "-"
+    assert MetricSpread(metrics_in("rtf")[0], None).__str__() == "-"
     assert ReportTable("k", "T", "c", ("a|b",), (("x|y",),)).as_markdown().count("x\\|y") == 1
 
 
@@ -334,12 +335,11 @@ def test_methods_as_published_have_one_row_per_world(tmp_path: Path) -> None:
         saved(tmp_path, "medium", seed, mapper="hector_original", ate=1.5)
         saved(tmp_path, "medium", seed, mapper="hector", ate=0.9, attitude="none")
     report, html = reported(tmp_path)
-    assert '<a href="#methods">As published</a>' in html
-    assert html.index('id="methods"') < html.index('id="trajectory-section"')
-    rows = [table.texts() for table in report.methods]
-    assert [[row[3], row[5]] for (row,) in rows] == [["loses its way (2 of 2)", "works (2 of 2)"]] * 2
-    assert [table.key for table in report.methods] == ["as-published", "without-attitude"]
-    assert report.methods[0] in report.tables
+    assert '<a href="#methods-section">As published</a>' in html
+    assert html.index('id="methods-section"') < html.index('id="trajectory-section"')
+    for key in ("as-published", "without-attitude"):
+        (row,) = report.tables[key].texts()
+        assert [row[3], row[5]] == ["loses its way (2 of 2)", "works (2 of 2)"]
 
 
 def test_a_mapper_that_is_worse_than_its_odometry_is_marked_in_every_table(tmp_path: Path) -> None:
@@ -348,9 +348,8 @@ def test_a_mapper_that_is_worse_than_its_odometry_is_marked_in_every_table(tmp_p
     saved(tmp_path, "medium", 2, mapper="gmapping", ate=0.01)
     report, html = reported(tmp_path)
     line = "‡ worse than its odometry: medium, gmapping (1 of 2 runs)."
-    trajectory = next(groups for key, groups, _ in report.sections if key == "trajectory")
-    assert line in report.summary.caption
-    assert line in trajectory.caption
+    assert line in report.tables["summary"].caption
+    assert line in report.tables["trajectory"].caption
     marked = re.findall(r'<tr class="worse">.*?</tr>', html)
     assert len(marked) == 3  # summary, trajectory by group and by run
     assert all("gmapping" in row and "0.200" in row for row in marked)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from lirs_validation.analysis.results import read_results
-from lirs_validation.report.page import page, report_of
+from lirs_validation.report.run_report import report_of, report_page
 from tests.lirs_validation.records import saved
 
 PAPER = 1047
@@ -22,7 +22,7 @@ def shown(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[An
         for seed in (1, 2, 3):
             saved(root, "advanced", seed, mapper=mapper, ate=0.0123 * seed, f1=0.9 + 0.02 * seed)
     file = root / "report.html"
-    html = page(report_of(read_results(root)), "lirs-wct report out")
+    html = report_page(report_of(read_results(root)), "lirs-wct report out")
     file.write_text(html.replace("<details>", "<details open>"), encoding="utf-8")
     opened = browser.new_page(viewport={"width": 1300, "height": 900})
     opened.goto(file.as_uri())

@@ -3,7 +3,7 @@
 from typing import Any
 
 from lirs_validation.record.metric_catalog import significant
-from lirs_validation.report.paper import VIEWS, findings, paper_tables
+from lirs_validation.report.paper import VIEWS, findings_table, paper_tables
 from tests.lirs_validation.records import entry
 
 
@@ -20,7 +20,7 @@ def suite(heightmap: float, solid: float, order: tuple[str, ...]) -> list[dict[s
 
 
 def answers(runs: list[dict[str, Any]]) -> list[str]:
-    return [finding.answer for finding in findings(runs)]
+    return [row[1] for row in findings_table(runs).texts()]
 
 
 def test_the_papers_findings_where_they_hold() -> None:
@@ -28,10 +28,10 @@ def test_the_papers_findings_where_they_hold() -> None:
 
 
 def test_the_papers_findings_where_they_do_not() -> None:
-    found = findings(suite(2.0, 0.2, ("gmapping", "cartographer", "hector")))
-    assert [f.answer for f in found] == ["does not hold", "holds", *["does not hold"] * 3]
-    assert "in 0 of 9 comparisons" in found[2].because
-    assert "else GMapping (simple heightmap-based, simple solid-based, simple ours, " in found[2].because
+    found = findings_table(suite(2.0, 0.2, ("gmapping", "cartographer", "hector"))).texts()
+    assert [row[1] for row in found] == ["does not hold", "holds", *["does not hold"] * 3]
+    assert "in 0 of 9 comparisons" in found[2][2]
+    assert "else GMapping (simple heightmap-based, simple solid-based, simple ours, " in found[2][2]
 
 
 def test_findings_need_runs() -> None:

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from lirs_validation.cli.command import Command
 from lirs_validation.cli.sources import OneSource, World
 from lirs_validation.config import RunConfig
-from lirs_validation.report.provenance import command_of
+from lirs_validation.report.run_tables import command_of
 from lirs_validation.sweep.tasks import cross
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.source import BuildOptions

@@ -12,7 +12,7 @@ import pytest
 from pyproj import CRS
 
 from lirs_validation.cli.commands.info import facts_table
-from lirs_validation.gui.session.construction import built_facts
+from lirs_validation.gui.construction import built_facts
 from lirs_wct import World, write_package
 from lirs_wct.errors import ConfigError
 from lirs_wct.sources.build import build_world

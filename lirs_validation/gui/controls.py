@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lirs_validation.config import PRETRAINED, RunConfig
-from lirs_wct import ConfigError, Pose2
+from lirs_wct import BuildOptions, ConfigError, Pose2
 from lirs_wct.option import Option, Options, declared
-from lirs_wct.sources.source import BuildOptions, SourceKind
+from lirs_wct.sources.source import SourceKind
 
 DEFAULT = "not given"
 """Stands for "not given" among choices."""

@@ -1,28 +1,29 @@
-"""Construction of a world on a page: source, options, previews, facts, package."""
+"""Construction of a world on a page: uploaded files, previews, facts, package."""
 
 from __future__ import annotations
 
 import io
+import re
 import zipfile
 from collections.abc import Collection
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
+from tempfile import TemporaryDirectory
 
-from lirs_validation.experiment.scenario import ScenarioCache
+import yaml
+
 from lirs_validation.logs.map_log import resolve_source
 from lirs_validation.metrics.world_geometry import mesh_error
+from lirs_wct import BuildOptions, SourceError, World, build_world
 from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
-from lirs_wct.geometry.heightfield import fewer_nodes
-from lirs_wct.ground import Ground, Terrain
-from lirs_wct.meshing.ground_texture import checked_texture
+from lirs_wct.formats import map_server, suffixes
 from lirs_wct.progress import Progress, no_progress
-from lirs_wct.sources.build import READERS, build_world, warn_of_result
-from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.source import BuildOptions, Source, SourceKind, find_source
-from lirs_wct.world import World
+from lirs_wct.sources.build import preview_world
 
 Facts = tuple[tuple[str, str], ...]
 """Names and values, to be shown as a table."""
+MAX_STEM_CHARACTERS = 80
+"""Largest length of an uploaded file's name, without its suffix."""
 PREVIEW_NODES = 129
 """Nodes of a preview along its longer side."""
 
@@ -76,11 +77,8 @@ class Shown:
 class Construction:
     """Makes previews and packages of one page's source in the page's folder."""
 
-    def __init__(
-        self, folder: Path, nodes: int = PREVIEW_NODES, scenarios: ScenarioCache | None = None
-    ) -> None:
+    def __init__(self, folder: Path, nodes: int = PREVIEW_NODES) -> None:
         self._folder, self._nodes = folder, nodes
-        self._scenarios = scenarios or ScenarioCache()
 
     def preview(self, source: str, options: BuildOptions, progress: Progress = no_progress) -> Shown:
         """Return a coarse world of a source; a log is mapped the first time.
@@ -89,12 +87,7 @@ class Construction:
             WctError: the source or an option cannot be used.
         """
         source = str(resolve_source(source, options, self._folder / "maps", progress))
-        found = find_source(source, options)
-        ground, scale = self._coarse(found, options)
-        for texture in (options.texture, options.wall_texture):
-            checked_texture(texture, options.max_pixels)
-        world = World(found.name, ground, scale=scale).with_export(options)
-        warn_of_result(found, options, world)
+        world = preview_world(source, options, self._nodes)
         return Shown(world, preview_facts(world), source, options)
 
     def build(
@@ -123,19 +116,6 @@ class Construction:
         )
         return Shown(world, built_facts(world), source, options, package)
 
-    def _coarse(self, source: Source, options: BuildOptions) -> tuple[Ground, str]:
-        if source.kind is SourceKind.FOLDER:
-            world = World.load(source.path)
-            return world.ground, world.scale
-        ground, scale, _ = READERS[source.kind](source, options)
-        if READERS[source.kind] is read_terrain:
-            return Terrain(fewer_nodes(ground.surface, self._nodes)), "preview"
-        return ground, scale
-
-    def forget(self) -> None:
-        """Drop all cached files; a new file may have the name of an old one."""
-        self._scenarios.clear()
-
 
 def zip_folder(folder: Path) -> bytes:
     """Return a folder as a zip archive; entries begin with the folder's own name."""
@@ -145,3 +125,56 @@ def zip_folder(folder: Path) -> bytes:
             if path.is_file():
                 archive.write(path, Path(folder.name) / path.relative_to(folder))
     return content.getvalue()
+
+
+class Uploads:
+    """Files of one page, in a folder that is removed with the page.
+
+    Attributes:
+        folder: Folder of the page, also for its maps, worlds and runs.
+    """
+
+    def __init__(self) -> None:
+        self._temporary = TemporaryDirectory(prefix="lirs-wct-gui-", ignore_cleanup_errors=True)
+        self.folder = Path(self._temporary.name)
+
+    def add(self, name: str, content: bytes) -> Path:
+        """Keep a file under its name without folders and unsafe characters; another is replaced.
+
+        Raises:
+            SourceError: A YAML is not that of a map.
+        """
+        path = self.folder / harmless(name)
+        if path.suffix.lower() in suffixes.MAPS:
+            content = with_own_picture(path.name, content)
+        path.write_bytes(content)
+        return path
+
+    def close(self) -> None:
+        """Remove the folder."""
+        self._temporary.cleanup()
+
+
+def harmless(name: str) -> str:
+    """Return a file's own name without folders, of letters, digits, dots, hyphens and underscores.
+
+    >>> harmless("../../etc/my map.YAML")
+    'my_map.YAML'
+    """
+    last = PureWindowsPath(name).name  # takes both kinds of slashes
+    stem, dot, suffix = re.sub(r"[^A-Za-z0-9_.-]+", "_", last).rpartition(".")
+    return f"{stem.strip('._-')[:MAX_STEM_CHARACTERS] or 'file'}{dot}{suffix[:10]}"
+
+
+def with_own_picture(name: str, content: bytes) -> bytes:
+    """Return a map's YAML whose picture is the file of that name beside it.
+
+    Raises:
+        SourceError: it is not the YAML of a map.
+    """
+    try:
+        entry = map_server.map_entries(Path(name), content)
+        entry["image"] = harmless(str(entry["image"]))
+    except (ValueError, KeyError) as error:
+        raise SourceError(f"{name}: is no YAML of a map, which names its image") from error
+    return yaml.safe_dump(entry).encode()

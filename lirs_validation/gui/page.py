@@ -1,24 +1,34 @@
-"""Widgets of a page: options, pace, progress, stick, drop zone."""
+"""Parts of a page that its tabs share: messages, worker thread, controls of options, progress, stick."""
 
 from __future__ import annotations
 
+import logging
 import math
+import queue
+import re
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
+from pathlib import Path
 from typing import Any
 
 import viser
 
-from lirs_validation.gui.page_html import asset
-from lirs_validation.gui.session.construction import Facts
-from lirs_validation.gui.session.controls import Control, controls
-from lirs_validation.gui.view.page_context import Guard
-from lirs_wct.errors import ConfigError
+from lirs_validation.experiment.scenario import ScenarioCache
+from lirs_validation.gui.construction import Facts, Uploads
+from lirs_validation.gui.controls import Control, controls, without_flags
+from lirs_validation.gui.scene import DriveScene, WorldScene
+from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.option import Options
 from lirs_wct.progress import Progress
 from lirs_wct.sources.source import SourceKind
 
+Callback = Callable[[Any], None]
+Job = Callable[[], None]
+ABSOLUTE_PATH = re.compile(r"(?<![\w.:/])/(?:[^\s/:;,'\"]+/)*([^\s/:;,'\"]+)")
+"""A path on the server, of which messages show the last part."""
+_LOG = logging.getLogger(__name__)
 PATIENCE = 0.4
 """Seconds before a bar appears; shorter work shows none."""
 PERIOD = 0.1
@@ -27,6 +37,136 @@ FIRST_PANEL = "Source"
 """Heading of the options that the command line has without one."""
 LABEL = "stick"
 HINT = "Forward and left, -1 to 1 each. Drag the stick, hold W A S D or the arrow keys, or write here."
+
+
+class Guard:
+    """Wrap the callbacks of one page, and show their errors and hints there."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self._client = client
+        self._shown: viser.NotificationHandle | None = None
+        self._notes: list[str] = []
+
+    def __call__(self, callback: Callback) -> Callback:
+        """Return a callback whose errors are shown."""
+
+        def run(event: Any) -> None:
+            try:
+                callback(event)
+            except Exception as error:
+                self.show(error)
+
+        return run
+
+    def show(self, error: Exception) -> None:
+        """Show an error instead of the last one; log it unless it is a WctError."""
+        self._notes.clear()
+        if isinstance(error, WctError):
+            self._say("Input cannot be used", str(error), "red")
+            return
+        _LOG.error("a page failed", exc_info=error)
+        self._say("The program failed", f"{type(error).__name__}: {error}", "red")
+
+    def note(self, message: str) -> None:
+        """Keep a hint until the present work is done."""
+        self._notes.append(message)
+
+    def done(self) -> None:
+        """Remove the last error and show the collected hints."""
+        notes, self._notes = self._notes, []
+        if notes:
+            self._say("Note", "; ".join(dict.fromkeys(notes)), "yellow")
+        else:
+            self._clear()
+
+    def _clear(self) -> None:
+        if self._shown is not None:
+            self._shown.remove()
+            self._shown = None
+
+    def _say(self, title: str, message: str, color: Any) -> None:
+        self._clear()
+        message = ABSOLUTE_PATH.sub(r"\1", without_flags(message))
+        self._shown = self._client.add_notification(title, message, color=color)
+
+
+class PageWorker:
+    """Run the jobs of one page in sequence, so that its state needs no locks.
+
+    A job that fails is reported to `on_error`; the thread continues.
+    """
+
+    def __init__(self, on_error: Callable[[Exception], None], name: str = "page") -> None:
+        self._on_error = on_error
+        self._jobs = queue.SimpleQueue[tuple[str, Job] | None]()
+        self._newest: dict[str, Job] = {}
+        self._idle: Job | None = None
+        self._closing = False
+        self._at_end: Job | None = None
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def submit(self, kind: str, job: Job) -> None:
+        """Queue a job; it replaces a waiting one of the same kind."""
+        self._newest[kind] = job
+        self._jobs.put((kind, job))
+
+    def repeat(self, slice_of_work: Job | None) -> None:
+        """Call a short function repeatedly while no job waits; None = stop."""
+        self._idle = slice_of_work
+        self._jobs.put(None)  # wakes the thread
+
+    def close(self, at_end: Job | None = None) -> None:
+        """Drop waiting jobs and end the thread after the present job, then `at_end`."""
+        self._at_end, self._closing = at_end, True
+        self._jobs.put(None)
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for the thread's end; return whether it has ended."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    @property
+    def here(self) -> bool:
+        """Whether the caller runs in the worker's thread."""
+        return threading.current_thread() is self._thread
+
+    def _run(self) -> None:
+        while not self._closing:
+            idle = self._idle
+            try:
+                item = self._jobs.get(block=idle is None)
+            except queue.Empty:
+                self._run_job(idle)
+                continue
+            if item is not None and self._newest.get(item[0]) is item[1] and not self._closing:
+                del self._newest[item[0]]
+                self._run_job(item[1])
+        self._run_job(self._at_end)
+
+    def _run_job(self, job: Job | None) -> None:
+        try:
+            if job is not None:
+                job()
+        except Exception as error:
+            self._idle = None
+            self._on_error(error)
+
+
+class PageContext:
+    """Parts of one page that its tabs share: connection, thread, messages, scenes, files and worlds."""
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self.client = client
+        self.guard = Guard(client)
+        self.worker = PageWorker(self.guard.show, name=f"page {client.client_id}")
+        self.scene, self.drive_scene = WorldScene(client), DriveScene(client)
+        self.uploads, self.scenarios = Uploads(), ScenarioCache()
+
+
+def asset(name: str) -> str:
+    """Return the text of one of our files for browsers."""
+    return (Path(__file__).parent / "assets" / name).read_text(encoding="utf-8")
 
 
 def with_script(name: str, label: str) -> str:

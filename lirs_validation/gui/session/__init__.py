@@ -1,1 +1,0 @@
-"""State of a browser page without the browser: construction, drive, replay."""

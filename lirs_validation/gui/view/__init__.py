@@ -1,1 +1,0 @@
-"""View of a page: scene and controls. Only this package uses viser."""
