@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import scipy  # its modules load on first use
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -43,7 +44,6 @@ from lirs_wct.drawing.canvas import (
     page_of_panels,
     path_ends,
     plain_axes,
-    rgb,
     shaded_heights,
     title,
     value_list,
@@ -85,14 +85,14 @@ def error_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArr
     """
     error = _sample(canvas, built, built.error(world.surface, world.walls))
     share = np.clip(np.nan_to_num(error) / FULL_COLOR_ERROR, -1, 1)[..., None]
-    color = np.where(share > 0, rgb(VERMILLION), rgb(BLUE))
+    color = np.where(share > 0, to_rgb(VERMILLION), to_rgb(BLUE))
     return _with_unknown(1 - np.abs(share) * (1 - color), error, canvas, world)
 
 
 def _with_unknown(picture: FloatArray, values: FloatArray, canvas: Canvas, world: World) -> FloatArray:
     picture[np.isnan(values)] = UNKNOWN_SHADE
     if world.walls is not None:
-        picture[canvas.walls(world.walls)] = WALL
+        picture[canvas.mark_pixels(world.walls.solid, world.walls)] = WALL
     return picture
 
 
@@ -198,8 +198,8 @@ def _draw_built_map(
     picture = canvas.grid_picture(built)
     for asked, other, color in ((true_pose, built, BLUE), (built, true_pose, VERMILLION)):
         wrong = contradicted(asked, other)
-        marked = canvas.mark_pixels(wrong, asked.resolution, asked.origin)
-        picture[scipy.ndimage.binary_dilation(marked)] = rgb(color)  # a wall is a pixel wide
+        marked = canvas.mark_pixels(wrong, asked)
+        picture[scipy.ndimage.binary_dilation(marked)] = to_rgb(color)  # a wall is a pixel wide
     map_axes(axes, canvas, picture)
     title(axes, "Built map")
     if f1 is not None:

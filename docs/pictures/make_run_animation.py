@@ -11,12 +11,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from matplotlib.colors import to_rgb
 from PIL import Image
 
 from lirs_validation import Run, validate
 from lirs_wct import LaserScan, Pose2, Pose3
 from lirs_wct.arrays import FloatArray
-from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb, shaded_heights
+from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, shaded_heights
 from slam_baselines.mapper import make_mapper
 
 PIXELS, COLORS = 360, 64
@@ -73,9 +74,9 @@ def draw_hits(picture: FloatArray, canvas: Canvas, scan: LaserScan, T_world_base
 def draw_path(picture: FloatArray, canvas: Canvas, path: list[Pose2], color: str) -> None:
     """Draw a path, and the robot at its end."""
     line = pixels(canvas, np.array([(T.x, T.y) for T in path]))
-    cv2.polylines(picture, [line], False, rgb(color), 2, cv2.LINE_AA)
+    cv2.polylines(picture, [line], False, to_rgb(color), 2, cv2.LINE_AA)
     tip, left, right = pixels(canvas, path[-1].apply(np.array(((1.2, 0), (-0.8, 0.7), (-0.8, -0.7)))))
-    cv2.fillPoly(picture, [np.array((tip, left, right))], rgb(color), cv2.LINE_AA)
+    cv2.fillPoly(picture, [np.array((tip, left, right))], to_rgb(color), cv2.LINE_AA)
 
 
 def pixels(canvas: Canvas, points: FloatArray) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import trimesh
 import viser
+from matplotlib.colors import to_rgb
 from numpy.typing import ArrayLike
 from PIL import Image
 from trimesh.visual import TextureVisuals
@@ -23,7 +24,7 @@ from lirs_validation.gui.playback import MapSnapshot, Moment
 from lirs_validation.report.pictures import with_paths
 from lirs_wct import HeightField, Pose3, TriangleMesh, World
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of, rgb
+from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of
 from lirs_wct.export.appearance import world_parts
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
@@ -218,7 +219,7 @@ class DriveScene:
             )
             self._show_fan(moment)
             lifted = moment.truth + np.array((0.0, 0.0, ABOVE))
-            _add_path(scene, "/drive/truth", lifted, np.array([int(255 * v) for v in rgb(BLUE)]))
+            _add_path(scene, "/drive/truth", lifted, np.array([int(255 * v) for v in to_rgb(BLUE)]))
             on_ground = self._on_ground(moment.estimate, T.z)
             _add_path(scene, "/drive/estimate", on_ground, error_colors(moment.errors))
             self._take_map(moment.map)

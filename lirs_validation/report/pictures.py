@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
@@ -31,16 +32,7 @@ from lirs_validation.record.run_record import maps_clouds, succeeded
 from lirs_validation.report.page import PageFigure, data_url
 from lirs_wct import WctError
 from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.drawing.canvas import (
-    BLUE,
-    GREEN,
-    VERMILLION,
-    Canvas,
-    Drawing,
-    bounds_shown,
-    rgb,
-    shaded_heights,
-)
+from lirs_wct.drawing.canvas import BLUE, GREEN, VERMILLION, Canvas, Drawing, bounds_shown, shaded_heights
 from lirs_wct.formats import drive_files, map_server
 
 INK = "#123456"
@@ -292,7 +284,7 @@ def _draw_run(run: RunFolder, scenarios: ScenarioCache, tile: int) -> tuple[Floa
         built = map_server.read_map(run.folder / "map.yaml")
         panels.append(canvas.grid_picture(built))
         wrong = contradicted(built, true_pose)
-        panels[-1][canvas.mark_pixels(wrong, built.resolution, built.origin)] = rgb(VERMILLION)
+        panels[-1][canvas.mark_pixels(wrong, built)] = to_rgb(VERMILLION)
     elif world is not None and (run.folder / ELEVATION).is_file():  # none in worlds with overhangs
         panels.append(error_picture(canvas, world, read_elevation(run.folder / ELEVATION)[0]))
     padded = [np.pad(panel, ((0, 0), (0, GAP), (0, 0)), constant_values=1.0) for panel in panels]
@@ -308,6 +300,6 @@ def with_paths(picture: FloatArray, canvas: Canvas, truth: FloatArray, estimate:
     for track, color, width in ((truth, BLUE, 7), (estimate, VERMILLION, 2)):
         xy = (track - (canvas.bounds[0], canvas.bounds[3])) / (canvas.pixel, -canvas.pixel) - 0.5
         points = np.round(xy * 2**FRACTION_BITS).astype(np.int32)
-        shade = tuple(round(255 * c) for c in rgb(color))
+        shade = tuple(round(255 * c) for c in to_rgb(color))
         cv2.polylines(painted, [points], False, shade, width, cv2.LINE_AA, FRACTION_BITS)
     return painted

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 
 from lirs_validation import Run, validate
 from lirs_validation.analysis.results import read_results
@@ -21,7 +22,7 @@ from lirs_validation.record.provenance import damaged_files
 from lirs_validation.record.run_record import read_record, schema_error
 from lirs_validation.report.run_report import report_of, report_page
 from lirs_validation.sweep.tasks import RunTask
-from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas, rgb
+from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
@@ -272,7 +273,7 @@ def test_heights_that_are_off_stand_out_in_color(still: Run) -> None:
         judged = ~np.isnan(grid.error(world.surface, world.walls))[::-1]
         assert judged.mean() > 0.5
         np.testing.assert_allclose(
-            picture[judged], np.broadcast_to(rgb(color), picture[judged].shape), atol=0.02
+            picture[judged], np.broadcast_to(to_rgb(color), picture[judged].shape), atol=0.02
         )
 
 

@@ -1,13 +1,10 @@
-"""Figures as files: laid out and drawn as Matplotlib does it, but once."""
+"""Figures as files."""
 
 from io import BytesIO
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -27,27 +24,6 @@ def figure() -> Drawing:
 
 def pixels(file: BytesIO) -> NDArray[np.uint8]:
     return np.asarray(Image.open(file))
-
-
-@pytest.mark.parametrize("dpi", [None, 72])
-def test_pixels_are_those_of_matplotlib(figure: Drawing, dpi: int | None) -> None:
-    ours, theirs = BytesIO(), BytesIO()
-    figure.savefig(ours, dpi=dpi)
-    Figure.savefig(figure, theirs, dpi=dpi or figure.dpi)
-    assert np.array_equal(pixels(ours), pixels(theirs))
-
-
-def test_images_are_resampled_once(figure: Drawing) -> None:
-    with patch.object(AxesImage, "make_image", autospec=True, side_effect=AxesImage.make_image) as made:
-        figure.savefig(BytesIO())
-    assert made.call_count == 2
-
-
-def test_figure_is_left_as_it_was(figure: Drawing) -> None:
-    engine, dpi = figure.get_layout_engine(), figure.dpi
-    figure.savefig(BytesIO(), dpi=50)
-    assert figure.get_layout_engine() is engine
-    assert figure.dpi == dpi
 
 
 @pytest.mark.parametrize("suffix", ["pdf", "svg", "png"])
