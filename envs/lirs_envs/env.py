@@ -14,8 +14,8 @@ from gymnasium.wrappers import TimeLimit
 
 from lirs_envs.episodes.config import EnvConfig
 from lirs_envs.episodes.episodes import Episodes, EpisodeView
-from lirs_envs.rendering.scene import Snapshot
-from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
+from lirs_envs.map_view import Snapshot
+from lirs_envs.rendering import RENDER_MODES, Views, check_render_mode
 from lirs_wct import Pose2
 from lirs_wct.arrays import ByteArray, Float32Array
 from lirs_wct.errors import OptionError, did_you_mean
@@ -66,7 +66,7 @@ class RobotEnv(LimitedEpisodes, gym.Env[Observed, Float32Array]):
     Args:
         task: `mapping`, `navigation` or `traverse`.
         kind: kind of course, for the traverse task only; None = `mixed`.
-        render_mode: `human`, `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
+        render_mode: `human`, `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering`) or None.
         **options: fields of `EnvConfig`.
     """
 
@@ -114,7 +114,7 @@ class RobotEnv(LimitedEpisodes, gym.Env[Observed, Float32Array]):
         self.view.difficulty = value
 
     def render(self) -> ByteArray | Float32Array | None:
-        """Return the picture of the render mode (see `lirs_envs.rendering.views.Views.render`).
+        """Return the picture of the render mode (see `lirs_envs.rendering.Views.render`).
 
         The path on a map joins the poses at calls of `render`.
         """
@@ -164,10 +164,6 @@ def make_config(options: dict[str, Any], *others: str) -> EnvConfig:
     Args:
         options: fields of `EnvConfig` by name.
         *others: further names of options, for the message about an unknown one.
-
-    Raises:
-        ConfigError: an option has a value that is not legal.
-        OptionError: an option is unknown.
     """
     own = [field.name for field in fields(EnvConfig) if field.init]
     for name in options:

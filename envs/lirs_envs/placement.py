@@ -20,12 +20,7 @@ MAX_SETTLING_DISTANCE = 0.1
 
 
 def resolve_start(world: World, start: Pose2 | None) -> Pose2:
-    """Return the start pose: the one given, or the world's first.
-
-    Raises:
-        ConfigError: the pose is no Pose2, or not finite.
-        SimulationError: none is given and the world has none.
-    """
+    """Return the start pose: the one given, or the world's first."""
     if start is None:
         if not world.spawn_poses:
             raise SimulationError(f"world {world.name!r} has no free place to start from; give a start pose")
@@ -35,11 +30,7 @@ def resolve_start(world: World, start: Pose2 | None) -> Pose2:
 
 
 def check_start(start: object) -> None:
-    """Check a start pose.
-
-    Raises:
-        ConfigError: it is no Pose2, or not finite.
-    """
+    """Check a start pose."""
     if not isinstance(start, Pose2):
         raise ConfigError(f"a start must be a Pose2 or None, got {start!r}")
     if not all(is_finite(v) for v in (start.x, start.y, start.yaw)):
@@ -47,11 +38,7 @@ def check_start(start: object) -> None:
 
 
 def check_fit(world: object, robot: object) -> None:
-    """Check that a robot fits into a world.
-
-    Raises:
-        ConfigError: they are no world and no robot, or the world is smaller than the robot.
-    """
+    """Check that a robot fits into a world."""
     if not isinstance(world, World):
         raise ConfigError(f"world must be of type World, got {world!r}")
     if not isinstance(robot, Robot):
@@ -65,11 +52,7 @@ def check_fit(world: object, robot: object) -> None:
 
 
 def standing_pose(world: World, robot: Robot, start: Pose2) -> Pose3:
-    """Return the pose just above the ground from which a robot is released at `start`.
-
-    Raises:
-        SimulationError: the robot would not stand there: off the world, in a wall, on an obstacle, too steep.
-    """
+    """Return the pose just above the ground from which a robot is released at `start`."""
     where = f"{robot.name} cannot start at ({start.x:.2f}, {start.y:.2f})"
     west, south, east, north = world.surface.bounds
     inside = west <= start.x - robot.radius and start.x + robot.radius <= east
@@ -109,11 +92,7 @@ def can_stand(world: World, robot: Robot, start: Pose2) -> bool:
 
 
 def check_settled(robot: Robot, start: Pose2, settled: Pose3, *, tipped: bool) -> None:
-    """Check that a robot came to rest where it was released.
-
-    Raises:
-        SimulationError: it slid or tipped.
-    """
+    """Check that a robot came to rest where it was released."""
     if math.hypot(settled.x - start.x, settled.y - start.y) > MAX_SETTLING_DISTANCE or tipped:
         raise SimulationError(
             f"{robot.name} does not stay at ({start.x:.2f}, {start.y:.2f}): "

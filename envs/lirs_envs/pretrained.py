@@ -200,11 +200,7 @@ def load_weights() -> Weights:
 
 
 def read_weights(path: Path) -> Weights:
-    """Return weights of a file that `examples/train_pretrained.py` wrote.
-
-    Raises:
-        SourceError: it cannot be read, or is no such file.
-    """
+    """Return weights of a file that `examples/train_pretrained.py` wrote."""
     try:
         with np.load(path, allow_pickle=False) as held:
             weights = {name: held[name] for name in held}

@@ -78,11 +78,7 @@ def footprint(prop: Prop | StaticRobot) -> tuple[float, float, float]:
 
 
 def add_props(spec: mujoco.MjSpec, world: World, props: Sequence[Prop | StaticRobot]) -> None:
-    """Add props to a specification, on the world's ground.
-
-    Raises:
-        ConfigError: one stands beyond the world's border.
-    """
+    """Add props to a specification, on the world's ground."""
     for k, prop in enumerate(props):
         height = prop.height if isinstance(prop, Prop) else prop.robot.base_height
         T = _standing(world, prop.place, height)

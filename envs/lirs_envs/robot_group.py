@@ -356,20 +356,12 @@ class RobotGroup:
         self._odometry.set_slip(k, share)
 
     def replace_world(self, k: int, world: World) -> None:
-        """Replace the ground of robot `k` and the walkers around it.
-
-        Raises:
-            SimulationError: the world has no free ground for walkers.
-        """
+        """Replace the ground of robot `k` and the walkers around it."""
         self.surfaces[k] = world.surface
         self.walkers[k] = make_walkers(world, self._config)
 
     def place(self, k: int, world: World, start: Pose2, seed: int) -> None:
-        """Put robot `k` at rest on the ground, and the walkers around it on new paths.
-
-        Raises:
-            SimulationError: it cannot stand there.
-        """
+        """Put robot `k` at rest on the ground, and the walkers around it on new paths."""
         bodies, robot = self.bodies, self.bodies.robot
         T_world_base, touchable, walkers = standing_pose(world, robot, start), None, self.walkers[k]
         if walkers is not None:
@@ -486,11 +478,7 @@ def make_groups(
 
 
 def make_walkers(world: World, config: SimulationConfig) -> Walkers | None:
-    """Return the walkers of a config in a world; None = it has none.
-
-    Raises:
-        SimulationError: the world has no free ground.
-    """
+    """Return the walkers of a config in a world; None = it has none."""
     if not config.actors:
         return None
     props = [footprint(prop) for prop in config.props]

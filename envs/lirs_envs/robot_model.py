@@ -124,11 +124,7 @@ class RobotModel(BodyState):
         self._make_views()
 
     def replace_surface(self, surface: HeightField) -> None:
-        """Replace the heights of the contact ground; the model needs a height range.
-
-        Raises:
-            ConfigError: they do not fit (see `lirs_wct.export.mjcf.write_heights`).
-        """
+        """Replace the heights of the contact ground; the model needs a height range."""
         if self._height_range is not None:
             write_heights(self.model, surface, self._height_range)
 
@@ -198,9 +194,6 @@ class RobotModel(BodyState):
 
         Returns:
             Wall-clock seconds, and the last pose.
-
-        Raises:
-            SimulationError: the reference physics diverged.
         """
         present, own, warnings = self.state(), self.timestep, self.data.warning.number.copy()
         timestep = _even_part(self._period, REFERENCE_TIMESTEP) if reference else own
@@ -416,11 +409,7 @@ def describe_divergence(data: mujoco.MjData) -> str:
 
 
 def check_divergence(data: mujoco.MjData) -> None:
-    """Stop a simulation that has diverged.
-
-    Raises:
-        SimulationError: MuJoCo warned, or the state is not finite.
-    """
+    """Stop a simulation that has diverged."""
     if reason := describe_divergence(data):
         raise SimulationError(reason)
 

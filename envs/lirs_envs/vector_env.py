@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from lirs_envs.env import LimitedEpisodes, Observed, make_config, snapshot_of
 from lirs_envs.episodes.episodes import Episodes, EpisodeView, action_array, check_options
-from lirs_envs.rendering.views import RENDER_MODES, Views, check_render_mode
+from lirs_envs.rendering import RENDER_MODES, Views, check_render_mode
 from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 
@@ -95,7 +95,7 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
         threads: number of threads; None = all processors of this process.
         max_episode_steps: number of steps until an episode is truncated, in place of the task's time limit;
             None = that one. A `time_limit` holds as well.
-        render_mode: `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering.views`) or None.
+        render_mode: `rgb_array`, `depth_array`, `map` (see `lirs_envs.rendering`) or None.
         **options: fields of `EnvConfig`. `world` may be a list of W worlds: environment i of N is in world
             i * W // N.
     """
@@ -305,11 +305,7 @@ def split_infos(infos: Any, count: int) -> list[dict[str, Any]]:
 
 
 def _divide(options: dict[str, Any], count: int) -> list[tuple[dict[str, Any], int]]:
-    """Return the option `world` of each part, and its number of environments.
-
-    Raises:
-        ConfigError: there are more worlds than environments, or none.
-    """
+    """Return the option `world` of each part, and its number of environments."""
     worlds = options.get("world")
     if not isinstance(worlds, list | tuple):
         return [({}, count)]

@@ -35,11 +35,7 @@ Disc = tuple[float, float, float]
 
 
 def walkable_ground(world: World) -> OccupancyGrid:
-    """Return the ground for walkers: the largest connected free area of a world.
-
-    Raises:
-        SimulationError: there is none.
-    """
+    """Return the ground for walkers: the largest connected free area of a world."""
     free = world.traversable(clearance=CLEARANCE, max_slope=MAX_SLOPE, resolution=RESOLUTION)
     area = largest_area(free.free)
     if not area.any():
@@ -59,9 +55,6 @@ def draw_paths(
         count: number of paths.
         rng: random generator of the way points.
         keep_out: discs that no path enters.
-
-    Raises:
-        SimulationError: the discs leave no free ground.
     """
     free = ground.free.copy()
     x, y = ground.centers(np.argwhere(free)).T
@@ -151,9 +144,6 @@ class Walkers:
         robot_radius: radius of the robot that walkers avoid, meters.
         props: x, y and radius of the props.
         bodies: number of walkers that MuJoCo has a body of, m.
-
-    Raises:
-        SimulationError: the world has no free ground.
     """
 
     def __init__(
@@ -179,9 +169,6 @@ class Walkers:
         """Draw paths, speeds and initial positions of the walkers.
 
         The paths keep away from the robot's start.
-
-        Raises:
-            SimulationError: no free ground is left.
         """
         count = len(self.centers)
         keep_out = (*self._props, (start.x, start.y, self._robot_radius + RADIUS + START_GAP))

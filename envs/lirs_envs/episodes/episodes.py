@@ -293,11 +293,7 @@ class Episodes:
 
 
 def action_array(actions: Any, shape: tuple[int, ...]) -> FloatArray:
-    """Return actions as an array.
-
-    Raises:
-        ConfigError: they are no numbers, or have another shape.
-    """
+    """Return actions as an array."""
     try:
         taken = np.asarray(actions)
     except (TypeError, ValueError):
@@ -312,11 +308,7 @@ def action_array(actions: Any, shape: tuple[int, ...]) -> FloatArray:
 
 
 def check_options(options: Any) -> Mapping[str, Any]:
-    """Return the options of a reset; none where they are None.
-
-    Raises:
-        ConfigError: they are no mapping.
-    """
+    """Return the options of a reset; none where they are None."""
     if options is not None and not isinstance(options, Mapping):
         raise ConfigError(f"options of reset must be a mapping or None, got {options!r}")
     return options or {}

@@ -68,9 +68,6 @@ class Observations:
 
     Attributes:
         space: Observation space of one robot.
-
-    Raises:
-        ConfigError: there is no such group, or none is given.
     """
 
     def __init__(self, names: Sequence[str], stage: Stage, task: Task) -> None:
@@ -152,11 +149,7 @@ class ScanHistory:
 
 
 def scan_history(steps: int) -> Group:
-    """Return a group of the last scans, the newest first.
-
-    Raises:
-        ConfigError: the number of steps is not a whole number from 1 up.
-    """
+    """Return a group of the last scans, the newest first."""
     if not (isinstance(steps, int) and not isinstance(steps, bool) and steps >= 1):
         raise ConfigError(f"a history of scans needs a whole number of steps from 1 up, got {steps!r}")
 

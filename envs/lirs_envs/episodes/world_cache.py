@@ -34,10 +34,6 @@ def cached_world(source: str) -> World:
     """Return a source's world from the cache, or build it.
 
     A cached world was built from the same bytes by the same program.
-
-    Raises:
-        SourceError: the source cannot be used.
-        ConfigError: it does not fit its options.
     """
     return _in_memory(source, content_key(source))
 
@@ -73,9 +69,6 @@ def content_key(source: str) -> str | None:
     """Return a digest of a source's bytes and the building program.
 
     None = the world is not cached.
-
-    Raises:
-        SourceError: there is no such source.
     """
     found = find_source(source, BuildOptions())
     if found.kind is SourceKind.FOLDER:

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.obstacle_rays import WallCells
+from lirs_envs.lidar.obstacle_rays import WallCells, intensities
 from lirs_envs.lidar.presets import LidarNoise, LidarPreset, NoiseParameters, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
-from lirs_envs.lidar.reflection import intensities
 from lirs_envs.lidar.terrain_rays import TerrainMipmap
 from lirs_envs.robots.control import BodyState
 from lirs_wct import ConfigError, LaserScan, PointCloud, Pose3, SimulationError
@@ -83,9 +82,6 @@ class Lidar:
             T_world_base: Pose of the robot at the first beam.
             stamp: Time of the first beam, seconds.
             velocity: Velocity of the base, for a rolling scan; None = at rest.
-
-        Raises:
-            SimulationError: the pose is not finite.
         """
         return self.planar_scan(self.ranges(T_world_base, velocity)[self._horizon], stamp)
 
@@ -258,9 +254,6 @@ def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tup
         times: (n,) seconds.
         velocity: (3,) constant velocity along the frame's own axes, m/s.
         rates: (3,) constant rates about the frame's own axes, rad/s.
-
-    Raises:
-        ConfigError: an array has the wrong shape or a value that is not finite.
     """
     t, v, w = (np.asarray(a, dtype=np.float64) for a in (times, velocity, rates))
     if t.ndim != 1 or v.shape != (3,) or w.shape != (3,):

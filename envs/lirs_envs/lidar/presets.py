@@ -272,9 +272,6 @@ def lidar_noise(preset: LidarPreset, level: NoiseLevel = "simulated") -> LidarNo
         level: `none`; `simulated` = Gaussian with the preset's own deviation, as simulators have it;
             `datasheet` = all that the device is known for. A preset of the user's has no data sheet: there
             it is `simulated`.
-
-    Raises:
-        ConfigError: no level has this name; the message lists them.
     """
     if level not in LEVELS:
         raise unknown_name("lidar noise", level, LEVELS)

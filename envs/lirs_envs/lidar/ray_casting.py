@@ -30,14 +30,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.obstacle_rays import (
+    GROUND,
+    PROP,
+    WALKER,
+    WALL,
     WallCells,
     build_wall_cells,
     capsule_normals,
     meet_walkers,
+    reflect,
     remove_hits_in_holes,
     wall_ranges,
+    world_reflectances,
 )
-from lirs_envs.lidar.reflection import GROUND, PROP, WALKER, WALL, reflect, world_reflectances
 from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, terrain_ranges
 from lirs_envs.props import PROP_GROUP
 from lirs_envs.walkers import WALKER_GROUP, Walkers
@@ -290,11 +295,7 @@ RAYS: tuple[Rays, ...] = get_args(Rays)
 
 
 def resolve_rays(name: str) -> Rays:
-    """Return the ray caster of a name.
-
-    Raises:
-        ConfigError: there is no such ray caster.
-    """
+    """Return the ray caster of a name."""
     for rays in RAYS:
         if name == rays:
             return rays
@@ -403,9 +404,6 @@ def make_caster(
         props: whether the data's model has props.
         data: MuJoCo's, for props and for its own rays.
         walkers: walkers that rays can hit; None = none.
-
-    Raises:
-        ConfigError: builtin rays on a mesh with overhangs need embreex, which is not installed.
     """
     if walkers is not None:
         groups = (WALKER_GROUP,) if rays == "mujoco" else ()

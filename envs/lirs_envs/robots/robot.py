@@ -164,11 +164,7 @@ class Waypoint:
 
 
 def check_command(robot: Robot, command: object) -> None:
-    """Check a command.
-
-    Raises:
-        ConfigError: it is no command, none for this robot, or not finite.
-    """
+    """Check a command."""
     if isinstance(command, Waypoint) and not robot.flies:
         raise ConfigError(f"{robot.name} drives: it takes a Twist, got {command}")
     if not isinstance(command, Twist | Waypoint):

@@ -67,9 +67,6 @@ class EkfOdometry(Odometry):
         rng: random generator of the noise; the filter itself draws nothing.
         imu: noise of the gyro.
         filter_config: errors that the filter expects beyond those.
-
-    Raises:
-        ConfigError: the robot has no wheels.
     """
 
     def __init__(

@@ -57,11 +57,7 @@ class SensorFaults(Checked, of="the sensor faults"):
 
 
 class FaultInjector:
-    """Applies faults to the readings of one robot, in the order of the scans.
-
-    Raises:
-        ConfigError: a fault of planar lidars is on, and the lidar has several rings.
-    """
+    """Applies faults to the readings of one robot, in the order of the scans."""
 
     def __init__(self, faults: SensorFaults, lidar: LidarPreset, seed: int) -> None:
         if lidar.rings > 1 and (faults.dust or faults.field_of_view < 360.0):
@@ -222,11 +218,7 @@ def read_noise(path: Path) -> SensorNoise:
 
 
 def _section(name: str, figures: object) -> Any:
-    """Return the object of a section.
-
-    Raises:
-        ConfigError: a field is unknown, or its value illegal.
-    """
+    """Return the object of a section."""
     kind = SECTIONS[name]
     legal = [field.name for field in fields(kind)]
     if not isinstance(figures, dict):

@@ -135,11 +135,7 @@ class Site:
 
 
 def make_site(world: World, robot: Robot) -> Site:
-    """Look at a world with a robot's radius and slopes.
-
-    Raises:
-        SimulationError: there is no place where the robot can be.
-    """
+    """Look at a world with a robot's radius and slopes."""
     resolution = 0.2 if robot.radius >= 0.25 else 0.1
     grid = world.traversable(clearance=robot.radius, max_slope=robot.max_slope, resolution=resolution)
     count, areas = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)

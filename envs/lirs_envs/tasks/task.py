@@ -432,22 +432,14 @@ class TraverseTask(GoalTask):
 
 
 def check_kind(kind: Any) -> str:
-    """Return a kind of course.
-
-    Raises:
-        ConfigError: there is none of this name.
-    """
+    """Return a kind of course."""
     if not isinstance(kind, str) or kind not in (*KINDS, MIXED):
         raise unknown_name("kind of terrain", kind, (*KINDS, MIXED))
     return kind
 
 
 def point(value: Any, size: int, name: str) -> tuple[float, ...]:
-    """Return numbers as a tuple.
-
-    Raises:
-        ConfigError: they are not `size` finite numbers.
-    """
+    """Return numbers as a tuple."""
     try:
         numbers = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from lirs_envs.lidar.obstacle_rays import GROUND, intensities
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_envs.lidar.reflection import GROUND, intensities
 from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise

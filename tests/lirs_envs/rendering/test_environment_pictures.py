@@ -11,7 +11,7 @@ import pytest
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.env import snapshot_of
-from lirs_envs.rendering.map_view import GOAL, PATH, WALKER
+from lirs_envs.map_view import GOAL, PATH, WALKER
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.world import World
 

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
-from lirs_envs.rendering.camera import CHASE, Camera
-from lirs_envs.rendering.map_view import GOAL, PATH, ROBOT, SCAN, WALKER, MapView
-from lirs_envs.rendering.scene import MAX_ERROR, RenderScene, Snapshot
-from lirs_envs.rendering.views import RENDER_MODES, Views
+from lirs_envs.map_view import GOAL, PATH, ROBOT, SCAN, WALKER, MapView, Snapshot
+from lirs_envs.rendering import CHASE, MAX_ERROR, RENDER_MODES, Camera, RenderScene, Views
 from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation

@@ -72,7 +72,7 @@ def test_a_window_shows_each_step_and_ends_with_the_program(end: str, tmp_path: 
 
 @pytest.mark.slow
 def test_a_screen_that_opens_no_window_is_refused_in_one_sentence() -> None:
-    program = "from lirs_envs.rendering.views import check_screen; check_screen()"
+    program = "from lirs_envs.rendering import check_screen; check_screen()"
     done = subprocess.run(
         [sys.executable, "-c", program],
         env=environment(DISPLAY=":4093"),

@@ -1,26 +1,65 @@
-"""The map from above: ground, walls, robot, path, scan and goal; without OpenGL."""
+"""Snapshots of a simulation, and maps of them from above: ground, walls, robot, path, scan and goal."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_envs.rendering.scene import Snapshot
+from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import RADIUS
-from lirs_wct import LaserScan, Pose2, World
+from lirs_wct import LaserScan, Pose2, Pose3, World
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
 from lirs_wct.meshing.ground_texture import ground_texture
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """A moment of a simulation.
+
+    Attributes:
+        world: World of the robot.
+        config: Robot, props and number of walkers.
+        qpos: (nq,) MuJoCo's positions of robot and props.
+        walkers: (n, 3) middles of the walkers, meters.
+        goal: Goal to mark; None = none.
+    """
+
+    world: World
+    config: SimulationConfig
+    qpos: FloatArray
+    walkers: FloatArray
+    goal: Pose2 | None = None
+
+    @staticmethod
+    def of(simulation: Simulation, i: int = 0, goal: Pose2 | None = None) -> Snapshot:
+        """Return the present state of robot `i`."""
+        return Snapshot(
+            world=simulation.worlds[i],
+            config=simulation.config,
+            qpos=simulation.qpos(i).copy(),
+            walkers=simulation.walkers(i),
+            goal=goal,
+        )
+
+    @property
+    def T_world_base(self) -> Pose3:  # noqa: N802  a frame pair
+        """Pose of base_link."""
+        x, y, z, qw, qx, qy, qz = self.qpos[:7].tolist()
+        return Pose3(x, y, z, qw, qx, qy, qz)
+
 
 PIXELS = 640
 """Longer side of a picture."""
 ROBOT, OUTLINE = (30, 30, 35), (255, 255, 255)
 PATH, SCAN, GOAL, WALKER = (20, 80, 200), (200, 40, 40), (215, 25, 60), (60, 90, 150)
 """Colors: red, green, blue."""
-LEAST_RADIUS = 5
+MIN_RADIUS = 5
 """A robot is drawn at least this large, pixels."""
 FRACTION = 4
 """Number of fractional bits of OpenCV's pixel coordinates."""
@@ -39,9 +78,9 @@ class MapView:
         """Return a picture (rows, cols, 3) of the whole world.
 
         Args:
-            snapshot: state to draw.
-            path: driven until now.
-            scan: taken at the snapshot; its hits are shown.
+            snapshot: State to draw.
+            path: Poses driven until now.
+            scan: Scan taken at the snapshot; its hits are shown.
         """
         if self._world is not snapshot.world:
             self._world, self._ground = snapshot.world, self._draw_ground(snapshot.world)
@@ -88,7 +127,7 @@ class MapView:
     def _draw_robot(self, picture: ByteArray, snapshot: Snapshot) -> None:
         """Draw an arrowhead as long as the robot."""
         here = snapshot.T_world_base.to_pose2()
-        radius = max(snapshot.config.robot.radius, LEAST_RADIUS / self._per_meter)
+        radius = max(snapshot.config.robot.radius, MIN_RADIUS / self._per_meter)
         turns = np.array((0.0, 2.5, math.pi, -2.5)) + here.yaw
         reach = radius * np.array((1.3, 1.1, 0.4, 1.1))
         corners = np.column_stack((here.x + reach * np.cos(turns), here.y + reach * np.sin(turns)))

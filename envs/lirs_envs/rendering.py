@@ -1,0 +1,392 @@
+"""Rendering: a scene of robot, props and walkers, cameras through OpenGL, and the window of MuJoCo's viewer.
+
+The ground is a simplified mesh, whose vertical error is bounded, instead of the height field: software OpenGL
+renders it faster. In the world `medium` the height field of the wheels (513 x 513 nodes) takes 0.3 s, the
+mesh of the finer lidar surface 0.04 s.
+"""
+
+from __future__ import annotations
+
+import atexit
+import math
+import os
+import sys
+import threading
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+from zlib import crc32
+
+import cv2
+import mujoco
+import numpy as np
+import trimesh
+
+from lirs_envs.map_view import MapView, Snapshot
+from lirs_envs.props import add_props
+from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.walkers import add_walkers
+from lirs_wct import ConfigError, LaserScan, Pose2, SimulationError, TriangleMesh, World
+from lirs_wct.arrays import ByteArray, Float32Array
+from lirs_wct.export.appearance import world_parts
+from lirs_wct.geometry.mesh import MUJOCO_FACES, split_tiles
+from lirs_wct.meshing.simplify import simplified_solid
+
+MAX_ERROR = 0.02
+"""Vertical deviation of the drawn ground from the true one, meters."""
+SKY = (0.62, 0.74, 0.86), (0.93, 0.95, 0.97)
+"""Color above and at the horizon."""
+NEAR_CLIP = 0.05
+"""Near clipping distance of the cameras, meters."""
+CREASE = math.radians(35)
+"""Angle between two triangles from which on their edge looks sharp."""
+PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+HIDDEN_GROUPS = (3, 4)
+"""Hidden geom groups: collision geometry."""
+
+
+class RenderScene:
+    """A world with a robot, props and walkers, to be drawn.
+
+    Attributes:
+        model: compiled; nothing in it touches anything.
+        data: state of robot, props and walkers.
+        world: rendered world.
+    """
+
+    def __init__(self, world: World, config: SimulationConfig) -> None:
+        self.world = world
+        self.model = _scene_spec(world, config).compile()
+        # MuJoCo takes it as a share of the model's extent.
+        self.model.vis.map.znear = NEAR_CLIP / self.model.stat.extent
+        self.data = mujoco.MjData(self.model)
+
+    def place(self, snapshot: Snapshot) -> None:
+        """Put all where a snapshot has them."""
+        self.data.qpos[:] = snapshot.qpos
+        self.data.mocap_pos[:] = snapshot.walkers
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+
+def scene_options() -> mujoco.MjvOption:
+    """Return the options that draw visible geoms and hide collision geoms."""
+    options = mujoco.MjvOption()
+    options.geomgroup[:] = [group not in HIDDEN_GROUPS for group in range(mujoco.mjNGROUP)]
+    return options
+
+
+def _scene_spec(world: World, config: SimulationConfig) -> mujoco.MjSpec:
+    spec = mujoco.MjSpec.from_file(str(config.robot.mjcf))
+    spec.modelname = world.name
+    add_props(spec, world, config.props)
+    add_walkers(spec, config.actors)
+    _add_ground(spec, world)
+    spec.worldbody.add_light(
+        pos=(0, 0, 50), dir=(0.5, -0.5, -0.7), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=False
+    )
+    spec.visual.headlight.ambient[:] = 0.45
+    spec.visual.headlight.diffuse[:] = 0.25
+    spec.visual.headlight.specular[:] = 0.0
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1920, 1080
+    zenith, horizon = SKY
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=zenith,
+        rgb2=horizon,
+        width=64,
+        height=384,
+    )
+    return spec
+
+
+def _add_ground(spec: mujoco.MjSpec, world: World) -> None:
+    """Add the ground's mesh in tiles, and that of walls, which wear the world's textures."""
+    for part in world_parts(world, _with_creases(_ground_mesh(world))):
+        _add_material(spec, part.wear.name, part.wear.pixels(world))
+        for k, tile in enumerate(split_tiles(part.mesh, aim=MUJOCO_FACES // 2)):
+            _add_tile(spec, f"{part.wear.name}{k}", part.wear.name, tile)
+
+
+def _add_material(spec: mujoco.MjSpec, name: str, pixels: ByteArray) -> None:
+    _, encoded = cv2.imencode(".png", pixels, PNG_FAST)
+    # MuJoCo caches files by name: other content needs another name.
+    file = f"{name}-{crc32(encoded.data):08x}.png"
+    spec.assets = dict(spec.assets) | {file: encoded.tobytes()}
+    spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
+    material = spec.add_material(name=name, specular=0.0, shininess=0.0)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+
+
+def _add_tile(spec: mujoco.MjSpec, name: str, material: str, tile: TriangleMesh) -> None:
+    assert tile.uv is not None, "a part has texture coordinates"
+    assert tile.normals is not None, "and normals"
+    # v runs from the picture's first row, which is in the north.
+    uv = np.stack((tile.uv[:, 0], 1 - tile.uv[:, 1]), axis=1)
+    spec.add_mesh(
+        name=name,
+        uservert=tile.vertices.ravel(),
+        userface=tile.faces.ravel(),
+        usernormal=np.ascontiguousarray(tile.normals, dtype=np.float32).ravel(),
+        usertexcoord=np.ascontiguousarray(uv, dtype=np.float32).ravel(),
+        # A tile is open: it has no volume to take an inertia from.
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_MESH,
+        meshname=name,
+        material=material,
+        rgba=(1.0, 1.0, 1.0, 1.0),
+        contype=0,
+        conaffinity=0,
+        priority=0,
+        group=0,
+    )
+
+
+def _with_creases(mesh: TriangleMesh) -> TriangleMesh:
+    """Return a mesh with vertices split along sharp edges, for separate shading of each side."""
+    shared = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    split = trimesh.graph.smooth_shade(shared, angle=CREASE)
+    return TriangleMesh(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32))
+
+
+def _ground_mesh(world: World) -> TriangleMesh:
+    if world.walls is not None or world.overhangs:
+        return world.mesh
+    return simplified_solid(world.surface, max_error=MAX_ERROR)
+
+
+SHAPE = (480, 640)
+"""Height and width of a picture, pixels."""
+CHASE = "chase"
+"""The camera behind a robot, which every robot has."""
+_drawing: set[int] = set()
+"""Number of the process that draws with OpenGL; none before the first picture."""
+GOAL_HEIGHT, GOAL_RADIUS, GOAL_COLOR = 2.0, 0.06, (0.85, 0.1, 0.2, 1.0)
+
+
+class Camera:
+    """Camera for snapshots; the scene is rebuilt when the world changes.
+
+    Args:
+        shape: height and width of a picture, pixels.
+    """
+
+    def __init__(self, shape: tuple[int, int] = SHAPE) -> None:
+        self._shape = shape
+        self._options = scene_options()
+        self._scene: RenderScene | None = None
+        self._renderer: mujoco.Renderer | None = None
+
+    def rgb(self, snapshot: Snapshot) -> ByteArray:
+        """Return a picture (height, width, 3)."""
+        renderer = self._see(snapshot)
+        if snapshot.goal is not None:
+            _mark_goal(renderer.scene, snapshot)
+        picture: ByteArray = renderer.render()
+        return picture
+
+    def depth(self, snapshot: Snapshot) -> Float32Array:
+        """Return (height, width) float32 distances from the camera's plane, meters; the sky is far away."""
+        renderer = self._see(snapshot)
+        renderer.enable_depth_rendering()
+        try:
+            depth: Float32Array = renderer.render()
+        finally:
+            renderer.disable_depth_rendering()
+        return depth
+
+    def close(self) -> None:
+        """Release OpenGL resources; the next picture allocates them again."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = self._scene = None
+
+    def _see(self, snapshot: Snapshot) -> mujoco.Renderer:
+        _check_process()
+        if self._scene is None or self._scene.world is not snapshot.world:
+            self.close()
+            self._scene = RenderScene(snapshot.world, snapshot.config)
+        self._scene.place(snapshot)
+        if self._renderer is None:
+            self._renderer = _make_renderer(self._scene.model, self._shape)
+        self._renderer.update_scene(self._scene.data, camera=CHASE, scene_option=self._options)
+        self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        return self._renderer
+
+
+def _check_process() -> None:
+    """Check that OpenGL was not used before this process was forked: it would wait forever."""
+    if _drawing and os.getpid() not in _drawing:
+        raise SimulationError(
+            "no picture in a process that was forked after one was drawn: start it with spawn, or use render "
+            "mode map"
+        )
+
+
+def _make_renderer(model: mujoco.MjModel, shape: tuple[int, int]) -> mujoco.Renderer:
+    try:
+        renderer = mujoco.Renderer(model, *shape)
+    except Exception as error:
+        # MuJoCo and PyOpenGL raise whatever the platform gives them.
+        raise SimulationError(
+            "a picture needs OpenGL: a screen, or libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0 and "
+            f"lirs_envs imported before mujoco (or MUJOCO_GL=egl); render mode map needs none: {error}"
+        ) from error
+    _drawing.add(os.getpid())
+    return renderer
+
+
+def _mark_goal(scene: mujoco.MjvScene, snapshot: Snapshot) -> None:
+    """Add a pole at the goal."""
+    goal = snapshot.goal
+    if goal is None or scene.ngeom >= scene.maxgeom:
+        return
+    ground = float(snapshot.world.surface.height_at(goal.x, goal.y))
+    mujoco.mjv_initGeom(
+        scene.geoms[scene.ngeom],
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=np.array((GOAL_RADIUS, GOAL_HEIGHT / 2, 0.0)),
+        pos=np.array((goal.x, goal.y, ground + GOAL_HEIGHT / 2)),
+        mat=np.eye(3).ravel(),
+        rgba=np.array(GOAL_COLOR, np.float32),
+    )
+    scene.ngeom += 1
+
+
+INSTEAD = "without one take rgb_array or map"
+CLOSING_TIME = 10.0
+"""Longest wait for the window to close, seconds."""
+
+
+class Viewer:
+    """A window that shows the latest snapshot; it opens with the first one."""
+
+    def __init__(self) -> None:
+        self._scene: RenderScene | None = None
+        self._window: Any = None
+        self._threads: list[threading.Thread] = []
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot; nothing once the user has closed the window."""
+        if self._scene is None or self._scene.world is not snapshot.world:
+            self._open(snapshot)
+        assert self._scene is not None, "it was opened"
+        if self._window.is_running():
+            with self._window.lock():
+                self._scene.place(snapshot)
+            self._window.sync()
+
+    def _open(self, snapshot: Snapshot) -> None:
+        self.close()
+        check_screen()
+        self._scene = RenderScene(snapshot.world, snapshot.config)
+        self._scene.place(snapshot)
+        viewer: Any = import_module("mujoco.viewer")
+        others = set(threading.enumerate())
+        try:
+            self._window = viewer.launch_passive(self._scene.model, self._scene.data)
+        except RuntimeError as error:  # macOS: only the program mjpython can open it.
+            self._scene = None
+            raise SimulationError(f"render mode human: {error}") from None
+        self._threads = [thread for thread in threading.enumerate() if thread not in others]
+        atexit.register(self.close)
+        for group in HIDDEN_GROUPS:
+            self._window.opt.geomgroup[group] = 0
+
+    def close(self) -> None:
+        """Close the window and wait for its thread.
+
+        A thread that still draws at exit would crash the program.
+        """
+        if self._window is not None:
+            self._window.close()
+            for thread in self._threads:
+                thread.join(CLOSING_TIME)
+            atexit.unregister(self.close)
+        self._window, self._scene, self._threads = None, None, []
+
+
+def check_screen() -> None:
+    """Check that a window can be opened.
+
+    Otherwise MuJoCo's viewer would wait forever.
+    """
+    linux = sys.platform.startswith("linux")
+    if linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise SimulationError(f"render mode human needs a screen (DISPLAY or WAYLAND_DISPLAY); {INSTEAD}")
+    glfw: Any = import_module("glfw")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # A failure of GLFW is reported below.
+        window = None
+        if glfw.init():
+            glfw.window_hint(glfw.VISIBLE, glfw.FALSE)
+            window = glfw.create_window(16, 16, "", None, None)
+            glfw.default_window_hints()
+    if window is None:
+        screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or sys.platform
+        raise SimulationError(
+            f"render mode human needs a screen with OpenGL, {screen!r} opens no window; {INSTEAD}"
+        )
+    glfw.destroy_window(window)
+
+
+RENDER_MODES = ("human", "rgb_array", "depth_array", "map")
+"""A window; a picture of the chase camera; its depths; a picture from above, which needs no OpenGL."""
+
+
+def check_render_mode(mode: str | None, legal: Sequence[str] = RENDER_MODES) -> None:
+    """Check a render mode; None is none."""
+    if mode is not None and mode not in legal:
+        raise ConfigError(f"unknown render mode {mode!r}; legal: {', '.join(legal)}, None")
+
+
+class Views:
+    """Renderers of a simulation, created on first use; a copy starts without any."""
+
+    def __init__(self) -> None:
+        self._camera, self._map, self._viewer = Camera(), MapView(), Viewer()
+
+    def render(
+        self,
+        mode: str | None,
+        snapshot: Snapshot,
+        *,
+        path: Sequence[Pose2] = (),
+        scan: LaserScan | None = None,
+    ) -> ByteArray | Float32Array | None:
+        """Return the picture of a mode; None for mode None and for the window `human`.
+
+        Args:
+            mode: see `RENDER_MODES`.
+            snapshot: state to draw.
+            path: driven until now; on the map.
+            scan: taken at the snapshot; on the map.
+        """
+        check_render_mode(mode)
+        if mode == "rgb_array":
+            return self._camera.rgb(snapshot)
+        if mode == "depth_array":
+            return self._camera.depth(snapshot)
+        if mode == "map":
+            return self._map.picture(snapshot, path=path, scan=scan)
+        if mode == "human":
+            self._viewer.show(snapshot)
+        return None
+
+    def close(self) -> None:
+        """Release OpenGL resources and close the window."""
+        self._camera.close()
+        self._viewer.close()
+
+    def __getstate__(self) -> dict[str, object]:
+        # OpenGL contexts belong to the process and thread that created them.
+        return {}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__init__()  # type: ignore[misc]

@@ -1,1 +1,0 @@
-"""Rendering: cameras through OpenGL, MuJoCo's viewer, and a map without OpenGL."""
