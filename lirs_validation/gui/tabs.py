@@ -67,36 +67,27 @@ class WorldTab:
         self._page, self._sources, self._tell = page, dict(sources), changed
         self._construction = Construction(page.uploads.folder)
         self.shown: Shown | None = None
-        gui = page.client.gui
-        self._add_source(gui)
-        self._add_results(gui)
-        self._options = OptionControls(
-            gui, page.guard, BuildOptions, changed=self.preview, keep_file=self._keep, first=WORLD_OPTIONS
-        )
-        self._add_files(gui)
-
-    def _add_source(self, gui: viser.GuiApi) -> None:
+        gui, guard = page.client.gui, page.guard
         self._source = gui.add_dropdown(
             "source", tuple(self._sources), hint="A bundled world, or a file that was opened here."
         )
-        self._source.on_update(self._page.guard(self._chosen))
+        self._source.on_update(guard(lambda event: None if event.client_id is None else self.preview()))
         upload = gui.add_upload_button(
             "Open a file ...",
             icon=viser.Icon.UPLOAD,
             hint="Picture of heights, laser map (first its picture, then its YAML), mesh, laser log or bag.",
         )
-        upload.on_upload(self._page.guard(lambda _: self._open(upload.value.name, upload.value.content)))
+        upload.on_upload(guard(lambda _: self._open(upload.value.name, upload.value.content)))
         add_drop_zone(gui, "Open a file")
-
-    def _add_results(self, gui: viser.GuiApi) -> None:
         self._build = gui.add_button("Build", color="green", icon=viser.Icon.HAMMER)
-        self._build.on_click(self._page.guard(lambda _: self.build()))
+        self._build.on_click(guard(lambda _: self.build()))
         self._download = gui.add_button("Download the package", icon=viser.Icon.DOWNLOAD, disabled=True)
-        self._download.on_click(self._page.guard(lambda _: self._page.worker.submit("download", self._send)))
+        self._download.on_click(guard(lambda _: page.worker.submit("download", self._send)))
         self._progress = ProgressLine(gui)
         self._facts = gui.add_markdown("")
-
-    def _add_files(self, gui: viser.GuiApi) -> None:
+        self._options = OptionControls(
+            gui, guard, BuildOptions, changed=self.preview, keep_file=self._keep, first=WORLD_OPTIONS
+        )
         with gui.add_folder("Files of the package", expand_by_default=False):
             self._formats = {
                 name: gui.add_checkbox(name, name in DEFAULT_FORMATS, hint="Written by Build.")
@@ -105,11 +96,6 @@ class WorldTab:
             self._terrain = gui.add_dropdown(
                 "Gazebo model", TERRAINS, hint="The solid mesh, or a heightmap (square, 2^n + 1 px, 8 bit)."
             )
-
-    def _chosen(self, event: viser.GuiEvent[Any]) -> None:
-        """Show the source that a person chose."""
-        if event.client_id is not None:
-            self.preview()
 
     def preview(self) -> None:
         """Show a coarse preview for the present controls."""
@@ -132,7 +118,7 @@ class WorldTab:
         """Show an uploaded file; world and controls stay if it is refused."""
         path = Path(self._keep(name, content))
         self._show_preview(str(path), path.name)
-        self._show_controls(str(path))
+        self._options.show_for(find_source(str(path), self._read()).kind)
         self._sources[path.name] = str(path)
         self._source.options = tuple(self._sources)
         self._source.value = path.name  # type: ignore[misc]
@@ -142,11 +128,8 @@ class WorldTab:
 
     def _preview(self) -> None:
         name = self._source.value
-        self._show_controls(self._sources[name])
+        self._options.show_for(find_source(self._sources[name], self._read()).kind)
         self._show_preview(self._sources[name], name)
-
-    def _show_controls(self, source: str) -> None:
-        self._options.show_for(find_source(source, self._read()).kind)
 
     def _show_preview(self, source: str, name: str) -> None:
         options = self._read()
