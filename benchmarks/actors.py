@@ -8,12 +8,12 @@ pose, by turns in rounds of a simulated second, and the ratio is the median over
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
 from rich.console import Console
 
+from benchmarks.steps import arguments
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
@@ -21,12 +21,7 @@ from lirs_wct.sources.build import build_world
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--world", default="medium")
-    parser.add_argument("--robot", default="husky")
-    parser.add_argument("--actors", type=int, default=50)
-    parser.add_argument("--quick", action="store_true", help="10 rounds instead of 60")
-    options = parser.parse_args()
+    options = arguments(__doc__, world="medium", robot="husky", actors=50, quick=False)
     row = measure(options.world, options.robot, options.actors, 10 if options.quick else 60)
     Console().print(
         f"{options.actors} walkers on {options.world}: a step takes {row['ratio']:.3f} x the time "

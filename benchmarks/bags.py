@@ -8,7 +8,6 @@ messages and does nothing else with them: processor time both, which other progr
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 import time
@@ -20,6 +19,7 @@ import numpy as np
 from rich.console import Console
 from rosbags.highlevel import AnyReader
 
+from benchmarks.steps import arguments
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import validate
 from lirs_validation.experiment.recording import Recording
@@ -36,11 +36,7 @@ BEAMS, PERIOD = 541, 0.04
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--scans", type=int, default=100_000, help="of the bag that is read")
-    parser.add_argument("--mapper", default="hector,gmapping,cartographer")
-    parser.add_argument("--quick", action="store_true", help="10,000 scans, drives of 20 s instead of 120")
-    given = parser.parse_args()
+    given = arguments(__doc__, scans=100000, mapper="hector,gmapping,cartographer", quick=False)
     scans, seconds = (10_000, 20.0) if given.quick else (given.scans, 120.0)
     console = Console(width=120)
     with tempfile.TemporaryDirectory() as folder:

@@ -11,7 +11,6 @@ reference; in bundled worlds at most 1.3 x GenZ-ICP.
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 from collections.abc import Sequence
@@ -24,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.natural_terrain import write_terrain
+from benchmarks.steps import arguments
 from lirs_validation import validate
 from lirs_wct.errors import WctError
 from lirs_wct.option import read_numbers
@@ -46,14 +46,9 @@ KINDS = ("smooth", "terrain", "wall", "bundled")
 
 def main() -> None:
     """Run what is missing in the file; print the table and the rules."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of DEMs")
-    parser.add_argument("--seeds", default="1-5", help="such as 1-5 or 1,3")
-    parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--out", type=Path, default=Path("baseline_3d.jsonl"), help="lines of JSON")
-    parser.add_argument("--only", nargs="+", choices=KINDS, default=KINDS)
-    parser.add_argument("--quick", action="store_true", help="one seed, 10 s, generated and bundled worlds")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, data=DATA, seeds="1-5", seconds=30.0, out=Path("baseline_3d.jsonl"), only=KINDS, quick=False
+    )
     seconds, seeds = (10.0, [1]) if given.quick else (given.seconds, read_numbers(given.seeds, "--seeds"))
     with tempfile.TemporaryDirectory() as folder:
         sources = walls(Path(folder))

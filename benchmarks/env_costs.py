@@ -10,7 +10,6 @@ a process before; 1 s is allowed. Reset: processor time, mean over 100 resets; i
 
 from __future__ import annotations
 
-import argparse
 import gc
 import resource
 import subprocess
@@ -23,6 +22,7 @@ import gymnasium as gym
 import numpy as np
 
 import lirs_envs  # noqa: F401  registers
+from benchmarks.steps import arguments
 
 IDS = "LIRS/Mapping-v2", "LIRS/Navigation-v1", "LIRS/Traverse-v1"
 RESET_MS = {"LIRS/Navigation-v1": 8.0, "LIRS/Traverse-v1": 10.0}
@@ -41,9 +41,7 @@ print(time.process_time() - begin)
 
 def main() -> None:
     """Measure and show."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="a twentieth of resets and steps")
-    given = parser.parse_args()
+    given = arguments(__doc__, quick=False)
     resets, steps = (50, 5_000) if given.quick else (1_000, 100_000)
     found: dict[str, float] = {}
 

@@ -13,7 +13,6 @@ so is what it is compared with.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import os
 import threading
@@ -26,10 +25,9 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from mujoco.batch import Batch
-from rich.console import Console
-from rich.table import Table
 
 import lirs_envs  # noqa: F401  registers
+from benchmarks.steps import arguments, print_limits, print_rows
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import seen_frame
 from lirs_envs.vector_env import RobotVectorEnv
@@ -153,14 +151,13 @@ class Recording:
 
 def main() -> None:
     """Measure, and say what is kept."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="fewer steps and rounds")
-    given = parser.parse_args()
+    given = arguments(__doc__, quick=False)
     rounds, steps = (3, 20) if given.quick else (9, 100)
     warnings.simplefilter("ignore")
     told = actions(steps)
     found = measure(rounds, steps, told)
-    show(found)
+    print_rows([{name: value for name, value in found.items() if name not in LIMITS}])
+    print_limits(found, LIMITS)
 
 
 def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
@@ -209,21 +206,6 @@ def ratios(times: dict[str, float]) -> dict[str, float]:
         "sync_over_vector": times["sync"] / times["vector"],
         "async_over_vector": times["wall_async"] / times["wall_all"],
     }
-
-
-def show(found: dict[str, float]) -> None:
-    """Print the figures, and which limits they keep."""
-    table = Table("16 Huskys on medium", "figure", "asked", "kept")
-    for name, value in found.items():
-        words, sign, limit = LIMITS.get(name, (name, "", 0.0))
-        kept = "" if not sign else "yes" if (value <= limit if sign == "<=" else value >= limit) else "NO"
-        table.add_row(
-            words,
-            f"{value:.2f}" if value < 100 else f"{value:.0f}",
-            f"{sign} {limit:g}" if sign else "",
-            kept,
-        )
-    Console().print(table)
 
 
 if __name__ == "__main__":

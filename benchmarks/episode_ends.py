@@ -8,11 +8,11 @@ is one that has learned and explores. The worlds are of the benchmark's split `v
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 
 import numpy as np
 
+from benchmarks.steps import arguments
 from lirs_envs.policies import GoToGoal, PolicyContext, RandomActions
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_extensions.bench.tasks import task_set
@@ -24,10 +24,7 @@ ROBOTS, ROBOT, TIME_LIMIT, EXPLORE = 16, "husky", 60.0, 1 / 3
 
 def main() -> None:
     """Print the share of each reason."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--episodes", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+    given = arguments(__doc__, episodes=200, seed=0)
     named = {
         (name, t.world.name): t.world for name in ("lirs", "hills") for t in task_set(name).tasks if t.world
     }

@@ -14,7 +14,6 @@ and, of policies, `lirs-wct bench POLICY --set FOLDER/cases.json`.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import sys
 import time
@@ -28,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.planted_mappers import DEFECTS
+from benchmarks.steps import arguments
 from lirs_extensions.search.case_search import Case, process_pool
 from lirs_extensions.search.falsify.drives import (
     CaseDrives,
@@ -156,15 +156,16 @@ def summary(rows: list[dict[str, str]]) -> Table:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--methods", default=",".join(METHODS))
-    parser.add_argument("--searches", default="cma,random")
-    parser.add_argument("--seeds", default="1-5")
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("-o", "--out", type=Path, default=Path("out/falsify"))
-    parser.add_argument("--write", type=Path, metavar="FOLDER")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__,
+        methods=",".join(METHODS),
+        searches="cma,random",
+        seeds="1-5",
+        minutes=60.0,
+        jobs=1,
+        out=Path("out/falsify"),
+        write=Path,
+    )
     sys.path.insert(0, str(HERE))  # of the planted mappers
     end, rows = time.monotonic() + 60 * given.minutes, read_rows()
     done = {(row["method"], row["search"], row["seed"]) for row in rows}

@@ -16,8 +16,8 @@ pose, which is deterministic.
 
 from __future__ import annotations
 
-import argparse
 import gzip
+import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -32,6 +32,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy.stats import spearmanr
 
+from benchmarks.steps import arguments
 from lirs_envs.robots.robot import make_robot
 from lirs_extensions.originals.cartographer.local_slam import TrajectoryBuilder
 from lirs_extensions.originals.cartographer.mapper import CartographerOriginalConfig
@@ -94,20 +95,12 @@ class Agreement(NamedTuple):
 
 def main() -> None:
     """Map every run and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA, help="folder with a folder a run")
-    parser.add_argument("--run", nargs="+", help="only these runs, such as simple-1")
-    parser.add_argument(
-        "--noise", type=float, default=0.0, help="of the ranges, meters: shows how far small causes lead"
-    )
-    parser.add_argument("--seeds", default="1-3", help="such as 1-3 or 1,5")
-    parser.add_argument("--quick", action="store_true", help=f"one seed, {QUICK} runs")
-    given = parser.parse_args()
+    given = arguments(__doc__, data=DATA, run=(), noise=0.0, seeds="1-3", quick=False)
     found_runs = sorted(path.parent for path in given.data.glob("*/scans.clf.gz"))
     runs = [run for run in found_runs if not given.run or run.name in given.run]
     runs = runs[: QUICK if given.quick else None]
     if not runs:
-        parser.error(f"{given.data}: holds no such run with scans.clf.gz")
+        sys.exit(f"{given.data}: holds no such run with scans.clf.gz")
     seeds = read_numbers("1" if given.quick else given.seeds, "--seeds")
     rows = {run.name: ates(run, seeds, given.noise) for run in track(runs, "mapping")}
     found = {method: agreement(rows.values(), method) for method in PUBLISHED}

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import spearmanr
 
+from benchmarks.steps import arguments
 from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
@@ -128,15 +129,17 @@ def table(rows: list[dict[str, Any]], mappers: list[str]) -> Table:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("sources", nargs="*")
-    parser.add_argument("--data", type=Path, help="folder with maps/ and height/")
-    parser.add_argument("--robot", default="husky")
-    parser.add_argument("--mapper", default="hector,hector_original")
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--seeds", default="1")
-    parser.add_argument("--quick", action="store_true", help="the bundled worlds and examples for 15 s")
-    options = parser.parse_args()
+    options = arguments(
+        __doc__,
+        "sources",
+        sources=(),
+        data=Path,
+        robot="husky",
+        mapper="hector,hector_original",
+        seconds=60.0,
+        seeds="1",
+        quick=False,
+    )
     shared = [str(options.data / name) for name in SHARED] if options.data and not options.quick else []
     options.sources = options.sources or [*OWN, *shared]
     options.seconds = 15.0 if options.quick else options.seconds

@@ -9,7 +9,6 @@ own threads send what a slow client missed, and are not in it.
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 from rich.console import Console
 
+from benchmarks.steps import arguments
 from lirs_extensions.live import run as live_run
 from lirs_extensions.live.dds import CONFIG, DdsNode, raw_type
 from lirs_extensions.live.graph import PUBLISHED
@@ -55,11 +55,7 @@ class MeteredNode(DdsNode):
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--domain", type=int, default=42)
-    parser.add_argument("--client", choices=("reliable", "best effort"), help="only receive and count")
-    given = parser.parse_args()
+    given = arguments(__doc__, seconds=30.0, domain=42, client=str)
     if given.client:
         print(receive(given.domain, given.client))
         return

@@ -9,7 +9,6 @@ line through these, no reading farther than 30 MB from that line after the first
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 import time
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.steps import arguments
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.drive import drive
 from lirs_validation.experiment.run import ReadyRun, prepare
@@ -66,12 +66,7 @@ def measure(ready: ReadyRun) -> dict[str, Any]:
 
 def main() -> None:
     """Drive, print the figures and check them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("source", nargs="?", default="simple")
-    parser.add_argument("--mapper", default="hector")
-    parser.add_argument("--hours", type=float, default=2.0)
-    parser.add_argument("--quick", action="store_true", help="half an hour")
-    given = parser.parse_args()
+    given = arguments(__doc__, "source", source="simple", mapper="hector", hours=2.0, quick=False)
     seconds = 3600 * (0.5 if given.quick else given.hours)
     ready = prepare(RunConfig(source=given.source, mapper=given.mapper, seconds=seconds))
     with closing(ready.mapper):

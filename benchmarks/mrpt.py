@@ -13,7 +13,6 @@ actions.
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import re
 import resource
@@ -28,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.slam import DATA, LOGS, RELATIONS
+from benchmarks.steps import arguments
 from lirs_validation.metrics.trajectory import constraint_errors, read_constraints, trajectory_errors
 from lirs_wct import LaserScan, Pose2, Trajectory
 from lirs_wct.formats.carmen_log import read_carmen
@@ -55,12 +55,7 @@ EPOCH = 11644473600
 
 def main() -> None:
     """Run each program on each log and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=DATA.parent)
-    parser.add_argument("--logs", default=",".join(("intel", *RUNS)))
-    parser.add_argument("--rawlog", nargs=2, type=Path, metavar=("LOG", "TARGET"))
-    parser.add_argument("--limit", type=float, default=900.0, help="seconds that a program may take")
-    given = parser.parse_args()
+    given = arguments(__doc__, data=DATA.parent, logs=",".join(("intel", *RUNS)), rawlog=Path, limit=900.0)
     if given.rawlog:
         write_rawlog(given.rawlog[1], read_carmen(given.rawlog[0]))
         return

@@ -1,22 +1,22 @@
 """The tests under test: how many small mutations of the code their tests notice.
 
-    python benchmarks/mutants.py [GROUP ...] [--module FILE ...] [--number N] [--seed K] [--survivors FILE]
-                                 [--quick] [--json FILE]
+    python benchmarks/mutants.py [GROUP|MODULE ...] [--number N] [--seed K] [--quick]
 
-A group (`metrics`, `poses`, `readers`) is a set of modules of which N mutants are drawn; `--module` takes all
-mutants of one file (or N). Samples of different seeds share no mutant. A mutant is killed where a test of its
+A group (`metrics`, `poses`, `readers`) is a set of modules of which N mutants are drawn; of a module, a path,
+all are taken (or N). Samples of different seeds share no mutant. A mutant is killed where a test of its
 module fails, crashes or takes too long; the tests are those of the module's name or that import it, else of
 its folder, without real files. The slow tests run where the fast ones pass. Everything runs in a copy of the
 checkout, each mutant in a fork of a process with the libraries loaded. Kernels of a mutated module run as
 plain Python: numba's cache would hold those of another mutant.
-Every survivor is printed; `--survivors` runs those of an earlier `--json` again.
+Every survivor is printed.
 """
 
 from __future__ import annotations
 
-import argparse
+import ast
+import copy
+import difflib
 import importlib
-import json
 import multiprocessing
 import os
 import random
@@ -35,7 +35,155 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.mutations import Mutation, mutations_of
+from benchmarks.steps import arguments
+
+COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
+    ast.Lt: (ast.LtE, ast.Gt),
+    ast.LtE: (ast.Lt, ast.GtE),
+    ast.Gt: (ast.GtE, ast.Lt),
+    ast.GtE: (ast.Gt, ast.LtE),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+}
+OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult,
+    ast.Pow: ast.Mult,
+    ast.BitAnd: ast.BitOr,
+    ast.BitOr: ast.BitAnd,
+    ast.LShift: ast.RShift,
+    ast.RShift: ast.LShift,
+}
+FUNCTIONS = [
+    ("min", "max"),
+    ("minimum", "maximum"),
+    ("nanmin", "nanmax"),
+    ("argmin", "argmax"),
+    ("floor", "ceil"),
+    ("any", "all"),
+    ("sin", "cos"),
+    ("zeros", "ones"),
+    ("radians", "degrees"),
+]
+TWIN = {**dict(FUNCTIONS), **{b: a for a, b in FUNCTIONS}}
+GUARDS = ("strict", "stacklevel")
+"""Arguments without a say in what comes out."""
+OPERATIONS = (ast.BinOp, ast.BoolOp, ast.Compare, ast.UnaryOp)
+Node = ast.expr | ast.stmt
+
+
+@dataclass(frozen=True)
+class Mutation:
+    """A text in place of a node's.
+
+    Attributes:
+        start: first byte of the node in the source (UTF-8).
+        end: first byte behind it.
+        text: what stands there instead.
+    """
+
+    start: int
+    end: int
+    text: str
+
+    def apply(self, source: str) -> str:
+        """Return the mutated source."""
+        raw = source.encode()
+        return (raw[: self.start] + self.text.encode() + raw[self.end :]).decode()
+
+    def diff(self, source: str) -> str:
+        """Return the changed lines, `-` before and `+` after, each with its number in the source."""
+        before, after = source.splitlines(), self.apply(source).splitlines()
+        row = source.encode()[: self.start].count(b"\n") + 1
+        changed = list(difflib.unified_diff(before, after, n=0, lineterm=""))
+        return "\n".join(f"{row:>5} {line}" for line in changed[3:])
+
+
+def mutations_of(source: str) -> list[Mutation]:
+    """Return every mutation of a module, in the order of its text."""
+    starts = [0]
+    for line in source.encode().splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    found = set()
+    for node, in_function in _nodes(ast.parse(source), False):
+        for old, new in _replacements(node, in_function):
+            start = starts[old.lineno - 1] + old.col_offset
+            end = starts[(old.end_lineno or old.lineno) - 1] + (old.end_col_offset or 0)
+            text = ast.unparse(new)
+            found.add(Mutation(start, end, f"({text})" if isinstance(new, OPERATIONS) else text))
+    return sorted(found, key=lambda m: (m.start, m.end, m.text))
+
+
+def _nodes(node: ast.AST, in_function: bool) -> Iterator[tuple[Node, bool]]:
+    """Walk the code of a tree; texts, annotations, decorators and what only warns or guards are left out."""
+    in_function = in_function or isinstance(node, ast.FunctionDef | ast.Lambda)
+    if isinstance(node, ast.expr | ast.stmt):
+        yield node, in_function
+    for name, value in ast.iter_fields(node):
+        if name in ("annotation", "returns", "decorator_list"):
+            continue
+        for child in value if isinstance(value, list) else [value]:
+            text = isinstance(child, ast.JoinedStr) or (
+                isinstance(child, ast.keyword) and child.arg in GUARDS
+            )
+            if isinstance(child, ast.AST) and not text:
+                yield from _nodes(child, in_function)
+
+
+def _replacements(node: Node, in_function: bool) -> Iterator[tuple[Node, ast.AST]]:
+    """Yield a node or a part of it, and what may stand in its place."""
+    match node:
+        case ast.Compare(ops=ops):
+            for k, op in enumerate(ops):
+                for other in COMPARISONS[type(op)]:
+                    yield node, _with(node, ops=[*ops[:k], other(), *ops[k + 1 :]])
+        case ast.BinOp(op=ast.BitOr()) if not in_function:
+            return  # a union of types
+        case ast.BinOp(op=op) | ast.AugAssign(op=op) if type(op) in OPERATORS:
+            yield node, _with(node, op=OPERATORS[type(op)]())
+        case ast.BoolOp(op=op):
+            yield node, _with(node, op=ast.Or() if isinstance(op, ast.And) else ast.And())
+        case ast.UnaryOp(operand=operand):
+            yield node, operand
+        case ast.Constant(value=value) if isinstance(value, bool | int | float):
+            yield from ((node, ast.Constant(other)) for other in _numbers(value))
+        case ast.If(test=test) | ast.IfExp(test=test) if not isinstance(test, ast.Compare | ast.UnaryOp):
+            yield test, ast.UnaryOp(ast.Not(), test)
+        case ast.Break():
+            yield node, ast.Continue()
+        case ast.Continue():
+            yield node, ast.Break()
+        case ast.Call(func=ast.Name(id="range"), args=args):
+            last = min(len(args) - 1, 1)
+            yield args[last], ast.BinOp(args[last], ast.Sub(), ast.Constant(1))
+        case ast.Name(id=name) if name in TWIN:
+            yield node, ast.Name(TWIN[name])
+        case ast.Attribute(attr=name) if name in TWIN:
+            yield node, _with(node, attr=TWIN[name])
+
+
+def _numbers(value: bool | int | float) -> list[bool | int | float]:
+    if isinstance(value, bool):
+        return [not value]
+    if isinstance(value, int):
+        return [value - 1, value + 1]
+    return [value * 2, value / 2] if value else [1.0]
+
+
+def _with(node: ast.AST, **fields: object) -> ast.AST:
+    changed = copy.copy(node)
+    for name, value in fields.items():
+        setattr(changed, name, value)
+    return changed
+
 
 ROOT = Path(__file__).resolve().parents[1]
 READERS = (
@@ -232,59 +380,20 @@ def table(rows: Sequence[dict[str, Any]], title: str) -> Table:
     return shown
 
 
-def samples(given: argparse.Namespace, root: Path) -> Iterator[tuple[str, list[Mutant]]]:
-    """Yield a name and the mutants of each group, of the modules, or of an earlier run's survivors."""
-    if given.survivors:
-        old = [row for row in json.loads(given.survivors.read_text(encoding="utf-8")) if not row["killed"]]
-        yield (
-            f"survivors of {given.survivors}",
-            [
-                mutant
-                for mutant in drawn(sorted({row["module"] for row in old}), None, 1, root)
-                if any((row["module"], row["diff"]) == (mutant.module, mutant.diff) for row in old)
-            ],
-        )
-    elif given.module:
-        modules = [str(path.resolve().relative_to(ROOT)) for path in given.module]
-        yield "modules", drawn(modules, given.number, given.seed, root)
-    else:
-        for name in given.groups or GROUPS:
-            number, patterns = GROUPS[name]
-            number = given.number or (8 if given.quick else number)
-            yield f"{name}, seed {given.seed}", drawn(modules_of(patterns, root), number, given.seed, root)
-
-
 def main() -> None:
     """Draw mutants, run their tests, print what survived and the counts."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("groups", nargs="*", metavar="GROUP", help=f"of {', '.join(GROUPS)}; default: all")
-    parser.add_argument(
-        "--module", type=Path, action="append", help="a file of the packages; all its mutants"
-    )
-    parser.add_argument("--number", type=int, help="mutants of each group")
-    parser.add_argument("--seed", type=int, default=1, help="which sample, from 1; no two share a mutant")
-    parser.add_argument("--survivors", type=Path, help="run the survivors of an earlier --json again")
-    parser.add_argument("--quick", action="store_true", help="8 mutants of each group")
-    parser.add_argument("--json", type=Path)
-    given = parser.parse_args()
-    if unknown := [name for name in given.groups if name not in GROUPS]:
-        parser.error(f"unknown group {unknown[0]!r}; legal: {', '.join(GROUPS)}")
-    if given.seed < 1 or (given.number or 1) < 1:
-        parser.error("--seed and --number must be 1 or more")
-    for path in given.module or []:
-        if not path.is_file() or not path.resolve().is_relative_to(ROOT):
-            parser.error(f"{path}: no module of this checkout")
-    console, rows = Console(width=130), []
+    given = arguments(__doc__, "groups", groups=list(GROUPS), number=int, seed=1, quick=False)
+    console = Console(width=130)
     for name in PRELOADED:
         importlib.import_module(name)
     with tempfile.TemporaryDirectory() as folder:
         laboratory = Laboratory(Path(folder))
-        for title, mutants in samples(given, laboratory.folder):
-            found = figures(laboratory, mutants, console)
-            console.print(table(found, title))
-            rows += found
-    if given.json:
-        given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        for name in given.groups:
+            number, patterns = GROUPS.get(name, (None, (name,)))
+            number = given.number or (8 if given.quick else number)
+            modules = modules_of(patterns, laboratory.folder)
+            mutants = drawn(modules, number, given.seed, laboratory.folder)
+            console.print(table(figures(laboratory, mutants, console), f"{name}, seed {given.seed}"))
 
 
 if __name__ == "__main__":

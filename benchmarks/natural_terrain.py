@@ -11,7 +11,6 @@ cells, are farther than 0.10 m from any face steeper than 45 deg; a run that the
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,8 +19,8 @@ from typing import Any
 import cv2
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
+from benchmarks.steps import arguments, print_rows
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS
 from lirs_validation import validate
 from lirs_wct.errors import WctError
@@ -37,13 +36,7 @@ FALSE_SHARE, FALSE_CELLS = 0.2, 50
 
 def main() -> None:
     """Run every source with every mapper and seed; print the table and how many runs broke the rule."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of height pictures")
-    parser.add_argument("--mapper", nargs="+", default=MAPPERS)
-    parser.add_argument("--seeds", default="1-2", help="such as 1-5 or 1,3")
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--quick", action="store_true", help="the generated terrains, one seed, 30 s")
-    given = parser.parse_args()
+    given = arguments(__doc__, data=DATA, mapper=MAPPERS, seeds="1-2", seconds=60.0, quick=False)
     seconds = 30.0 if given.quick else given.seconds
     seeds = read_numbers("1" if given.quick else given.seeds, "--seeds")
     rows: list[dict[str, Any]] = []
@@ -53,7 +46,9 @@ def main() -> None:
             pictures += [(p, BuildOptions(grayscale=True)) for p in height_pictures(given.data)]
         for path, options in pictures:
             rows += rows_of(path, options, given.mapper, seconds, seeds)
-    Console(width=150).print(table(rows))
+    columns = "source", "mapper", "seed", "odometry", "ate", "status", "f1", "false_occupied"
+    shown = [{name: row.get(name) for name in (*columns, "occupied_cells", "broken")} for row in rows]
+    print_rows(shown, "natural terrain, Husky (m)", width=150)
     Console(width=150).print(summary(rows))
 
 
@@ -101,22 +96,6 @@ def write_terrain(name: str, seed: int, folder: Path) -> tuple[Path, BuildOption
     z, path = z - z.min(), folder / f"{name} {seed}.png"
     cv2.imwrite(str(path), np.round(z / z.max() * 65535).astype(np.uint16))
     return path, BuildOptions(size=EDGE, height=float(z.max()))
-
-
-def table(rows: list[dict[str, Any]]) -> Table:
-    """Return the rows for people."""
-    columns = "source", "mapper", "seed", "odometry", "ate", "status", "f1", "false_occupied"
-    shown = Table(*columns, "occupied_cells", "broken", title="natural terrain, Husky (m)")
-    for row in rows:
-        shown.add_row(*(cell(row.get(column)) for column in (*columns, "occupied_cells", "broken")))
-    return shown
-
-
-def cell(value: Any) -> str:
-    """Return one value for people."""
-    if isinstance(value, list):
-        return ", ".join(value)
-    return "-" if value is None else f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
 def summary(rows: list[dict[str, Any]]) -> str:

@@ -7,13 +7,13 @@ SOURCE is anything that `lirs-wct build` takes; default: the bundled worlds.
 
 from __future__ import annotations
 
-import argparse
 import math
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.steps import arguments
 from lirs_envs.robots.robot import ROBOTS, Robot, Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
@@ -50,12 +50,8 @@ def cost(world: World, robot: Robot, terrain: str) -> tuple[float, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("sources", nargs="*", default=list(RECIPES))
-    parser.add_argument("--robot", action="append", choices=list(ROBOTS))
-    parser.add_argument("--terrain", default="hfield")
-    options = parser.parse_args()
-    robots = [make_robot(name) for name in options.robot or ROBOTS]
+    options = arguments(__doc__, "sources", sources=list(RECIPES), robot=list(ROBOTS), terrain="hfield")
+    robots = [make_robot(name) for name in options.robot]
     table = Table("world", "terrain", "robot", "us a step", "legal", "RTF", title="MuJoCo's step alone")
     for source in options.sources:
         world = build_scenario(RunConfig(source=source)).world

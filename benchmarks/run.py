@@ -18,14 +18,11 @@ start by `start_shift` meters and turns the map by `start_turn_deg`.
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import replace
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
+from benchmarks.steps import arguments, print_rows
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.run import Run, drive_and_conclude, prepare
@@ -42,20 +39,16 @@ PAPER_RTF = {
 
 def main() -> None:
     """Run every source with every seed and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("sources", nargs="*", default=WORLDS)
-    parser.add_argument("--seeds", default="1-5", help="such as 1-5 or 1,3")
-    parser.add_argument("--seconds", type=float, default=120.0)
-    parser.add_argument("--mapper", default="hector")
-    parser.add_argument("--quick", action="store_true", help="one seed, 20 s")
-    given = parser.parse_args()
+    given = arguments(
+        __doc__, "sources", sources=WORLDS, seeds="1-5", seconds=120.0, mapper="hector", quick=False
+    )
     seconds = 20.0 if given.quick else given.seconds
     rows = [
         row(RunConfig(source=source, mapper=given.mapper, seconds=seconds, seed=seed))
         for source in given.sources
         for seed in read_numbers("1" if given.quick else given.seeds, "--seeds")
     ]
-    Console(width=210).print(table(rows))
+    print_rows(rows, "whole run, Husky, lms111 (parts in ms per simulated second)", width=210)
 
 
 def levelled_ate(run: Run) -> float | None:
@@ -102,16 +95,6 @@ def row(config: RunConfig) -> dict[str, Any]:
         "false_occupied_aligned": record.map["false_occupied_aligned"],
         "length": record.trajectory["length"],
     }
-
-
-def table(rows: list[dict[str, Any]]) -> Table:
-    """Return the rows for people; milliseconds are per simulated second."""
-    shown = Table(*rows[0], title="whole run, Husky, lms111 (parts in ms per simulated second)")
-    for entry in rows:
-        shown.add_row(
-            *(f"{v:.3g}" if isinstance(v, float) else "-" if v is None else str(v) for v in entry.values())
-        )
-    return shown
 
 
 if __name__ == "__main__":

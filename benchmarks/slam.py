@@ -12,9 +12,9 @@ of an AMD EPYC and are noisy by 30-50 %.
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import resource
+import sys
 import time
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -27,6 +27,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.steps import arguments
 from lirs_validation.logs.map_log import read_reference
 from lirs_validation.metrics.trajectory import (
     RelativePoseConstraint,
@@ -92,18 +93,12 @@ ORIGINALS: Mapping[tuple[str, str], Figures] = {
 
 def main() -> None:
     """Measure what is asked for, one row after the other, and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     names = [*sorted(MAPPERS), SEARCH]
-    parser.add_argument("--mapper", nargs="+", default=names, choices=names)
-    parser.add_argument("--log", nargs="+", default=list(LOGS), choices=list(LOGS))
-    parser.add_argument("--seeds", type=int, default=5, help="of mappers that draw random numbers")
-    parser.add_argument("--quick", action="store_true", help="a fifth of each log, one seed")
-    parser.add_argument("--data", type=Path, default=DATA, help=f"folder with {', '.join(LOGS)}")
-    given = parser.parse_args()
+    given = arguments(__doc__, mapper=names, log=list(LOGS), seeds=5, quick=False, data=DATA)
     missing = [given.data / path for path in (*LOGS.values(), RELATIONS, *REFERENCES.values())]
     missing = [path for path in missing if not path.is_file()]
     if missing:
-        parser.error(f"{missing[0]}: no such file; --data must hold {', '.join(LOGS)}")
+        sys.exit(f"{missing[0]}: no such file; --data must hold {', '.join(LOGS)}")
     jobs = [
         (name, log, seed, 0.2 if given.quick else 1.0, given.data)
         for log in given.log

@@ -12,7 +12,6 @@ times as many a minute are asked of two, on two cores with nothing beside them.
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 import time
@@ -23,6 +22,7 @@ from typing import Any
 
 from rich.console import Console
 
+from benchmarks.steps import arguments
 from lirs_validation import RunConfig, RunRecord, validate
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.experiment.run import Run
@@ -70,12 +70,7 @@ class QuickExperiment(RunTask):
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cells", type=int, default=1000)
-    parser.add_argument("--seconds", type=float, default=120.0, help="simulated, of the real experiment")
-    parser.add_argument("--real", type=int, default=12, help="real experiments for one process, and for two")
-    parser.add_argument("--quick", action="store_true", help="100 experiments, real ones of 20 s")
-    given = parser.parse_args()
+    given = arguments(__doc__, cells=1000, seconds=120.0, real=12, quick=False)
     count, seconds = (100, 20.0) if given.quick else (given.cells, given.seconds)
     console = Console(width=120)
     with tempfile.TemporaryDirectory() as folder:

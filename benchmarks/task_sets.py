@@ -1,31 +1,156 @@
 """Draw the benchmark's sets of tasks anew: the same seeds give the same tasks.
 
-    python benchmarks/task_sets.py [SET ...] [--data FOLDER] [-o FOLDER]
+    python benchmarks/task_sets.py [SET ...] [--data FOLDER] [--output FOLDER]
 
-What is drawn is in `task_plans.py`. Without `--data`, tasks in worlds of files that do not ship stay as they
+What is drawn is in PLANS. Without `--data`, tasks in worlds of files that do not ship stay as they
 are in the shipped set. When a task changes, its set's version is raised by hand.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from benchmarks.task_plans import COURSE_DIFFICULTIES, PLANS, Plan
+from benchmarks.steps import arguments
 from lirs_envs.env import RobotEnv
 from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.robot import make_robot
-from lirs_extensions.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, set_entry, task_set
+from lirs_extensions.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, WorldSpec, set_entry, task_set
 from lirs_validation.driving.choice import CLEARANCE
 from lirs_wct.errors import SimulationError, SourceError
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.world import World
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Tasks to draw in one world.
+
+    Attributes:
+        navigation: Number of tasks with a goal.
+        mapping: Number of tasks without one.
+    """
+
+    world: WorldSpec
+    split: str
+    robot: str
+    navigation: int
+    mapping: int
+
+
+MAPS = (("maze", "train"), ("smoothers_world", "validation"), ("depot", "test"), ("willow", "test"))
+"""Maps of buildings that do not ship, with their splits."""
+
+
+FURTHER_PLANS = range(23, 69)
+"""Seeds of floor plans for tests of navigation only: 150 generated tasks tell policies apart."""
+
+
+def made(maker: str, name: str, **options: Any) -> WorldSpec:
+    """Return a world that ships, or that a generator makes."""
+    return WorldSpec(name=name, maker=maker, options=tuple(options.items()))
+
+
+def from_files(name: str) -> WorldSpec:
+    """Return a world of files that do not ship, as a shipped set names them."""
+    worlds = (task.world for shipped in ("hills", "indoor") for task in task_set(shipped).tasks)
+    return next(world for world in worlds if world is not None and world.name == name and world.files)
+
+
+def lirs() -> list[Plan]:
+    """Return the three bundled worlds, one a split."""
+    worlds = (("simple", "train"), ("medium", "validation"), ("advanced", "test"))
+    return [
+        Plan(
+            world=made("bundled", name, source=name), split=split, robot=robot, navigation=count, mapping=two
+        )
+        for name, split in worlds
+        for robot, count, two in (("husky", 6, 2), ("jackal", 4, 2))
+    ]
+
+
+def hills() -> list[Plan]:
+    """Return hills, dunes and a field of boulders for each split, and elevation models that do not ship."""
+    plans = []
+    for first, split in ((0, "train"), (10, "validation"), (20, "test")):
+        for k, (kind, mapping) in enumerate((("hills", 0), ("dunes", 0), ("boulders", 4))):
+            world = (
+                made(kind, f"{kind}-{first + k}", seed=first + k) if mapping else _natural(kind, first + k)
+            )
+            robot = "husky" if k else "jackal"
+            plans.append(Plan(world=world, split=split, robot=robot, navigation=4, mapping=mapping))
+    for name, split in (
+        ("apollo15", "train"),
+        ("prayag", "validation"),
+        ("vrc_driving", "test"),
+        ("moon", "test"),
+    ):
+        plans.append(Plan(world=from_files(name), split=split, robot="husky", navigation=4, mapping=0))
+    return plans
+
+
+def _natural(kind: str, seed: int) -> WorldSpec:
+    return made("natural", f"{kind}-{seed}", kind=kind, seed=seed)
+
+
+def indoor() -> list[Plan]:
+    """Return floor plans for each split, and maps of buildings that do not ship."""
+    robots = ("jackal", "turtlebot2", "turtlebot3_waffle")
+    plans = [
+        Plan(
+            world=made("floor plan", f"floor-plan-{seed}", seed=seed),
+            split=split,
+            robot=robots[k],
+            navigation=4,
+            mapping=2,
+        )
+        for first, split in ((0, "train"), (10, "validation"), (20, "test"))
+        for k, seed in enumerate(range(first, first + 3))
+    ]
+    # A lidar of 30 m sees half of a hall at once: there a robot with a short one maps.
+    for robot, navigation, mapping in (("jackal", 4, 0), ("turtlebot2", 0, 2)):
+        for name, split in MAPS:
+            plans.append(
+                Plan(world=from_files(name), split=split, robot=robot, navigation=navigation, mapping=mapping)
+            )
+    # Last, so that the seeds of the tasks above stay.
+    return plans + [
+        Plan(
+            world=made("floor plan", f"floor-plan-{seed}", seed=seed),
+            split="test",
+            robot=robots[k % len(robots)],
+            navigation=3,
+            mapping=0,
+        )
+        for k, seed in enumerate(FURTHER_PLANS)
+    ]
+
+
+def generated() -> list[Plan]:
+    """Return courses as worlds for each split; courses to traverse are drawn apart."""
+    courses = (("mazes", 0.5, 2), ("mazes", 1.0, 2), ("stones", 0.7, 0))
+    return [
+        Plan(
+            world=made("course", f"{kind}-{first + k}", kind=kind, difficulty=difficulty, seed=first + k),
+            split=split,
+            robot="husky" if kind == "stones" else "jackal",
+            navigation=3,
+            mapping=mapping,
+        )
+        for first, split in ((0, "train"), (10, "validation"), (20, "test"))
+        for k, (kind, difficulty, mapping) in enumerate(courses)
+    ]
+
+
+PLANS = {"indoor": indoor, "hills": hills, "lirs": lirs, "generated": generated}
+COURSE_DIFFICULTIES = {"train": (0.25, 0.5, 0.75), "validation": (0.5, 0.75), "test": (0.5, 0.75, 1.0)}
+"""Of the courses to traverse, of each kind one."""
 
 VERSIONS = {"indoor": 3, "hills": 2, "lirs": 2, "generated": 2}
 SHIPPED = Path(__file__).resolve().parents[1] / "lirs_extensions" / "bench" / "task_sets"
@@ -43,11 +168,7 @@ NEAR_START = 0.4
 
 def main() -> None:
     """Write the sets."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("sets", nargs="*", choices=SETS, default=list(SETS), metavar="SET")
-    parser.add_argument("--data", type=Path, help="folder with the files that do not ship")
-    parser.add_argument("-o", "--output", type=Path, default=SHIPPED, help="folder")
-    given = parser.parse_args()
+    given = arguments(__doc__, "sets", sets=list(SETS), data=Path, output=SHIPPED)
     given.output.mkdir(parents=True, exist_ok=True)
     for name in given.sets:
         found = draw_set(name, given.data)

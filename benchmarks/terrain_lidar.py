@@ -10,7 +10,6 @@ are medians.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -18,7 +17,8 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 
-from benchmarks.lidar_places import RANGE, SIDE, Array, fan, octaves
+from benchmarks.lidar import RANGE, SIDE, Array, fan, octaves
+from benchmarks.steps import arguments
 from lirs_envs.lidar import TerrainLidar
 
 SAMPLES, BEAMS = 1025, 720
@@ -101,9 +101,7 @@ def compare(model: mujoco.MjModel, count: int, rounds: int) -> tuple[float, floa
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="fewer scans, about ten seconds")
-    quick = parser.parse_args().quick
+    quick = arguments(__doc__, quick=False).quick
     ours, other, speed = compare(on_field(), 3 if quick else 10, 1)
     print(f"height field of {SAMPLES}^2: {ours:.3f} ms, mj_multiRay {other:.0f} ms: {speed:,.0f} x as fast")
     ours, other, inverse = compare(on_plane(), 20, 20 if quick else 200)

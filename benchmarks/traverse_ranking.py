@@ -9,7 +9,6 @@ rank correlation of the two means is below .8, or where standing still earns as 
 
 from __future__ import annotations
 
-import argparse
 import csv
 import sys
 from collections.abc import Callable, Mapping
@@ -22,6 +21,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy.stats import spearmanr
 
+from benchmarks.steps import arguments
 from lirs_envs.env import RobotEnv
 from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, StraightAhead
 from lirs_extensions.bench.episode import distance_share, make_task_env, reset_options
@@ -89,11 +89,8 @@ def drive(name: str, task: BenchTask) -> tuple[float, float, str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--courses", type=int, default=20, help="number of courses")
-    parser.add_argument("--csv", type=Path, help="also write the table to this file")
-    arguments = parser.parse_args()
-    tasks = task_set("generated").chosen("traverse", "test")[: arguments.courses]
+    given = arguments(__doc__, courses=20, csv=Path)
+    tasks = task_set("generated").chosen("traverse", "test")[: given.courses]
     console = Console()
     rows = []
     for name in track(POLICIES, "policies", console=console, transient=True):
@@ -111,8 +108,8 @@ def main() -> None:
     means = {name: earned for name, earned, *_ in rows}
     rank = float(spearmanr([row[1] for row in rows], [row[2] for row in rows]).statistic)
     console.print(f"Spearman {rank:.3f} over {len(rows)} policies x {len(tasks)} courses")
-    if arguments.csv:
-        with arguments.csv.open("w", newline="") as file:
+    if given.csv:
+        with given.csv.open("w", newline="") as file:
             csv.writer(file).writerows([("policy", "return", "score", "goals", "tipped_or_left"), *cells])
     sys.exit(rank < LEAST or means["still"] >= min(means["beeline"], means["slow beeline"]))
 

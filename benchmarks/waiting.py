@@ -12,7 +12,6 @@ take smooth hills of 1025 x 1025 pixels.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import resource
@@ -28,6 +27,8 @@ import cv2
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+
+from benchmarks.steps import arguments
 
 ROOT = Path(__file__).resolve().parents[1]
 BUDGET = "60s"
@@ -123,11 +124,7 @@ def write_picture(path: Path) -> None:
 
 def main() -> None:
     """Measure the rows, checkouts in turn, and print their medians."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--peer", type=Path, help="checkout to compare with")
-    parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--only", default=",".join(ROWS))
-    given = parser.parse_args()
+    given = arguments(__doc__, peer=Path, runs=5, only=",".join(ROWS))
     checkouts = [Checkout(folder.resolve()) for folder in (ROOT, given.peer) if folder]
     found: dict[str, list[list[float]]] = {}
     for name in given.only.split(","):

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def mutations() -> ModuleType:
-    return load_benchmark("mutations")
+    return load_benchmark("mutants")
 
 
 SOURCE = '''"""A text with 1 + 1."""
@@ -53,7 +53,7 @@ def test_the_diff_shows_the_line_before_and_after(mutations: ModuleType) -> None
     assert first.diff(SOURCE).splitlines()[1].startswith("    2 +LIMIT = ")
 
 
-@pytest.mark.parametrize("module", ["metrics/agreement.py", "record/run_record.py"])
+@pytest.mark.parametrize("module", ["metrics/map.py", "record/run_record.py"])
 def test_every_mutation_is_another_program(mutations: ModuleType, module: str) -> None:
     source = (ROOT / "lirs_validation" / module).read_text(encoding="utf-8")
     programs = {ast.dump(ast.parse(m.apply(source))) for m in mutations.mutations_of(source)}

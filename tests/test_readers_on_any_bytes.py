@@ -1,4 +1,4 @@
-"""Every reader answers any bytes with a value or a WctError; `benchmarks/fuzz_atheris.py` searches longer."""
+"""Every reader answers any bytes with a value or a WctError; `benchmarks/fuzz.py` searches longer."""
 
 import gzip
 import subprocess
@@ -11,8 +11,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 
 from tests.benchmark_modules import load_benchmark
 
-fuzz = load_benchmark("fuzz_atheris")
-mutate = load_benchmark("fuzz_inputs").mutate
+fuzz = load_benchmark("fuzz")
 ANY = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -37,7 +36,7 @@ def test_a_reader_ends_in_a_value_or_a_wct_error(seeds: dict[str, Path], tmp_pat
     @given(st.binary(max_size=300) | st.integers(0, 2**32))
     def holds(damage: bytes | int) -> None:
         if isinstance(damage, int):
-            damage = mutate(inside, np.random.default_rng(damage), text=damage % 2 == 0)[1]
+            damage = fuzz.mutate(inside, np.random.default_rng(damage), text=damage % 2 == 0)[1]
         fuzz.read_bytes(
             name, target, gzip.compress(damage, 1) if zipped and damage[:1] != b"\x1f" else damage
         )
@@ -45,7 +44,7 @@ def test_a_reader_ends_in_a_value_or_a_wct_error(seeds: dict[str, Path], tmp_pat
     holds()
 
 
-HARNESS = Path(__file__).parents[1] / "benchmarks" / "fuzz_inputs.py"
+HARNESS = Path(__file__).parents[1] / "benchmarks" / "fuzz.py"
 KINDS = "gray8_png,gray8_jpg,float_tif,asc,xyz,map_yaml,mesh_hill_dae,mesh_binary_stl,world_json,task_set"
 
 
@@ -53,7 +52,7 @@ KINDS = "gray8_png,gray8_jpg,float_tif,asc,xyz,map_yaml,mesh_hill_dae,mesh_binar
 def test_damaged_inputs_end_in_one_clear_line() -> None:
     # In a process of its own: it forks, and the tests' process has threads.
     done = subprocess.run(
-        [sys.executable, HARNESS, "--count", "30", "--seed", "5", "--kinds", KINDS],
+        [sys.executable, HARNESS, "inputs", "--count", "30", "--seed", "5", "--names", KINDS],
         capture_output=True,
         text=True,
         check=False,

@@ -1,0 +1,60 @@
+"""Steps that benchmarks share: options of the command line, tables, limits."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+Limits = Mapping[str, tuple[str, str, float]]
+"""Limit of each figure: in words, `<=` or `>=`, and how much."""
+
+
+def arguments(doc: str | None, *positional: str, **defaults: Any) -> argparse.Namespace:
+    """Return the values of options; each has the type of its default, and a type stands for no default."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
+    for name, default in defaults.items():
+        flag = name if name in positional else f"--{name.replace('_', '-')}"
+        if default is False:
+            parser.add_argument(flag, action="store_true")
+        elif isinstance(default, Sequence) and not isinstance(default, str):
+            parser.add_argument(flag, nargs="*", default=default)
+        elif isinstance(default, type):
+            parser.add_argument(flag, type=default)
+        else:
+            parser.add_argument(flag, type=type(default), default=default, **_optional(flag))
+    return parser.parse_args()
+
+
+def _optional(flag: str) -> dict[str, Any]:
+    return {} if flag.startswith("--") else {"nargs": "?"}
+
+
+def print_rows(rows: Iterable[Mapping[str, Any]], title: str = "", width: int | None = None) -> None:
+    """Print rows as a table with a column for each key of the first."""
+    shown = list(rows)
+    table = Table(*shown[0], title=title or None)
+    for row in shown:
+        table.add_row(*(cell(row.get(key)) for key in shown[0]))
+    Console(width=width).print(table)
+
+
+def cell(value: Any) -> str:
+    """Return a value of a table as text."""
+    if isinstance(value, list):
+        return ", ".join(map(str, value))
+    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def print_limits(figures: Mapping[str, float], limits: Limits) -> bool:
+    """Print the figures beside their limits; return whether all are kept."""
+    table, kept = Table("figure", "measured", "limit", "kept"), True
+    for key, (words, sign, limit) in limits.items():
+        holds = figures[key] <= limit if sign == "<=" else figures[key] >= limit
+        table.add_row(words, f"{figures[key]:.4g}", f"{sign} {limit:g}", "yes" if holds else "no")
+        kept &= holds
+    Console().print(table)
+    return kept
