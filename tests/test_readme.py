@@ -8,9 +8,12 @@ import shlex
 import tomllib
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
+import gymnasium as gym
 import pytest
 
+from lirs_envs.tasks.task import TASKS
 from tests.command_line import check_command, run_command
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -90,9 +93,10 @@ def test_programs_run_in_their_order(root: Path, monkeypatch: pytest.MonkeyPatch
     """Programs continue from one another."""
     monkeypatch.chdir(root)
     names: dict[str, Any] = {"__name__": "readme"}
-    for number, text in enumerate(PROGRAMS):
-        program = re.sub(r"seconds=\d+", "seconds=1", text)
-        exec(compile(program, f"program {number}", "exec"), names)
+    with patch.dict(TASKS), patch.dict(gym.registry):
+        for number, text in enumerate(PROGRAMS):
+            program = re.sub(r"seconds=\d+", "seconds=1", text)
+            exec(compile(program, f"program {number}", "exec"), names)
 
 
 @pytest.mark.parametrize("path", sorted(set(re.findall(r"examples/data/\w[\w.]*\w", README + EXAMPLES))))
