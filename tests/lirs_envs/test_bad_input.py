@@ -1,15 +1,13 @@
 """What cannot be is refused in one clear sentence, before MuJoCo is entered; the simulation stays usable."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.control import DriveConfig
-from lirs_envs.robots.robot import Robot, Twist, Waypoint, make_robot
+from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError
@@ -24,26 +22,6 @@ from tests.kit import started
 def test_a_start_that_is_no_pose(start: Any, plane: World, husky: Robot) -> None:
     with pytest.raises(ConfigError, match="a start"):
         Simulation(plane, SimulationConfig(robot=husky)).reset(start)
-
-
-@pytest.mark.parametrize("seed", ["x", 1.5, True, None, -1, (1,)])
-def test_a_seed_that_is_no_whole_number(seed: Any, plane: World, husky: Robot) -> None:
-    with pytest.raises(ConfigError, match="seed must be"):
-        Simulation(plane, SimulationConfig(robot=husky), seed=seed)
-    sim = Simulation(plane, SimulationConfig(robot=husky), seed=np.int64(3))
-    if seed is not None:
-        with pytest.raises(ConfigError, match="seed must be"):
-            sim.reset(seed=seed)
-    # It has not kept the bad one.
-    sim.reset()
-    sim.advance(Twist())
-
-
-@pytest.mark.parametrize("name", [5, None, ["husky"], "huksy", ""])
-@pytest.mark.parametrize("make", [make_robot, make_lidar_preset])
-def test_a_name_that_is_none(name: Any, make: Callable[[Any], object]) -> None:
-    with pytest.raises(ConfigError, match=r"unknown (robot|lidar) .*; legal: "):
-        make(name)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import copy
 import gc
 import hashlib
-import json
 import pickle
 import resource
 import subprocess
@@ -14,26 +13,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import (
-    FlattenObservation,
-    FrameStackObservation,
-    NormalizeObservation,
-    RecordEpisodeStatistics,
-    RecordVideo,
-)
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.env import RobotEnv
-from lirs_envs.episodes.config import EnvConfig
-from lirs_envs.robots.robot import ROBOTS, Robot
-from lirs_envs.simulation import Simulation
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.robots.robot import ROBOTS
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -81,17 +68,6 @@ def test_check_env(name: str, robot: str) -> None:
     check_env(gym.make(name, robot=robot, world="simple").unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_spec_survives_pickle_and_json(name: str) -> None:
-    options = {"observe": ["scan", "seen_map"], "randomize": {"friction": [0.5, 1.0]}, "control_hz": 20}
-    env = gym.make(name, **options)
-    assert pickle.loads(pickle.dumps(env.spec)) == env.spec
-    again = gym.make(EnvSpec.from_json(env.spec.to_json()))
-    assert again.observation_space == env.observation_space
-    assert json.loads(env.spec.to_json())["kwargs"]["control_hz"] == 20
-    assert episode(again, 1, 5) == episode(env, 1, 5)
-
-
 @pytest.mark.slow
 def test_a_second_process_says_the_same() -> None:
     program = (
@@ -123,46 +99,6 @@ def test_observations_are_nobody_else_s() -> None:
     env.step(env.action_space.sample())
     for name, value in first.items():
         assert (value == kept[name]).all()
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_wrappers(name: str) -> None:
-    env: Any = RecordEpisodeStatistics(
-        gym.make(name, time_limit=1.0, observe=["scan", "attitude", "odometry"])
-    )
-    env = NormalizeObservation(FrameStackObservation(FlattenObservation(env), 3))
-    observation, _ = env.reset(seed=0)
-    assert env.observation_space.contains(observation.astype(np.float32).astype(observation.dtype))
-    total = 0.0
-    for _ in range(10):
-        observation, reward, terminated, truncated, info = env.step(np.array((1.0, 0.0), np.float32))
-        total += reward
-        if terminated or truncated:
-            break
-    assert np.isfinite(observation).all()
-    assert info["episode"]["r"] == pytest.approx(total)
-
-
-def test_record_video(plane: World, tmp_path: Path) -> None:
-    """A film of each episode, of the map: no OpenGL is needed."""
-    pytest.importorskip("moviepy", reason="moviepy is not installed")
-    env = RobotEnv("navigation", world=plane, time_limit=0.5, render_mode="map")
-    filmed: Any = RecordVideo(env, str(tmp_path / "films"), episode_trigger=lambda _: True)
-    for seed in range(2):
-        filmed.reset(seed=seed)
-        ended = False
-        while not ended:
-            *_, terminated, truncated, _ = filmed.step(np.array((0.5, 0.1), np.float32))
-            ended = terminated or truncated
-    filmed.close()
-    films = sorted((tmp_path / "films").glob("*.mp4"))
-    assert len(films) == 2
-    film = cv2.VideoCapture(str(films[0]))
-    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == 6
-    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(10)
-    taken, frame = film.read()
-    assert taken
-    assert frame.std() > 0
 
 
 def test_step_before_reset_and_after_the_end(plane: World) -> None:
@@ -214,12 +150,6 @@ def test_goals_and_starts_that_cannot_be(rough: World) -> None:
         env.reset(seed=0, options={"start": [14.2, 0, 0], "goal": [0, 0]})
     with pytest.raises(SimulationError, match=r"the start \(14\.90, 0\.00\) is not on free ground"):
         RobotEnv("mapping", world=rough).reset(options={"start": Pose2(14.9, 0.0)})
-
-
-def test_a_world_without_a_free_place(make_world: Callable[..., World]) -> None:
-    spikes = make_world(lambda x, y: 3.0 * (np.sin(8 * x) * np.sin(8 * y)))
-    with pytest.raises(SimulationError, match="no free place where husky could start"):
-        RobotEnv("mapping", world=spikes)
 
 
 def test_an_episode_that_diverges_ends_with_a_valid_observation(plane: World) -> None:
@@ -283,26 +213,6 @@ def test_a_reset_keeps_nothing_of_its_callers_alive(plane: World) -> None:
     assert gone() is None
 
 
-def test_gymnasium_s_time_wrapper_finds_the_limit(plane: World) -> None:
-    env = gym.wrappers.TimeAwareObservation(
-        gym.make("LIRS/Mapping-v2", world=plane, observe=["scan"]), flatten=False
-    )
-    assert env.reset(seed=0)[0]["time"].tolist() == [0]
-    assert env.observation_space["time"].high.tolist() == [1200]  # type: ignore[index]
-
-
-def test_control_rate_is_apart_from_the_lidar_s(plane: World) -> None:
-    for hz, fresh in ((50, 25), (25, 25), (5, 5)):
-        env = RobotEnv("mapping", world=plane, control_hz=hz)
-        env.reset(seed=0)
-        stamps = set()
-        for _ in range(hz):
-            env.step(np.array((0.3, 0.0), np.float32))
-            stamps.add(env.view.reading().scan.stamp)
-        assert len(stamps) in (fresh, fresh + 1)  # with the scan of the reset
-        assert env.episodes.infos()["time"][0] == pytest.approx(1.0)
-
-
 def test_randomization_changes_what_it_names(rough: World) -> None:
     def model_of(randomize: Any, seed: int) -> tuple[float, float, float]:
         env = RobotEnv("mapping", world=rough, randomize=randomize)
@@ -322,37 +232,6 @@ def test_randomization_changes_what_it_names(rough: World) -> None:
             for j in range(3):
                 share = values[j] / nominal[j]
                 assert 0.5 <= share <= 0.9 if j == k else share == pytest.approx(1.0)
-
-
-def test_starts_are_anywhere_free_or_the_first_spawn_pose(rough: World) -> None:
-    env = RobotEnv("mapping", world=rough)
-    starts = np.array([env.reset(seed=s)[1]["T_world_base"] for s in range(12)])
-    assert np.ptp(starts[:, 0]) > 10
-    assert np.ptp(starts[:, 2]) > 3
-    fixed = RobotEnv("mapping", world="simple", randomize=[])
-    first = fixed.view.world.spawn_poses[0]
-    for seed in (1, 2):
-        x, y, _ = fixed.reset(seed=seed)[1]["T_world_base"]
-        assert abs(x - first.x) < 0.1 > abs(y - first.y)
-
-
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
-def test_random_flight_holds_out(seed: int, make_world: Callable[..., World]) -> None:
-    """A quadrotor flies for 60 steps of random actions, and climbs when told to."""
-    plain = make_world(lambda x, y: 0.0 * x, nodes=3, cell=25.0)
-    env = gym.make("LIRS/Mapping-v2", robot="quadrotor", world=plain)
-    env.reset(seed=seed)
-    env.action_space.seed(seed)
-    for _ in range(60):
-        *_, terminated, truncated, info = env.step(env.action_space.sample())
-        assert not terminated, info
-        assert not truncated
-    env.reset(seed=0)
-    view = env.unwrapped.view
-    before = view.T_world_base.z
-    for _ in range(20):
-        env.step(np.array((0.0, 0.0, 1.0), np.float32))
-    assert view.T_world_base.z > before + 1.0
 
 
 @pytest.mark.slow
@@ -380,9 +259,3 @@ def test_memory_does_not_grow(name: str) -> None:
     before = megabytes()
     run(60, 800)
     assert megabytes() - before < 1.5
-
-
-def test_environments_take_the_robots_own_timestep(plane: World, husky: Robot) -> None:
-    body = Simulation(plane, EnvConfig(world=plane).simulation).body
-    own = Simulation(plane, SimulationConfig(robot=husky)).body
-    assert body.timestep == own.timestep == 0.005

@@ -2,13 +2,11 @@
 
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.observations import GROUPS
-from lirs_envs.sb3 import _adapter
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_envs.wrappers import FREE, OCCUPIED, UNKNOWN, Curriculum, local_map, map_groups
 from lirs_wct.errors import ConfigError
@@ -17,7 +15,6 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World
 from slam_baselines.mapper import make_mapper
-from tests.lirs_envs.test_sb3 import VecEnvInterface
 
 
 @pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
@@ -48,21 +45,6 @@ def test_curriculum_of_a_vector(mode: str, plane: World, monkeypatch: pytest.Mon
     drive(8)
     assert seen == pytest.approx([0.5, 0.4, 0.3, 0.4])
     assert vector.get_attr("difficulty") == pytest.approx((0.4,) * 4)
-
-
-def test_a_vector_with_a_curriculum_is_one_for_stable_baselines(plane: World) -> None:
-    options: dict[str, Any] = {"world": plane, "time_limit": 0.2, "autoreset_mode": "SameStep"}
-    vector = Curriculum(RobotVectorEnv(2, "navigation", **options), episodes=2, difficulty=0.3)
-    adapted = _adapter(VecEnvInterface)([vector])
-    adapted.reset()
-    for _ in range(2):
-        _, _, done, _ = adapted.step(np.zeros((2, 2), np.float32))
-    assert done.all()
-    assert adapted.get_attr("difficulty") == pytest.approx([0.25, 0.25])
-    with pytest.raises(ConfigError, match="0 < step <= 1"):
-        Curriculum(RobotVectorEnv(1, "navigation", **options), step=0)
-    with pytest.raises(ConfigError, match="needs environments with a difficulty"):
-        Curriculum(gym.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync"))
 
 
 class Corner:

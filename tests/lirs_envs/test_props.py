@@ -91,11 +91,3 @@ def test_props_that_cannot_be(figures: dict[str, object], words: str) -> None:
     legal = {"shape": "box", "size": (1.0, 1.0, 1.0), "place": Pose2()}
     with pytest.raises(ConfigError, match=words):
         Prop(**(legal | figures))  # type: ignore[arg-type]
-
-
-def test_props_beyond_the_border_are_refused(plane: World, husky: Robot) -> None:
-    with pytest.raises(ConfigError, match=r"within the world, got \(50.00, 0.00\)"):
-        Simulation(
-            plane,
-            SimulationConfig(robot=husky, props=(Prop(shape="sphere", size=(0.3,), place=Pose2(50.0, 0.0)),)),
-        )

@@ -12,8 +12,9 @@ from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.ray_casting import Rays
 from lirs_envs.props import Prop
 from lirs_envs.robots.robot import Twist, make_robot
+from lirs_envs.sensing.imu import InertialNoise
 from lirs_envs.sensing.odometry import OdometryConfig
-from lirs_envs.sensing.sensors import Observation, SensorNoise
+from lirs_envs.sensing.sensors import Observation, SensorFaults, SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError, SimulationError
@@ -31,7 +32,11 @@ def config_of(robot: str, method: str, rolling: bool) -> SimulationConfig:
 
 def same(one: Observation, two: Observation) -> bool:
     ranges = np.array_equal(one.scan.ranges, two.scan.ranges, equal_nan=True)
-    return ranges and (one.odometry, one.imu, one.scan.stamp) == (two.odometry, two.imu, two.scan.stamp)
+    first, second = (
+        (o.odometry, o.imu, o.scan.stamp, o.odometry_track, getattr(o.inertial, "linear_acceleration", None))
+        for o in (one, two)
+    )
+    return ranges and repr(first) == repr(second)
 
 
 def positions(many: Simulation) -> bytes:
@@ -77,6 +82,20 @@ def test_each_is_a_simulation_of_its_own(
         pytest.skip("too steep for it")
     world, config = (rough if place == "rough" else walled), config_of(robot, method, rolling)
     drive_alike(world, config, copied=False)
+
+
+@pytest.mark.parametrize("robot", ["husky", "jackal", "quadrotor"])
+def test_faults_and_inertial_readings_are_in_all_rows(robot: str, rough: World) -> None:
+    faults = SensorFaults(lag=0.1, field_of_view=120.0, dust=0.1, slip=0.2 if robot == "jackal" else 0.0)
+    config = config_of(robot, "gyro", rolling=False)
+    noise = replace(config.noise, faults=faults)
+    config = replace(config, noise=noise, inertial=InertialNoise())
+    many = drive_alike(rough, config, copied=True, steps=12)
+    reading = many.reading(1)
+    assert reading.inertial is not None
+    assert np.isnan(reading.scan.ranges).mean() > 0.5
+    assert bool(reading.odometry_track) is (robot == "husky")
+    assert np.array_equal(many.odometry[1], reading.odometry.as_array())
 
 
 @pytest.mark.parametrize("place", ["rough", "walled"])

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from gymnasium.envs.classic_control import CartPoleEnv
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from gymnasium.wrappers import FlattenObservation
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.robots.robot import ROBOTS
 from lirs_envs.sb3 import _adapter, as_vec_env
-from lirs_envs.vector_env import RobotVectorEnv, split_infos
+from lirs_envs.vector_env import RobotVectorEnv
 from lirs_envs.wrappers import Curriculum
 from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
@@ -115,16 +114,6 @@ def test_steps_are_those_of_the_vector() -> None:
             assert all("episode" not in row for row in rows)
 
 
-def test_attributes_and_methods_of_chosen_environments() -> None:
-    adapted = _adapter(VecEnvInterface)([vector()])
-    adapted.reset()
-    adapted.set_attr("difficulty", 0.9, indices=[0, 2])
-    assert adapted.get_attr("difficulty") == [0.9, 0.5, 0.9]
-    assert len(adapted.env_method("reading", indices=1)) == 1
-    assert adapted.env_is_wrapped(object) == [False] * 3
-    assert adapted.env_is_wrapped(type("Monitor", (), {})) == [True] * 3
-
-
 def sync(count: int = 3, wrap: Any = lambda env: env) -> Any:
     return SyncVectorEnv(
         [lambda: wrap(RobotEnv("navigation", world="simple", time_limit=0.5))] * count,
@@ -150,32 +139,6 @@ def test_wrapped_vectors_and_those_of_single_environments(make: Any, wrap: Any) 
         assert all(same(a, b) for a, b in zip(first[3], second[3], strict=True))
         assert all(same(a, b) for a, b in zip(adapted.reset_infos, plain.reset_infos, strict=True))
     assert adapted.get_attr("difficulty") == plain.get_attr("difficulty") == [0.2] * 3
-
-
-def test_flat_vectors_are_joined() -> None:
-    flat: list[Any] = [sync(count, FlattenObservation) for count in (1, 2)]
-    adapted = _adapter(VecEnvInterface)(flat)
-    observed = adapted.reset()
-    assert observed.shape == (3, *flat[0].single_observation_space.shape)
-    for _ in range(5):
-        *_, rows = adapted.step(np.zeros((3, 2), np.float32))
-    assert rows[2]["terminal_observation"].shape == observed.shape[1:]
-
-
-def test_split_infos() -> None:
-    infos = {"a": np.array((1, 2)), "_a": np.array((True, False)), "b": {"c": np.array((3.0, 4.0))}}
-    infos["b"]["_c"] = np.array((False, True))
-    infos["_b"] = np.array((True, True))
-    assert split_infos([{"a": 1}, {}], 2) == [{"a": 1}, {}]
-    assert split_infos(infos, 2) == [{"a": 1, "b": {}}, {"b": {"c": 4.0}}]
-
-
-def test_what_cannot_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
-
-    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    with pytest.raises(ConfigError, match=r"pip install '.\[rl\]'"):
-        as_vec_env(vector())
 
 
 def test_several_vectors_are_one(plane: World) -> None:
@@ -291,33 +254,6 @@ def test_ppo_learns_through_the_adapter() -> None:
     rewards, lengths = evaluate_policy(model, envs, n_eval_episodes=6, return_episode_rewards=True)
     assert lengths == [5] * 6
     assert np.isfinite(rewards).all()
-
-
-def test_an_evaluation_returns_the_rewards_of_the_environment() -> None:
-    """Through scaled rewards, against the sums of a wrapper of Gymnasium."""
-    sb3 = pytest.importorskip("stable_baselines3", reason=REASON)
-    from stable_baselines3.common.evaluation import evaluate_policy
-    from stable_baselines3.common.vec_env import VecNormalize
-
-    counted = RecordEpisodeStatistics(vector(2, observe=["sectors", "goal_direction"]))
-    scaled = VecNormalize(as_vec_env(counted), norm_obs=False)
-    model = sb3.PPO("MultiInputPolicy", scaled, n_steps=32, batch_size=32, n_epochs=1, seed=0, device="cpu")
-    model.learn(64)
-    counted.return_queue.clear()
-    rewards, _ = evaluate_policy(model, scaled, n_eval_episodes=6, return_episode_rewards=True, warn=False)
-    assert rewards == pytest.approx(list(counted.return_queue)[:6])
-
-
-def test_its_pictures_are_maps() -> None:
-    pytest.importorskip("stable_baselines3", reason=REASON)
-    envs = as_vec_env(vector(2, render_mode="map"), vector(2, world="medium", render_mode="map"))
-    envs.reset()
-    tiled = envs.render()
-    assert tiled.dtype == np.uint8
-    single = np.shape(envs.get_images()[0])
-    assert tiled.shape == (2 * single[0], 2 * single[1], 3)
-    assert np.ptp(tiled) > 0
-    envs.close()
 
 
 @pytest.mark.slow

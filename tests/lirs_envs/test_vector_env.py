@@ -90,12 +90,6 @@ def test_several_worlds_are_equal_to_single_environments(mode: str, plane: World
     one.close()
 
 
-@pytest.mark.parametrize("worlds", [[], ["simple"] * (N + 1)])
-def test_a_list_of_worlds_has_one_to_n(worlds: list[str]) -> None:
-    with pytest.raises(ConfigError, match=rf"world must be 1 to num_envs = 3 worlds, got {len(worlds)}"):
-        RobotVectorEnv(N, "navigation", world=worlds)
-
-
 @pytest.mark.parametrize("name", IDS)
 def test_disabled_autoreset_resets_those_in_the_mask(name: str) -> None:
     options = options_of(name)

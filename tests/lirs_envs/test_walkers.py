@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
 from lirs_envs.lidar.obstacle_rays import meet_walkers
 from lirs_envs.lidar.ray_casting import mujoco_hits
 from lirs_envs.props import Prop
@@ -24,7 +23,6 @@ from lirs_envs.walkers import (
     TOUCHABLE,
     WALKER_GROUP,
     Walkers,
-    draw_paths,
     walkable_ground,
 )
 from lirs_wct.errors import ConfigError, SimulationError
@@ -151,14 +149,6 @@ def test_both_rays_see_the_same_walkers(rough: World, husky: Robot) -> None:
     assert seen > 30
 
 
-def test_walker_beams_are_those_that_walkers_shorten(rough: World, husky: Robot) -> None:
-    sim, empty = simulation(rough, husky, 40), simulation(rough, husky, 0)
-    walked_by, still = sim.reset().scan.ranges, empty.reset().scan.ranges
-    assert empty.walker_beams is None
-    assert sim.walker_beams.any()
-    assert np.array_equal(sim.walker_beams, walked_by != still)
-
-
 def test_a_robot_that_drives_into_a_walker_touches_it(plane: World, husky: Robot) -> None:
     sim = simulation(plane, husky, 60)
     for _ in range(3000):
@@ -214,38 +204,6 @@ def test_the_seed_decides_and_a_reset_repeats(rough: World, husky: Robot) -> Non
     assert driven(other) != first
     other.reset(seed=1)
     assert driven(other) == first
-
-
-def test_replay_ends_where_the_run_ended(rough: World, husky: Robot) -> None:
-    sim = simulation(rough, husky, 60)
-    driven(sim, 60)
-    here, now = sim.pose(), sim.walkers().copy() if sim.walkers else None
-    assert sim.replay().T_world_base == here
-    assert np.array_equal(sim.walkers(), now)
-    state = sim.body.state()
-    sim.replay()
-    assert np.array_equal(sim.body.state(), state)
-
-
-def test_walkers_follow_another_terrain(husky: Robot) -> None:
-    first, second = (generate("waves", 0.2, np.random.default_rng(seed)) for seed in (1, 2))
-    replaced = simulation(first.world(), husky, height_range=HEIGHT_RANGE)
-    replaced.replace_terrain(second.world())
-    fresh = simulation(second.world(), husky, height_range=HEIGHT_RANGE)
-    replaced.reset()
-    assert driven(replaced) == driven(fresh)
-
-
-def test_legs_are_straight_and_free(rough: World) -> None:
-    ground = walkable_ground(rough)
-    paths = draw_paths(ground, 50, np.random.default_rng(2))
-    a, b = paths[:, :-1, None], paths[:, 1:, None]
-    points = a + np.linspace(0, 1, 200)[:, None] * (b - a)
-    cells = ground.cells(points)
-    assert ground.free[cells[..., 0], cells[..., 1]].mean() > 0.999
-    length = np.hypot(*np.moveaxis(paths[:, 1:] - paths[:, :-1], 2, 0))
-    assert ((length == 0) | ((length > 2.9) & (length < 10.1))).all()
-    assert np.mean(length > 0) > 0.8
 
 
 def test_bad_numbers_and_full_worlds_are_named(plane: World, husky: Robot) -> None:

@@ -8,10 +8,9 @@ import pytest
 from gymnasium import spaces
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.episodes.observations import GROUPS, SCANS, Group, scan_history
+from lirs_envs.episodes.observations import GROUPS, SCANS, Group
 from lirs_envs.tasks.task import Stage, Task
 from lirs_envs.vector_env import RobotVectorEnv
-from lirs_wct.errors import ConfigError
 from lirs_wct.world import World
 
 
@@ -27,20 +26,6 @@ def test_the_history_holds_the_last_scans(rough: World) -> None:
             observation, *_ = env.step(rng.uniform(-1, 1, 2).astype(np.float32))
             seen.insert(0, observation["scan"])
     assert not (observation["scans"][0] == observation["scans"][1]).all()
-
-
-def test_a_history_of_any_length(rough: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(GROUPS, "six", scan_history(6))
-    env = RobotEnv("mapping", world=rough, observe=["scans", "six"])
-    env.reset(seed=0)
-    for _ in range(7):
-        observation, *_ = env.step(np.array((1.0, 0.5), np.float32))
-    assert env.observation_space.contains(observation)
-    np.testing.assert_array_equal(observation["six"][:SCANS], observation["scans"])
-    assert not (observation["six"][4] == observation["six"][5]).all()
-    for steps in (0, 2.0, True):
-        with pytest.raises(ConfigError, match="whole number of steps from 1 up"):
-            scan_history(steps)  # type: ignore[arg-type]
 
 
 def test_rows_of_a_vector_remember_what_single_environments_do(plane: World) -> None:
@@ -95,8 +80,3 @@ def test_a_group_of_the_users_own_has_a_state(plane: World) -> None:
         for k in range(1, 4):
             observation, *_ = env.step(np.zeros(2, np.float32))
             assert observation["steps"] == [k]
-
-
-def test_the_groups_with_simulator_only_data() -> None:
-    assert {name for name, group in GROUPS.items() if group.privileged} == {"seen_map", "height_map"}
-    assert all((group.read is None) != (group.memory is None) for group in GROUPS.values())

@@ -39,14 +39,6 @@ def test_a_second_process_loads_what_the_first_built(
     assert again.spawn_poses == first.spawn_poses
 
 
-def test_other_content_is_another_world(folder: Path, tmp_path: Path) -> None:
-    source = picture(tmp_path / "hill.png", 1)
-    before, key = cached_world(source), content_key(source)
-    picture(tmp_path / "hill.png", 2)
-    assert content_key(source) != key
-    assert cached_world(source).surface.z.tobytes() != before.surface.z.tobytes()
-
-
 def test_a_map_s_picture_is_its_content(folder: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "m.png"), np.full((60, 60), 254, np.uint8))
     yaml = tmp_path / "m.yaml"
@@ -75,11 +67,3 @@ def test_a_damaged_or_closed_cache_is_no_reason_to_stop(folder: Path, tmp_path: 
     folder.rename(tmp_path / "elsewhere")
     folder.write_text("a file where the folder should be")
     assert cached_world(source).name == built.name
-
-
-def test_none_is_kept_where_the_variable_is_empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(FOLDER_VARIABLE, "")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
-    world_cache._in_memory.cache_clear()
-    cached_world(picture(tmp_path / "hill.png", 1))
-    assert not (tmp_path / "xdg").exists()

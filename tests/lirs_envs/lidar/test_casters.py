@@ -13,7 +13,6 @@ from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
@@ -51,16 +50,6 @@ def test_both_rays_agree(hills: World, husky: Robot, contact: str, rolling: bool
     assert 0.3 < finite.mean() < 1
     np.testing.assert_allclose(theirs[finite], builtin[finite], atol=1e-3)
     assert (builtin[~finite] == theirs[~finite]).all()
-
-
-def test_the_hfield_that_is_touched_is_another_one(hills: World, husky: Robot) -> None:
-    """Else the test above would not tell whether the rays see the right one."""
-    body = Simulation(hills, SimulationConfig(robot=husky, rays="mujoco")).body
-    assert body.contact.stride > 1
-    assert [body.model.hfield(name).nrow[0] for name in ("ground", "seen")] == [
-        240 // body.contact.stride + 1,
-        241,
-    ]
 
 
 def test_walls_props_and_static_robots(walled: World, husky: Robot) -> None:
@@ -114,18 +103,3 @@ def test_intensity_follows_the_lidar_equation() -> None:
         loss = min(1.0, (10 / (2 * height)) ** 2)
         (intensity,) = intensities(ranges.astype(np.float32), reflectances)
         assert intensity == pytest.approx(255 * GROUND * 0.5 * loss, rel=1e-5)
-
-
-def test_the_same_noise(hills: World, husky: Robot) -> None:
-    builtin, theirs = (scans(hills, husky, rays=rays)[0] for rays in ("builtin", "mujoco"))
-    finite = np.isfinite(builtin) & np.isfinite(theirs)
-    assert 0.3 < finite.mean() < 1
-    np.testing.assert_allclose(theirs[finite], builtin[finite], atol=1e-3)
-    exact = scans(hills, husky, noise=SensorNoise(lidar="none"))[0]
-    error = builtin[finite] / exact[finite] - 1
-    assert error.std() == pytest.approx(0.01, rel=0.2)
-
-
-def test_unknown_rays(plane: World, husky: Robot) -> None:
-    with pytest.raises(ConfigError, match=r"unknown rays 'embree'; legal: builtin, mujoco"):
-        Simulation(plane, SimulationConfig(robot=husky, rays="embree"))  # type: ignore[arg-type]

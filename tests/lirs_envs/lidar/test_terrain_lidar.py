@@ -96,26 +96,6 @@ def test_model_and_data_stay_as_they_are(name: str) -> None:
     assert (arrays(model), arrays(data)) == before
 
 
-def test_a_later_change_of_the_model_does_not_reach_the_lidar() -> None:
-    model = hills()
-    data, lidar = settled(model), TerrainLidar(model, "lidar", "vlp16")
-    before = lidar.trace(data)
-    model.hfield_data[:] = 0
-    np.testing.assert_array_equal(lidar.trace(data), before)
-    assert (TerrainLidar(model, "lidar", "vlp16").trace(data) != before).any()
-
-
-def test_states_are_traced_as_one_by_one() -> None:
-    model, rng = model_of("quadruped-moving"), np.random.default_rng(5)
-    states = [place(model, rng) for _ in range(4)]
-    lidar = TerrainLidar(model, "lidar", "vlp16")
-    together = lidar.trace(states)
-    assert together.shape == (4, 16 * 1800)
-    for state, row in zip(states, together, strict=True):
-        np.testing.assert_array_equal(lidar.trace(state), row)
-    assert lidar.trace([]).shape == (0, 16 * 1800)
-
-
 def test_beams_pass_through_what_mujoco_looks_through() -> None:
     """Own body, other bodies by name, groups, and transparent geoms and materials."""
     ahead = np.array(((1.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
@@ -182,15 +162,6 @@ def test_poses_that_are_not_computed_are_refused() -> None:
         lidar.trace([data, other])
 
 
-def test_ranges_outside_the_limits() -> None:
-    model = hills()
-    data = settled(model)
-    height = TerrainLidar(model, "lidar", DOWN).trace(data)[0]
-    assert TerrainLidar(model, "lidar", DOWN, range_max=height - 1e-3).trace(data) == [np.inf]
-    assert TerrainLidar(model, "lidar", DOWN, range_min=height + 1e-3).trace(data) == [-np.inf]
-    assert TerrainLidar(model, "lidar", -DOWN).trace(data) == [np.inf]
-
-
 def test_noise_of_a_device_by_name() -> None:
     model = hills()
     data, pattern = settled(model), np.repeat(DOWN, 20_000, axis=0)
@@ -206,13 +177,6 @@ def test_noise_of_a_device_by_name() -> None:
     assert np.isnan(found).mean() == pytest.approx(0.01, rel=0.3)
     up = TerrainLidar(model, "lidar", -pattern, noise="rplidar_a1", rng=np.random.default_rng(0)).trace(data)
     assert (np.isnan(up) | (up == np.inf)).all()
-
-
-def test_a_lidar_on_the_world_sees_the_world() -> None:
-    model = mujoco.MjModel.from_xml_string("""
-      <mujoco><worldbody><geom type="plane" size="9 9 1"/><site name="mast" pos="0 0 3"/></worldbody></mujoco>
-    """)
-    assert TerrainLidar(model, 0, DOWN).trace(settled(model)) == pytest.approx([3.0])
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import lirs_envs  # noqa: F401  registers
-from lirs_envs.env import snapshot_of
-from lirs_envs.map_view import GOAL, PATH, WALKER
+from lirs_envs.map_view import PATH
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.world import World
 
@@ -75,18 +74,6 @@ def test_a_map_shows_the_episode_s_path_and_copies_draw_the_same(plane: World) -
         assert drawn > 20 > (np.abs(first.astype(int) - PATH) < 30).all(axis=-1).sum()
     assert np.array_equal(copy.deepcopy(env).render(), env.render())
     env.close()
-
-
-def test_walkers_are_shown_where_they_are(plane: World) -> None:
-    env: Any = gym.make("LIRS/Navigation-v1", world=plane, actors=6, render_mode="map").unwrapped
-    env.reset(seed=1)
-    snapshot = snapshot_of(env.episodes, 0)
-    assert snapshot.walkers.shape == (6, 3)
-    picture = env.render().astype(int)
-    per_meter = len(picture) / 20
-    for x, y, _ in snapshot.walkers.tolist():
-        shown = picture[int((10 - y) * per_meter), int((x + 10) * per_meter)]
-        assert (np.abs(shown - WALKER) < 30).all() or (np.abs(shown - GOAL) < 60).all()
 
 
 def test_a_vector_shows_each_environment(plane: World) -> None:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.generators.terrain import HEIGHT_RANGE, generate
+from lirs_envs.generators.terrain import generate
 from lirs_envs.map_view import GOAL, PATH, ROBOT, SCAN, WALKER, MapView, Snapshot
 from lirs_envs.rendering import CHASE, MAX_ERROR, RENDER_MODES, Camera, RenderScene, Views
 from lirs_envs.robots.robot import Robot, make_robot
@@ -127,23 +127,6 @@ def test_the_ground_wears_its_texture_where_it_belongs(source: str, in_ci: bool)
     assert alike[0] > max(alike[1:]) + 0.05
 
 
-@pytest.mark.slow
-@pytest.mark.render
-def test_another_terrain_is_drawn_anew(in_ci: bool) -> None:
-    first, second = (generate("craters", 0.9, np.random.default_rng(seed)) for seed in (1, 2))
-    sim, camera = simulation(first.world(), make_robot("jackal"), height_range=HEIGHT_RANGE), Camera((60, 80))
-    before = drawn(lambda: camera.rgb(Snapshot.of(sim)), in_ci)
-    sim.replace_terrain(second.world())
-    sim.reset()
-    after = camera.rgb(Snapshot.of(sim))
-    assert np.abs(after.astype(int) - before).mean() > 3
-    fresh = simulation(second.world(), make_robot("jackal"), height_range=HEIGHT_RANGE)
-    again = Camera((60, 80))
-    assert np.array_equal(again.rgb(Snapshot.of(fresh)), after)
-    for one in (camera, again):
-        one.close()
-
-
 def test_a_map_shows_all_where_it_is(plane: World, husky: Robot) -> None:
     """The plane is 20 m square with its middle at the origin; 400 pixels are 20 a meter."""
     sim = simulation(plane, husky)
@@ -188,23 +171,6 @@ def test_a_scan_lies_on_what_it_met(husky: Robot) -> None:
         for a, b in zip(x, y, strict=True)
     ]
     assert np.mean(np.array(near) > 0.5) > 0.97
-
-
-def test_a_map_has_the_world_s_proportions() -> None:
-    world = build_world("examples/data/office.yaml")
-    sim = simulation(world, make_robot("turtlebot2"))
-    picture = MapView(300).picture(Snapshot.of(sim))
-    width, depth = world.surface.size
-    assert picture.shape == (round(300 * depth / width), 300, 3)
-
-
-def test_without_a_screen_a_window_is_refused_in_one_sentence(
-    plane: World, husky: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(SimulationError, match="render mode human needs a screen"):
-        Views().render("human", Snapshot.of(simulation(plane, husky)))
 
 
 def test_modes_and_copies(plane: World, husky: Robot) -> None:

@@ -3,14 +3,11 @@
 import math
 from collections.abc import Callable
 
-import mujoco
 import numpy as np
 import pytest
 
-from lirs_envs.robots.control import FlightConfig
 from lirs_envs.robots.robot import Robot, Twist, Waypoint, make_robot
 from lirs_envs.simulation import Simulation
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 from tests.kit import started
@@ -25,16 +22,6 @@ def robot() -> Robot:
 
 def simulation(world: World, robot: Robot, start: Pose2 | None = None) -> Simulation:
     return started(world, start, robot=robot, lidar="lms111")
-
-
-def test_the_published_figures(robot: Robot) -> None:
-    model = mujoco.MjModel.from_xml_path(str(robot.mjcf))
-    assert model.body("base_link").mass[0] == pytest.approx(1.477)
-    np.testing.assert_allclose(model.body("base_link").inertia, (0.01152, 0.01152, 0.0218))
-    assert model.actuator_ctrlrange[:, 1].sum() == pytest.approx(30)
-    arms = np.hypot(*model.site_pos[model.actuator_trnid[:, 0]][:, :2].T)
-    np.testing.assert_allclose(arms, 0.275)
-    assert model.actuator_gear[:, 5].sum() == 0, "the rotors' drags are in balance"
 
 
 def test_hovers_within_five_centimeters(plane: World, robot: Robot) -> None:
@@ -101,15 +88,6 @@ def test_follows_terrain_at_three_meters_a_second(make_world: Callable[..., Worl
     assert sim.controls.shape == (125 * len(sim.body.substeps), 4)
 
 
-def test_a_wall_stops_it(walled: World, T_world_wall: Pose2, robot: Robot) -> None:
-    sim = simulation(walled, robot, T_world_wall @ Pose2(1.0))
-    for _ in range(75):
-        sim.advance(Twist(2.0))
-        assert (T_world_wall.inverse() @ sim.pose().to_pose2()).x < 3.0
-    assert sim.collisions.body_contacts > 0
-    assert sim.collisions.max_penetration < 0.020
-
-
 def test_odometry_and_determinism(plane: World, robot: Robot) -> None:
     ends = []
     for seed in (1, 1, 2):
@@ -121,23 +99,3 @@ def test_odometry_and_determinism(plane: World, robot: Robot) -> None:
         assert guess.distance(sim.pose().to_pose2()) < 0.06 * 2.4
         ends.append((seen.odometry, seen.scan.ranges.tobytes()))
     assert ends[0] == ends[1] != ends[2]
-
-
-def test_commands_that_cannot_be(plane: World, robot: Robot, husky: Robot) -> None:
-    sim = started(plane, robot=husky)
-    with pytest.raises(ConfigError, match="husky drives: it takes a Twist"):
-        sim.advance(Waypoint(1.0, 0.0, 1.0))
-    sim = simulation(plane, robot)
-    with pytest.raises(ConfigError, match="finite"):
-        sim.advance(Waypoint(1.0, math.nan, 1.0))
-    with pytest.raises(ConfigError, match="tilt"):
-        FlightConfig(max_tilt=0.0)
-
-
-def test_hovers_under_the_model_s_gravity(plane: World, robot: Robot) -> None:
-    sim = simulation(plane, robot)
-    sim.body.model.opt.gravity[2] = -1.62
-    sim.reset()
-    for _ in range(125):
-        sim.advance(Twist())
-        assert math.dist(sim.pose().position, (0.0, 0.0, 1.0)) < 0.05

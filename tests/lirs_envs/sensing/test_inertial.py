@@ -76,16 +76,6 @@ def test_a_reading_covers_a_whole_number_of_steps_near_200_hz(robot: str, rate: 
     assert stamps[-1] == pytest.approx(2.0)
 
 
-def test_at_rest_the_force_is_gravity(hills: World) -> None:
-    resting = simulation(hills, "husky", InertialNoise())
-    resting.reset()
-    force = []
-    for _ in range(50):
-        inertial = resting.advance(Twist()).inertial
-        force.append(inertial.linear_acceleration)
-    assert np.linalg.norm(np.concatenate(force), axis=1).mean() == pytest.approx(G, abs=0.02)
-
-
 def test_the_allan_deviation_of_a_second_is_the_configured_density() -> None:
     noise = replace(EXACT, rate_density=0.01, acceleration_density=0.1)
     unit = InertialUnit(noise, 0.005, G)
@@ -110,23 +100,3 @@ def test_biases_are_constant_in_a_drive_and_differ_between_seeds() -> None:
         assert np.ptp(readings, axis=0).max() < 1e-15
         means.append(readings[0])
     assert np.std(means) == pytest.approx(0.1, rel=0.1)
-
-
-def test_the_other_sensors_keep_their_bytes(hills: World) -> None:
-    command = Twist(0.5, 0.2)
-    runs = []
-    for noise in (None, InertialNoise()):
-        driven = simulation(hills, "husky", noise)
-        driven.reset()
-        runs.append([driven.advance(command) for _ in range(25)])
-    for without, having in zip(*runs, strict=True):
-        assert without.inertial is None
-        assert without.scan.ranges.tobytes() == having.scan.ranges.tobytes()
-        assert (without.odometry, without.imu) == (having.odometry, having.imu)
-
-
-def test_a_reset_repeats_the_readings(hills: World) -> None:
-    driven = simulation(hills, "jackal", InertialNoise())
-    first, again = drive(driven, 0.5), drive(driven, 0.5)
-    for one, other in zip(first, again, strict=True):
-        assert one.tobytes() == other.tobytes()

@@ -14,7 +14,6 @@ from lirs_envs.sensing.imu import ImuConfig, ImuSensors
 from lirs_envs.sensing.odometry import DistanceNoise, FlowOdometry, OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import ROW
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.world import World
 from tests.kit import started
@@ -144,17 +143,6 @@ def test_standing_teaches_the_bias(husky: Robot) -> None:
     assert math.sqrt(odometry.covariance[3, 3]) < 0.01 * config.rate_bias * 10
 
 
-def test_spinning_wheels_do_not_teach_the_bias() -> None:
-    robot = make_robot("turtlebot2")
-    odometry = EkfOdometry(robot, EKF, np.random.default_rng(0), ImuConfig())
-    for _ in range(100):
-        for _ in range(TICK):
-            odometry.update(0.05, (0.0, 0.0, 0.0), 0.0, 0.0, DT, 0.3)
-        odometry.read()
-    assert abs(odometry.state[3]) < ImuConfig().rate_bias
-    assert abs(odometry.read().yaw) < 1e-2
-
-
 def simulated(
     world: World, robot: Robot, method: str, seed: int, stops: bool
 ) -> tuple[Any, np.ndarray, bytes]:
@@ -195,28 +183,9 @@ def test_the_filter_is_not_worse_and_better_with_stops(plane: World, husky: Robo
     assert yaw["ekf", True] < 0.6 * yaw["gyro", True]
 
 
-def test_same_seed_same_bytes(plane: World, husky: Robot) -> None:
-    runs = [simulated(plane, husky, "ekf", seed, True)[2] for seed in (1, 1, 2)]
-    assert runs[0] == runs[1] != runs[2]
-
-
-def test_methods_and_figures_that_are_none() -> None:
-    with pytest.raises(ConfigError, match=r"unknown method of the odometry 'magic'; legal: ekf, gyro"):
-        OdometryConfig(method="magic")  # type: ignore[arg-type]
-    with pytest.raises(ConfigError, match="slip_forward"):
-        EkfConfig(slip_forward=-1.0)
-
-
 def test_flow_odometry_stays_where_two_readings_have_one_stamp() -> None:
     odometry = FlowOdometry(OdometryConfig(), np.random.default_rng(0))
     odometry.update(Pose3(), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, 0.0, 0.0)
     assert odometry.read() == Pose2()
     odometry.update(Pose3(), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 0.0, 0.0, 0.1)
     assert odometry.read() == Pose2(0.0, 0.0, 0.1)
-
-
-def test_wheel_odometry_needs_wheels() -> None:
-    quadrotor = make_robot("quadrotor")
-    assert quadrotor.skid_factor == 1.0
-    with pytest.raises(ConfigError, match="wheel odometry needs a robot with wheels, got 'quadrotor'"):
-        EkfOdometry(quadrotor, EKF, np.random.default_rng(0), ImuConfig())

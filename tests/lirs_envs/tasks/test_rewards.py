@@ -2,12 +2,10 @@
 
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 from lirs_envs.env import RobotEnv
-from lirs_envs.tasks.task import Rewards
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField
@@ -132,20 +130,6 @@ def test_contact_costs_no_more_than_a_collision(walled: World, T_world_wall: Pos
             assert seconds > 2
         spent[limit] = costs
     assert spent == pytest.approx({-5.0: -5.0, -2.0: -2.0})
-
-
-def test_weights_are_plain_options(plane: World) -> None:
-    env = gym.make("LIRS/Navigation-v1", rewards={"success": 3.0, "effort": 0})
-    again: Any = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json())).unwrapped
-    assert again.episodes.stage.rewards == Rewards(success=3.0, effort=0)
-    one = RobotEnv("navigation", world=plane, rewards={"success": 3.0, "effort": 0}, observe=["goal"])
-    one.reset(seed=0, options={"start": [0, 0, 0], "goal": [3, 0]})
-    terminated, total = False, 0.0
-    while not terminated:
-        _, reward, terminated, _, info = one.step(AHEAD)
-        total += reward
-    assert info["success"]
-    assert total == pytest.approx(3 + 3 - info["distance"], abs=0.3)
 
 
 @pytest.mark.parametrize(

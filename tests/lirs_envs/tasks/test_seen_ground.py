@@ -79,16 +79,6 @@ def test_beams_that_are_lost_or_too_near_see_nothing(plane: World) -> None:
     assert ground.wanted_cells[0] == 0
 
 
-def test_high_beams_see_no_ground(plane: World) -> None:
-    beams = np.array(((1.0, 0.0, 0.0),))
-    frame = seen_frame(plane)
-    for z, cells in ((0.9, 33), (1.1, 0)):
-        ground = SeenGround(1, frame.height.shape, beams, np.zeros(3), 1.0)
-        ground.begin(0, frame, np.isfinite(frame.height))
-        see(ground, np.array((np.inf,), np.float32), 8.0, Pose3(0.1, 0.1, z))
-        assert ground.cells[0] == cells
-
-
 def test_local_map_turns_with_the_robot(plane: World) -> None:
     beams = np.array(((1.0, 0.0, 0.0),))
     frame = seen_frame(plane)

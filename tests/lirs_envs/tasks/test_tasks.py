@@ -12,22 +12,13 @@ import pytest
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.observations import NO_GROUND
-from lirs_envs.robots.robot import Robot, make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_envs.tasks.site import SEEN_CELL, make_site
-from lirs_envs.tasks.task import (
-    TASKS,
-    MappingTask,
-    NavigationTask,
-    Rewards,
-    TraverseTask,
-    course_scale,
-    register_task,
-)
-from lirs_wct.arrays import FloatArray
+from lirs_envs.tasks.task import TASKS, MappingTask, NavigationTask, Rewards, register_task
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World
 
@@ -68,26 +59,6 @@ def test_a_robot_that_stands_earns_nothing_by_noise(
     assert rewards == [0.0] * 60
     if (world, robot) == ("rough", "husky"):
         assert info["seen_area"] > begin, "the noise shows ground"
-
-
-def test_a_robot_that_stops_at_each_period_s_end_earns_all_that_it_sees(rough: World) -> None:
-    """Full speed and standing still in turn, and turns to both sides, at few steps a second."""
-    for actions in (((1.0, 0.0), (0.0, 0.0)), ((0.0, 1.0), (0.0, -1.0))):
-        env = RobotEnv("mapping", world=rough, control_hz=5, rewards={"contact": 0.0, "effort": 0.0})
-        _, info = env.reset(seed=1)
-        begin = info["seen_area"]
-        total = 0.0
-        for k in range(30):
-            _, reward, *_, info = env.step(np.array(actions[k % 2], np.float32))
-            total += reward
-        assert total == pytest.approx(info["seen_area"] - begin)
-        assert total > 2
-
-
-@pytest.mark.parametrize("task", ["navigation", "traverse"])
-def test_tasks_with_obstacles_are_not_for_robots_that_fly(task: str) -> None:
-    with pytest.raises(ConfigError, match=f"the {task} task is for robots that drive, quadrotor flies over"):
-        RobotEnv(task, world="simple", robot="quadrotor")
 
 
 def test_mapping_ends_when_the_reachable_ground_is_seen(walled: World) -> None:
@@ -212,38 +183,6 @@ def test_traverse_progress_and_success() -> None:
     assert total == pytest.approx(10 + 100 * info["progress"] / first)
 
 
-@pytest.mark.parametrize("name", ["jackal", "turtlebot3_burger"])
-def test_an_easy_course_is_easy_for_a_small_robot(name: str) -> None:
-    """As wide and as steep for it as for a Husky: towards the goal it gets there, in about as much time."""
-    assert course_scale(make_robot("husky")) == (1.0, 1.0)
-    robot = make_robot(name)
-    env = RobotEnv("traverse", kind="slopes", robot=name, difficulty=0.0, observe=["goal"])
-    observation, info = env.reset(seed=1)
-    scale = robot.radius / make_robot("husky").radius
-    assert env.view.world.surface.size[0] == pytest.approx(25.6 * scale)
-    assert info["distance"] == pytest.approx(21.6 * scale, rel=0.1)
-    done = False
-    while not done:
-        turn = float(np.clip(observation["goal"][1], -1, 1))
-        observation, _, terminated, truncated, info = env.step(np.array((1.0, turn), np.float32))
-        done = terminated or truncated
-    assert info["success"]
-    assert info["time"] < 45
-
-
-def test_a_new_course_in_each_episode_or_the_same() -> None:
-    def courses(randomize: list[str]) -> list[bytes]:
-        env = RobotEnv("traverse", kind="stones", randomize=randomize)
-        found = []
-        for seed in (1, None, None):
-            env.reset(seed=seed)
-            found.append(env.view.world.surface.z.tobytes())
-        return found
-
-    assert len(set(courses(["terrain"]))) == 3
-    assert len(set(courses([]))) == 1
-
-
 def test_height_map_is_the_ground_around(rough: World) -> None:
     env = RobotEnv("mapping", world=rough, observe=["height_map"])
     for seed in range(3):
@@ -271,39 +210,6 @@ def test_height_map_has_no_ground_beyond_the_border_and_in_holes() -> None:
     assert (heights[7:] > -1).all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["steps", "waves"])
-def test_a_course_of_medium_difficulty_is_not_passed_straight_ahead_by_a_small_robot(kind: str) -> None:
-    """Straight ahead gains less than 40 % of the distance; the gentle way leads to the goal."""
-    robot, straight = make_robot("turtlebot2"), []
-    env = RobotEnv(
-        "traverse", kind=kind, robot=robot.name, difficulty=0.5, observe=["goal"], control_hz=5, time_limit=45
-    )
-    for seed, along in ((1, False), (3, False), (3, True)):
-        _, info = env.reset(seed=seed)
-        assert isinstance(env.episodes.task, TraverseTask)
-        whole, route = info["distance"], env.episodes.task.courses[0].route
-        done = False
-        while not done:
-            action = along_route(route, env.view.T_world_base, robot) if along else (1.0, 0.0)
-            _, _, terminated, truncated, info = env.step(np.array(action, np.float32))
-            done = terminated or truncated
-        if not along:
-            straight.append(max(info["progress"], 0.0) / whole)
-    assert info["success"]
-    assert np.mean(straight) < 0.4, straight
-
-
-def along_route(route: FloatArray, pose: Pose3, robot: Robot) -> tuple[float, float]:
-    """Return the action towards a point of a way (n, 2) two radii ahead of the nearest."""
-    nearest = int(np.argmin(np.hypot(*(route - (pose.x, pose.y)).T)))
-    far = np.hypot(*(route[nearest:] - route[nearest]).T) >= 2 * robot.radius
-    x, y = route[nearest + int(np.argmax(far))] if far.any() else route[-1]
-    bearing = math.remainder(math.atan2(y - pose.y, x - pose.x) - pose.yaw, math.tau)
-    ahead, turn = 0.5 * max(0.0, math.cos(2 * bearing)), float(np.clip(1.2 * bearing, -0.8, 0.8))
-    return ahead, turn / robot.max_turn_rate
-
-
 @pytest.mark.parametrize("limit", [math.inf, 7.3])
 @pytest.mark.parametrize("robot", ["husky", "turtlebot2"])
 def test_path_lengths_are_those_of_the_general_search(rough: World, robot: str, limit: float) -> None:
@@ -317,13 +223,6 @@ def test_path_lengths_are_those_of_the_general_search(rough: World, robot: str, 
         found = site.distances(start.x, start.y, limit)
         np.testing.assert_allclose(found, expected, rtol=1e-12)
         assert 100 < np.isfinite(found).sum() < free.size
-
-
-def test_no_path_starts_at_a_blocked_cell(rough: World, husky: Robot) -> None:
-    site = make_site(rough, husky)
-    row, col = np.argwhere(site.areas == 0)[100]
-    x, y = site.grid.centers(np.array([(row, col)]))[0].tolist()
-    assert not np.isfinite(site.distances(x, y)).any()
 
 
 PAGE = Path(__file__).parents[3] / "docs" / "howto" / "policy.md"
