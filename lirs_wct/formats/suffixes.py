@@ -7,22 +7,6 @@ MESHES = (".stl", ".dae", ".obj", ".ply", ".glb")
 """Mesh files."""
 CLOUDS = (".las", ".laz", ".pcd")
 """Point clouds; a .ply without faces is one, too."""
-RASTERS = (
-    ".asc",
-    ".hgt",
-    ".dt0",
-    ".dt1",
-    ".dt2",
-    ".img",
-    ".bil",
-    ".flt",
-    ".dem",
-    ".adf",
-    ".nc",
-    ".jp2",
-    ".xyz",
-)
-"""Elevation data besides GeoTIFF, by their usual suffixes; the content decides."""
 Encoding = Literal["gray", "terrain-rgb", "terrarium"]
 ENCODINGS: tuple[Encoding, ...] = ("gray", "terrain-rgb", "terrarium")
 """Encodings of heights in a picture: gray levels, or colors of map tiles."""

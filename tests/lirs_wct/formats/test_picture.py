@@ -1,4 +1,4 @@
-"""Decoded pictures: sizes that are legal, what is warned of, depth, and damage."""
+"""Decoded pictures: sizes that are legal, warnings, depth, and damage."""
 
 import struct
 import warnings
