@@ -1,4 +1,8 @@
-"""Mesh files of any common format, read upright: z up, meters."""
+"""Mesh files of any common format, read upright: z up, meters.
+
+trimesh reads real files wrongly: OBJ with relative indices, tabs or concave polygons, and STL with bytes
+behind its triangles.
+"""
 
 from __future__ import annotations
 

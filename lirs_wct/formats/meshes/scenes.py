@@ -1,4 +1,9 @@
-"""Files with a scene of instances: COLLADA and GLB (glTF 2.0)."""
+"""Files with a scene of instances: COLLADA and GLB (glTF 2.0).
+
+trimesh and pycollada read real files wrongly: they leave out skinned instances and those whose material is
+missing, fill holes and notches of polygons, do not scale normalized integers, and give zeros for compressed
+shapes.
+"""
 
 from __future__ import annotations
 
