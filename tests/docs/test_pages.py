@@ -20,6 +20,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 COMMAND = re.compile(r"^ *(?:\$ )?(lirs-wct [a-z].*)$|`(lirs-wct [a-z][^`]* [^`]*)`", re.MULTILINE)
 PACKAGES = "lirs_wct|lirs_envs|slam_baselines|lirs_validation|lirs_extensions"
+FOLDERS = f"{PACKAGES}|envs|benchmarks|tests|examples|docs/pictures"
 ENVIRONMENTS = (DOCS / "reference" / "environments.md").read_text()
 
 
@@ -42,7 +43,7 @@ def test_modules_and_files_that_the_pages_name_exist() -> None:
         text = page.read_text()
         for name in re.findall(rf"`((?:{PACKAGES})(?:\.\w+)+)`", text):
             assert resolve_name(name) is not None, page
-        for path in re.findall(rf"`((?:{PACKAGES}|envs|benchmarks|tests|examples)/[\w./]+)`", text):
+        for path in re.findall(rf"(?:`|python )((?:{FOLDERS})/[\w./]+)", text):
             assert "NAME" in path or (ROOT / path).exists(), (page, path)
 
 
