@@ -29,9 +29,9 @@ from lirs_wct.drawing.canvas import (
     BLUE,
     GRAY,
     GREEN,
-    MARGIN,
+    MAP_MARGIN,
     PAGE_DPI,
-    TEXT,
+    TEXT_SIZE,
     UNKNOWN_SHADE,
     VERMILLION,
     WALL,
@@ -158,7 +158,7 @@ def shown_bounds(
     seen = np.array(bounds_shown(truth, true_pose))
     low = np.maximum(seen[:2], world.surface.bounds[:2])
     high = np.minimum(seen[2:], world.surface.bounds[2:])
-    middle, half = (low + high) / 2, np.maximum((high - low) / 2, MARGIN)
+    middle, half = (low + high) / 2, np.maximum((high - low) / 2, MAP_MARGIN)
     west, south = (middle - half).tolist()
     east, north = (middle + half).tolist()
     return west, south, east, north
@@ -205,7 +205,7 @@ def _draw_built_map(
     if f1 is not None:
         box = {"facecolor": "white", "edgecolor": GRAY, "linewidth": 0.6, "boxstyle": "square,pad=0.3"}
         corner = axes.transAxes
-        axes.text(0.02, 0.03, f"F1 {f1:.3f}", transform=corner, fontsize=TEXT, color=BLACK, bbox=box)
+        axes.text(0.02, 0.03, f"F1 {f1:.3f}", transform=corner, fontsize=TEXT_SIZE, color=BLACK, bbox=box)
     handles = [
         Patch(color="black", label="occupied"),
         Patch(color=VERMILLION, label="> 0.10 m off"),

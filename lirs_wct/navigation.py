@@ -306,7 +306,7 @@ def nearest_place(free: OccupancyGrid, place: tuple[float, float]) -> str | None
     return f"{x:.2f},{y:.2f}"
 
 
-MARGIN = 0.22
+START_CLEARANCE = 0.22
 """Free ground beyond a robot's radius at a roomy start, meters."""
 TIGHT_MARGIN = 0.15
 """The same without a roomy start, meters; path planning keeps this margin."""
@@ -332,7 +332,7 @@ class Footprint:
     def limits(self) -> tuple[tuple[float, float], ...]:
         """Clearance (meters) and slope (radians) of a roomy start, then of any start."""
         return (
-            (round(self.radius + MARGIN, 6), min(self.max_slope, GENTLE)),
+            (round(self.radius + START_CLEARANCE, 6), min(self.max_slope, GENTLE)),
             (round(self.radius + TIGHT_MARGIN, 6), self.max_slope),
         )
 

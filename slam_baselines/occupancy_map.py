@@ -369,7 +369,7 @@ STEP = 0.1
 """Log-odds of one step of the layer `log_odds`."""
 TOP_STEP = 0.01
 """Meters of one step of the layer `top`."""
-ABOVE = 10
+STEPS_ABOVE = 10
 """Steps of `top` above a wall's highest hit from which on a beam passes over the wall."""
 FULL = 255
 """Largest `value`: a certain wall."""
@@ -437,7 +437,7 @@ def enter_trace(
                 continue
             if wall_slope > 0 and min_slope[r, c] >= wall_slope:
                 height = scan.origin[2] + trace.steps[i] * trace.rise[b]
-                if height / TOP_STEP > top[r, c] + ABOVE:
+                if height / TOP_STEP > top[r, c] + STEPS_ABOVE:
                     continue
             _change(layers, r, c, steps[0], wall_slope, steps[2])
         first = end

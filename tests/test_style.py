@@ -22,6 +22,16 @@ BRITISH = re.compile(
     r"metre|colour|centre|neighbour|behaviour|grey|normalise|serialise|initialise|modelling|labelled"
     r"|\banalyse[dr]?\b"
 )
+VAGUE = re.compile(
+    r"^\s+\*{0,2}\w+(?: \([^)]*\))?: (?:of|that|the same|its|where|in which|with which|by which|from which"
+    r"|to which|for which|at which|on which|whose|as)\b"
+)
+"""A line on an attribute or argument that does not say what the value is."""
+WITHOUT_NOUN = re.compile(
+    r"^_?(?:LEAST|MOST|FEWEST|FEW|MANY|WIDE|WIDEST|NARROW|NEAR|FAR|MARGIN|BRIEF|SMALL|LARGE|FINE|KEPT|GIVEN"
+    r"|ABOVE|BELOW|BEHIND|AROUND|ACROSS|LONGEST|SLOWEST|FASTEST|STEEPEST|FLATTEST|SPARE)$"
+)
+"""Names of constants that say no quantity."""
 PARTICIPLE = re.compile(r"^_*[a-z]+ed$")
 VERBS = {"seed", "speed", "feed", "need"}
 
@@ -115,3 +125,28 @@ def test_class_names_are_unique() -> None:
     )
     twice = sorted(name for name, count in names.items() if count > 1)
     assert len(twice) <= LIMITS["class_names_twice"], twice
+
+
+def test_attribute_lines_say_what_the_value_is() -> None:
+    found = [
+        f"{name}:{number} {line.strip()}"
+        for name, text in sources().items()
+        for number, line in enumerate(text.splitlines(), 1)
+        if VAGUE.match(line)
+    ]
+    assert len(found) <= LIMITS["vague_attribute_lines"], found
+
+
+@pytest.mark.slow
+def test_constants_name_a_quantity() -> None:
+    found = [
+        f"{name}:{target.lineno} {target.id}"
+        for name, tree in trees().items()
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        for target in ast.walk(node)
+        if isinstance(target, ast.Name)
+        and isinstance(target.ctx, ast.Store)
+        and WITHOUT_NOUN.match(target.id)
+    ]
+    assert not found

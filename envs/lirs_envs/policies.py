@@ -95,7 +95,7 @@ class RandomActions:
         return self._action.copy()
 
 
-MARGIN = 0.15
+SIDE_CLEARANCE = 0.15
 """Lateral clearance of the robot, meters."""
 HORIZON = 4.0
 """Distance beyond which obstacles are ignored, meters."""
@@ -122,7 +122,7 @@ class GoToGoal:
     def __init__(self, context: PolicyContext) -> None:
         robot, lidar = context.robot, context.lidar
         self._size, self._period = context.action_size, context.period
-        self._radius = robot.radius + MARGIN
+        self._radius = robot.radius + SIDE_CLEARANCE
         self._speed, self._turn = robot.max_speed, robot.max_turn_rate
         angles = lidar.angle_min + lidar.angle_increment * np.arange(lidar.beams)
         self._beams = np.column_stack((np.cos(angles), np.sin(angles)))

@@ -22,7 +22,7 @@ POLICY_HELP = (
     "module:name of your own: a class or function that makes something with reset(info) and "
     "act(observation) -> action."
 )
-FEW = 3
+MAX_LISTED = 3
 """Episodes in which a policy failed that are named one by one."""
 
 
@@ -156,8 +156,8 @@ def _show(
 
 def _tell_failures(result: PolicyResult) -> None:
     failed = {name: entry for name, entry in result.episodes.items() if entry["status"] != "ok"}
-    for name, entry in list(failed.items())[:FEW]:
+    for name, entry in list(failed.items())[:MAX_LISTED]:
         line = f"{result.policy.label} failed on {name}: {entry['reason']}"
         note(line, style="red")
-    if len(failed) > FEW:
-        note(f"... and on {len(failed) - FEW} other tasks", style="red")
+    if len(failed) > MAX_LISTED:
+        note(f"... and on {len(failed) - MAX_LISTED} other tasks", style="red")

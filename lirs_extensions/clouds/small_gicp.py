@@ -15,7 +15,7 @@ from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import PointCloud
 from slam_baselines.kiss_icp import sweep_times
 
-KEPT = 10**6
+VOXEL_LIFETIME = 10**6
 """Sweeps for which a voxel is kept that no sweep meets: the robot comes back."""
 
 
@@ -53,7 +53,7 @@ class SmallGicp(TimedSystem):
 
         self._gicp, self._config = small_gicp, config
         self._map = small_gicp.GaussianVoxelMap(config.voxel_size)
-        self._map.set_lru(horizon=KEPT)
+        self._map.set_lru(horizon=VOXEL_LIFETIME)
         self._pose, self._motion = np.eye(4), np.eye(4)
         self._mount: FloatArray | None = None
 

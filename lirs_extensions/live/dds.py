@@ -31,7 +31,7 @@ from lirs_extensions.live.middleware import Received, own_address
 from lirs_extensions.live.options import Distribution, LiveOptions
 from lirs_wct.errors import ConfigError
 
-PATIENT, BRIEF = 10.0, 0.1
+LOCKSTEP_WAIT, REALTIME_WAIT = 10.0, 0.1
 """Seconds for which a message waits for a slow reliable subscriber, with lockstep and in real time."""
 CONFIG = """
 <CycloneDDS><Domain>
@@ -61,7 +61,7 @@ class DdsNode:
 
     def __init__(self, options: LiveOptions, topics: tuple[LiveTopic, ...]) -> None:
         self._ros, self._warned = options.ros, set[str]()
-        self._patience = PATIENT if options.lockstep else BRIEF
+        self._patience = LOCKSTEP_WAIT if options.lockstep else REALTIME_WAIT
         host = own_address(options.host)
         config = CONFIG.format(host=host, multicast="false" if options.host is None else "spdp")
         try:

@@ -159,7 +159,7 @@ class HectorOriginalMapper(PlanarMapper):
         )
 
 
-MOST = 50.0
+MAX_LOG_ODDS = 50.0
 """Upper limit of the log-odds of a raised cell."""
 LARGEST_TURN = 0.2
 """Largest turn of one Gauss-Newton step, radians."""
@@ -297,7 +297,7 @@ def _draw(layers: Any, cells: Any, scan: int, odds: Any) -> None:
         if drawn[row, col] < scan + 1:
             if drawn[row, col] == scan:  # passed by another beam of this scan: a hit wins
                 _change(log_odds, probability, row, col, -odds[0])
-            if log_odds[row, col] < MOST:
+            if log_odds[row, col] < MAX_LOG_ODDS:
                 _change(log_odds, probability, row, col, odds[1])
             drawn[row, col] = scan + 1
 

@@ -178,7 +178,7 @@ PATIENCE = 6
 """Generations without a better case after which the search restarts at a random place."""
 BATCH = 12
 """Cases of a batch of the random search."""
-FEWEST = 2
+MIN_PARAMETERS = 2
 """Fewest free parameters of CMA-ES; one alone is drawn at random."""
 
 
@@ -258,7 +258,7 @@ def make_proposer(kind: str, limits: SearchSpace, rng: np.random.Generator) -> C
         ConfigError: the package `cma` is not installed, or no parameter is free.
     """
     limits.require_free()
-    if kind == "random" or len(limits.free) < FEWEST:
+    if kind == "random" or len(limits.free) < MIN_PARAMETERS:
         return RandomProposer(limits, rng)
     return CmaProposer(limits, rng)
 

@@ -24,7 +24,7 @@ from lirs_wct.errors import ConfigError, MapperError, WctError, did_you_mean
 
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 """Error numbers of a full disk."""
-LONGEST = 900
+MAX_MESSAGE_LENGTH = 900
 """Characters of an error message, at most; of longer ones the middle is omitted."""
 COMMANDS: Mapping[str, str] = {
     "verdict": "lirs_extensions.decide.command:verdict",
@@ -134,8 +134,8 @@ def main() -> None:
 
 
 def _fail(message: str, code: int = ExitCode.BAD_INPUT) -> None:
-    if len(message) > LONGEST:
-        message = f"{message[: LONGEST - 200]} ... {message[-200:]}"
+    if len(message) > MAX_MESSAGE_LENGTH:
+        message = f"{message[: MAX_MESSAGE_LENGTH - 200]} ... {message[-200:]}"
     note(f"lirs-wct: {message}", style="red")
     sys.exit(code)
 

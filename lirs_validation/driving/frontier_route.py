@@ -202,7 +202,7 @@ def _in_sight(known: BoolArray, eye: IntArray, cells: IntArray) -> BoolArray:
 
 REACH = 0.3
 """Meters beyond the footprint from which a frontier counts as reached."""
-NEAR, FAR, LOOKS = 8.0, 16.0, 3.0
+NEAR_DISTANCE, FAR_DISTANCE, LOOKS = 8.0, 16.0, 3.0
 """A frontier that was in sight from so near (meters) in so many plans, and is still one, stays unknown; looks
 from farther away count by the square of the distance, beyond the second one not at all."""
 PLACE = 0.2
@@ -301,7 +301,11 @@ class FrontierRoute:
         cells = np.argwhere(frontier)
         places = np.floor(chart.grid.centers(cells) / PLACE).astype(np.int64) @ (1, 1 << 32)
         distance = distance_in_sight(chart, pose, cells)
-        looks = np.where(distance <= FAR, np.minimum(1.0, (NEAR / np.maximum(distance, NEAR)) ** 2), 0.0)
+        looks = np.where(
+            distance <= FAR_DISTANCE,
+            np.minimum(1.0, (NEAR_DISTANCE / np.maximum(distance, NEAR_DISTANCE)) ** 2),
+            0.0,
+        )
         looked = looks > 0
         for place, look in dict(zip(places[looked].tolist(), looks[looked].tolist(), strict=True)).items():
             self._looks[place] = self._looks.get(place, 0.0) + look

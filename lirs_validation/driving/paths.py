@@ -15,7 +15,7 @@ from lirs_wct.geometry import OccupancyGrid, Pose2
 
 COMFORTABLE = 0.6
 """Preferred distance of a path to blocked cells, meters."""
-NARROW = 6.0
+NO_CLEARANCE_COST = 6.0
 """Cost factor of a meter without any clearance."""
 TURN = 6.0
 """Cost of a turn by 180 deg in the choice of the next goal, meters."""
@@ -35,10 +35,10 @@ def room_in(free: BoolArray, resolution: float) -> FloatArray:
 def path_weight(free: BoolArray, room: FloatArray) -> FloatArray:
     """Return (rows, cols) the cost of a meter in each cell.
 
-    1 with enough clearance, up to NARROW with none, inf where not free.
+    1 with enough clearance, up to NO_CLEARANCE_COST with none, inf where not free.
     """
     lack = 1 - np.minimum(room / COMFORTABLE, 1.0)
-    return np.where(free, 1 + (NARROW - 1) * lack**2, np.inf)
+    return np.where(free, 1 + (NO_CLEARANCE_COST - 1) * lack**2, np.inf)
 
 
 def room_at(grid: OccupancyGrid, room: FloatArray, points: FloatArray) -> FloatArray:

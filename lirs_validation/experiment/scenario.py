@@ -17,7 +17,7 @@ from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import LogSourceError
 from lirs_wct.sources.frame import Window, driven_window
 
-KEPT = 2
+MAX_WORLDS = 2
 """Worlds that a cache holds at a time; memory stays flat over a long sweep."""
 
 
@@ -98,7 +98,7 @@ class ScenarioCache:
     def put(self, scenario: Scenario) -> None:
         """Keep a scenario that was built elsewhere."""
         self._kept[(scenario.config.source, scenario.config.build)] = scenario
-        while len(self._kept) > KEPT:
+        while len(self._kept) > MAX_WORLDS:
             self._kept.popitem(last=False)
 
     def clear(self) -> None:

@@ -39,7 +39,7 @@ MIN_SCALE = 0.1
 """Smallest error at the upper end of the color scale, meters."""
 POINTS = 1500
 """Largest number of drawn path points."""
-ABOVE = 0.15
+DRAWN_HEIGHT = 0.15
 """Height of the estimated path and the map above the ground, meters."""
 FOOT = 0.5
 """Radius of the ground search around a cell, meters; the cell may be on top of an obstacle."""
@@ -62,7 +62,7 @@ LEGEND = (
     "<b style='color:#D55E00'>estimated</b> path; north is up, {}<br>its error in the scene: 0 "
     "<span style='background:linear-gradient(90deg,#0d0887,#cc4778,#f0f921);padding:0 1.2em'></span> {:.2f} m"
 )
-BEHIND = np.array((0.0, -9.0, 7.0))
+CAMERA_OFFSET = np.array((0.0, -9.0, 7.0))
 """Initial offset of the camera from the robot, meters."""
 TURNING = 2.0
 """Seconds during which the browser may still report the old camera pose."""
@@ -195,7 +195,7 @@ class DriveScene:
     def approach(self, position: FloatArray) -> None:
         """Look at a place from the south; north is up, as in the map."""
         self._turning_until = time.monotonic() + TURNING
-        self._look_at(position, BEHIND)
+        self._look_at(position, CAMERA_OFFSET)
 
     def show_course(self, curve: FloatArray, marks: Sequence[tuple[float, str]]) -> None:
         """Show error and real-time factor over time, and events."""
@@ -218,7 +218,7 @@ class DriveScene:
                 "/drive/scan", moment.scan, SCAN, point_size=0.07, point_shape="circle", precision="float32"
             )
             self._show_fan(moment)
-            lifted = moment.truth + np.array((0.0, 0.0, ABOVE))
+            lifted = moment.truth + np.array((0.0, 0.0, DRAWN_HEIGHT))
             _add_path(scene, "/drive/truth", lifted, np.array([int(255 * v) for v in to_rgb(BLUE)]))
             on_ground = self._on_ground(moment.estimate, T.z)
             _add_path(scene, "/drive/estimate", on_ground, error_colors(moment.errors))
@@ -269,7 +269,7 @@ class DriveScene:
         z = np.full(len(points), np.nan)
         if self._surface is not None:
             z = self._surface.height_at(points[:, 0], points[:, 1])
-        return np.column_stack((points, np.where(np.isfinite(z), z, otherwise) + ABOVE))
+        return np.column_stack((points, np.where(np.isfinite(z), z, otherwise) + DRAWN_HEIGHT))
 
     def _at_foot(self, points: FloatArray) -> FloatArray:
         """Return points (n, 3) slightly above the lowest ground near them."""
@@ -282,7 +282,7 @@ class DriveScene:
         if not self.follow:
             return
         camera, turning = self._client.camera, time.monotonic() < self._turning_until
-        self._look_at(position, BEHIND if turning else camera.position - camera.look_at)
+        self._look_at(position, CAMERA_OFFSET if turning else camera.position - camera.look_at)
 
     def _look_at(self, position: FloatArray, away: FloatArray) -> None:
         camera = self._client.camera

@@ -19,7 +19,7 @@ PAUSE, PERIODS = 1.0, 5.0
 """Shortest pause of a topic, seconds, and in its periods."""
 LATE = 0.5
 """Shortest time by which the odometry begins or ends too late or early, seconds."""
-JUMP, FAST, FAR = 1.0, 10.0, 1000.0
+JUMP, FAST, MAX_JUMP = 1.0, 10.0, 1000.0
 """Shortest jump of the odometry, meters, the speed over it, m/s, and a jump that leaves no map, meters."""
 FEW_RETURNS, SEEING = 10, 0.5
 """Returns of a scan that sees its surroundings, and share of such scans, at least."""
@@ -177,7 +177,7 @@ def _odometry_faults(log: LaserLog) -> Iterator[Deviation]:
     jumps = steps[steps > np.maximum(max(JUMP, usual), FAST * np.diff(log.track.stamps))]
     if len(jumps):
         said = f"odometry jumps by up to {jumps.max():.1f} m ({len(jumps)} x)"
-        yield Deviation(said, unfit=True, hopeless=float(jumps.max()) > FAR)
+        yield Deviation(said, unfit=True, hopeless=float(jumps.max()) > MAX_JUMP)
 
 
 def _scan_faults(log: LaserLog) -> Iterator[Deviation]:

@@ -121,7 +121,7 @@ def describe_map(grid: OccupancyGrid) -> dict[str, Any]:
     }
 
 
-MANY = 8
+MAX_REASONS = 8
 """Reasons for skipping that are listed one by one."""
 
 
@@ -230,7 +230,7 @@ def _odometry_lines(ate: float, alone: Mapping[str, Any] | None) -> list[tuple[s
 def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:
     """Return the commonest reasons, and the rest in one."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
-    if len(ordered) <= MANY:
+    if len(ordered) <= MAX_REASONS:
         return ordered
-    rest = ordered[MANY:]
-    return [*ordered[:MANY], (f"{len(rest)} other reasons", sum(count for _, count in rest))]
+    rest = ordered[MAX_REASONS:]
+    return [*ordered[:MAX_REASONS], (f"{len(rest)} other reasons", sum(count for _, count in rest))]

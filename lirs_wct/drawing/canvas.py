@@ -34,22 +34,22 @@ DPI, PAGE_DPI, SCREEN_DPI = 150, 100, 72
 """Resolution of files, of the overviews of runs and mapped logs, and in Jupyter, dots per inch."""
 COMPRESSION = 3
 """zlib level of PNG files; the usual level 6 takes twice the time for 4 % fewer bytes."""
-TITLE, TEXT, SMALL = 10.5, 9.0, 8.0
+TITLE_SIZE, TEXT_SIZE, SMALL_SIZE = 10.5, 9.0, 8.0
 """Font sizes, points."""
 
 BLUE, VERMILLION, GREEN, BLACK, GRAY = "#0072B2", "#D55E00", "#009E73", "#1a1a1a", "#6b6b6b"
 """Okabe and Ito's colors: distinct with every kind of color blindness and in gray."""
 
-LEFT, BELOW, GAP, RIM = 0.9, 0.6, 0.35, 0.12
+SPACE_LEFT, SPACE_BELOW, GAP, RIM = 0.9, 0.6, 0.35, 0.12
 """Space left of a map and below it (ticks and labels), between panels, and at the figure's rim, inches."""
-NARROW = 2.6
+MIN_LEGEND_WIDTH = 2.6
 """Panel width below which the legend does not fit above the right end, inches."""
 
 
 def title(axes: Axes, text: str, *, above_legend: bool = False) -> None:
     """Set a panel's title, left-aligned; above a legend it takes a separate line."""
-    pad = 5 + (SMALL + 8 if above_legend else 0)
-    axes.set_title(text, fontsize=TITLE, loc="left", color=BLACK, pad=pad)
+    pad = 5 + (SMALL_SIZE + 8 if above_legend else 0)
+    axes.set_title(text, fontsize=TITLE_SIZE, loc="left", color=BLACK, pad=pad)
 
 
 def length(meters: float) -> str:
@@ -59,9 +59,9 @@ def length(meters: float) -> str:
 
 def plain_axes(axes: Axes, x: str, y: str) -> None:
     """Label axes, shrink ticks, hide the frame's upper and right side."""
-    axes.set_xlabel(x, fontsize=TEXT, color=BLACK)
-    axes.set_ylabel(y, fontsize=TEXT, color=BLACK)
-    axes.tick_params(labelsize=SMALL, length=3, width=0.6, colors=BLACK)
+    axes.set_xlabel(x, fontsize=TEXT_SIZE, color=BLACK)
+    axes.set_ylabel(y, fontsize=TEXT_SIZE, color=BLACK)
+    axes.tick_params(labelsize=SMALL_SIZE, length=3, width=0.6, colors=BLACK)
     for side, spine in axes.spines.items():
         spine.set_linewidth(0.6)
         spine.set_visible(side in ("left", "bottom"))
@@ -88,7 +88,7 @@ def legend(axes: Axes, handles: Sequence[Any], *, side: Literal["left", "right"]
         loc="lower left" if side == "left" else "lower right",
         bbox_to_anchor=(float(side == "right"), 1.0),
         ncols=len(handles),
-        fontsize=SMALL,
+        fontsize=SMALL_SIZE,
         frameon=False,
         borderpad=0.1,
         borderaxespad=0.15,
@@ -106,8 +106,8 @@ def value_list(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
     step = 1.0 / max(len(lines), 10)
     heights = 0.94 - step * np.arange(len(lines))
     for y, (name, value) in zip(heights, lines, strict=True):
-        axes.text(0.0, y, name, fontsize=TEXT, color=BLACK, va="center")
-        axes.text(1.0, y, value, fontsize=TEXT, color=BLACK, va="center", ha="right")
+        axes.text(0.0, y, name, fontsize=TEXT_SIZE, color=BLACK, va="center")
+        axes.text(1.0, y, value, fontsize=TEXT_SIZE, color=BLACK, va="center", ha="right")
     axes.hlines(heights - step / 2, 0.0, 1.0, color=GRAY, linewidth=0.4, alpha=0.5)
 
 
@@ -158,20 +158,20 @@ def page_of_panels(
 ) -> tuple[Drawing, GridSpec]:
     """Return a page with a headline, and the grid of its panels (sizes in inches)."""
     head = 0.5 + 0.21 * (1 + text.count("\n"))
-    width = len(widths) * LEFT + sum(widths) + RIM
-    height = head + sum(heights) + len(heights) * (BELOW + GAP) - GAP
+    width = len(widths) * SPACE_LEFT + sum(widths) + RIM
+    height = head + sum(heights) + len(heights) * (SPACE_BELOW + GAP) - GAP
     page = bare_figure(width, height, dpi)
-    page.suptitle(text, fontsize=TITLE + 1.5, x=0.012, ha="left", color=BLACK)
+    page.suptitle(text, fontsize=TITLE_SIZE + 1.5, x=0.012, ha="left", color=BLACK)
     grid = page.add_gridspec(
         *(len(heights), len(widths)),
         height_ratios=heights,
         width_ratios=widths,
-        left=LEFT / width,
+        left=SPACE_LEFT / width,
         right=1 - RIM / width,
         top=1 - head / height,
-        bottom=BELOW / height,
-        wspace=LEFT * len(widths) / sum(widths),
-        hspace=(BELOW + GAP) * len(heights) / sum(heights),
+        bottom=SPACE_BELOW / height,
+        wspace=SPACE_LEFT * len(widths) / sum(widths),
+        hspace=(SPACE_BELOW + GAP) * len(heights) / sum(heights),
     )
     return page, grid
 
@@ -183,7 +183,7 @@ def new_figure(width: float, height: float) -> Drawing:
     return figure
 
 
-MARGIN = 1.0
+MAP_MARGIN = 1.0
 """Margin around paths and known cells, meters."""
 TYPICAL_SLOPE = 0.25
 """Median slope in a hillshade, rise over run, to which heights are exaggerated up to 6 times."""
@@ -269,8 +269,8 @@ def bounds_shown(path: Trajectory, grid: OccupancyGrid) -> tuple[float, float, f
     if known is not None:
         boxes.append(known)
     seen = np.array(boxes)
-    west, south = (seen[:, :2].min(axis=0) - MARGIN).tolist()
-    east, north = (seen[:, 2:].max(axis=0) + MARGIN).tolist()
+    west, south = (seen[:, :2].min(axis=0) - MAP_MARGIN).tolist()
+    east, north = (seen[:, 2:].max(axis=0) + MAP_MARGIN).tolist()
     return west, south, east, north
 
 

@@ -24,10 +24,10 @@ from lirs_wct.drawing.canvas import (
     DPI,
     FLOOR,
     GRAY,
-    LEFT,
-    NARROW,
-    SMALL,
-    TEXT,
+    MIN_LEGEND_WIDTH,
+    SMALL_SIZE,
+    SPACE_LEFT,
+    TEXT_SIZE,
     VERMILLION,
     WALL,
     Canvas,
@@ -59,7 +59,7 @@ BAR = 0.13
 """Width of the color scale, inches."""
 LETTERS = 8.5
 """Letters per inch of the headline."""
-WIDE = 2.5
+MAX_ASPECT = 2.5
 """Ratio of width to depth above which the panels are stacked vertically."""
 BLOCK_NODES = 700
 """Limit of nodes along each side of the terrain in the oblique view."""
@@ -76,7 +76,7 @@ def view_figure(world: World) -> Drawing:
     """Draw a world from above with start poses, and at an angle, without OpenGL or pyplot."""
     canvas, block = Canvas.over(world.surface.bounds), block_picture(world)
     ratios = [cols / rows for rows, cols in (canvas.shape, block.shape[:2])]
-    stacked = ratios[0] > WIDE
+    stacked = ratios[0] > MAX_ASPECT
     fitting = [min(WIDTH if stacked else HALF, TALL * ratio) for ratio in ratios]
     heights = [width / ratio for width, ratio in zip(fitting, ratios, strict=True)]
     widths = [max(width, NARROWEST) for width in fitting]
@@ -84,7 +84,7 @@ def view_figure(world: World) -> Drawing:
         widths = [max(widths)]
     else:
         heights = [max(heights)]
-    letters = int(LETTERS * (sum(widths) + len(widths) * LEFT))
+    letters = int(LETTERS * (sum(widths) + len(widths) * SPACE_LEFT))
     text = f"{world_title(world)}; {'below' if stacked else 'right'}: {_seen_from(world)}"
     page, grid = page_of_panels(textwrap.fill(text, letters), heights, [*widths, BAR], DPI)
     above = page.add_subplot(grid[0, 0], anchor="N")
@@ -143,7 +143,7 @@ def _starts(axes: Axes, world: World, width: float) -> None:
         # Next to the arrow: behind it, the border of the panel would hide the number of a start in a corner.
         beside = (-9 * math.sin(pose.yaw), 9 * math.cos(pose.yaw))
         label = axes.annotate(str(number), (pose.x, pose.y), beside, textcoords="offset points", zorder=7)
-        label.set(fontsize=SMALL, color=BLACK, ha="center", va="center")
+        label.set(fontsize=SMALL_SIZE, color=BLACK, ha="center", va="center")
         label.set_path_effects([withStroke(linewidth=2, foreground="white")])
     handles: list[Line2D | Patch] = []
     if world.spawn_poses:
@@ -151,7 +151,7 @@ def _starts(axes: Axes, world: World, width: float) -> None:
     if world.walls is not None:
         handles.append(Patch(color=WALL, label=f"wall, {world.walls.height:g} m"))
     if handles:
-        legend(axes, handles, side="left" if width < NARROW else "right")
+        legend(axes, handles, side="left" if width < MIN_LEGEND_WIDTH else "right")
 
 
 def _exaggeration(world: World) -> float:
@@ -169,7 +169,7 @@ def height_scale(figure: Figure, surface: HeightField, **where: Any) -> None:
     limits = Normalize(float(surface.z.min()), float(surface.z.max()))
     bar = figure.colorbar(ScalarMappable(limits, height_colors()), **where)
     plain_axes(bar.ax, "", "")
-    bar.set_label("height [m]", fontsize=TEXT)
+    bar.set_label("height [m]", fontsize=TEXT_SIZE)
     bar.outline.set_visible(False)
 
 

@@ -238,7 +238,7 @@ SKY = {"rgb1": (0.72, 0.80, 0.90), "rgb2": (0.93, 0.94, 0.95)}
 """Colors of the sky above and at the horizon, RGB."""
 SUN = (0.5, -0.5, -0.7071)
 """Direction in which the light travels: from the north-west, as in the drawn textures."""
-NEAR, FAR, DEPTHS = 0.02, 5.0, 4e5
+NEAR_PLANE, FAR_PLANE, DEPTHS = 0.02, 5.0, 4e5
 """Near plane of a camera (meters), far plane (extents of the world), and largest ratio of far to near plane.
 A sky at 4e6 times the near plane is clipped."""
 FOVY = math.radians(45)
@@ -318,7 +318,7 @@ def _add_settings(root: Element, low: FloatArray, high: FloatArray) -> None:
     _add(visual, "global", azimuth=azimuth, elevation=elevation, offwidth=1920, offheight=1080)
     _add(visual, "headlight", ambient=(0.5, 0.5, 0.5), diffuse=(0.2, 0.2, 0.2), specular=(0, 0, 0))
     # A share of the extent, by default 1 %: half a meter in a world of 50 m.
-    _add(visual, "map", znear=max(NEAR / extent, FAR / DEPTHS), zfar=FAR)
+    _add(visual, "map", znear=max(NEAR_PLANE / extent, FAR_PLANE / DEPTHS), zfar=FAR_PLANE)
 
 
 def _copy_contact_geoms(assets: Element, body: Element, contact: mujoco.MjSpec) -> None:

@@ -29,7 +29,7 @@ FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield", "glb", "usd", "map")
 DEFAULT_FORMATS = FORMATS[:4]
 GAZEBO_FOVY = 2 * math.atan(math.tan(math.radians(30)) * 3 / 4)
 """Vertical field of view of Gazebo's window, which is 60 deg wide, at 4:3, radians."""
-LARGE = 1_000_000
+MAX_MESH_NODES = 1_000_000
 """Nodes of a surface above which an STL of the full grid is streamed without a mesh in memory."""
 
 GazeboTerrain = Literal["solid", "heightmap"]
@@ -164,7 +164,7 @@ def _streams(world: World) -> bool:
     """Whether the mesh is the full grid of a large surface, whose STL is streamed."""
     settings = world.file_options
     plain = world.kind == "terrain" and not settings.limited and settings.rotate_x == 0
-    return plain and world.surface.z.size > LARGE
+    return plain and world.surface.z.size > MAX_MESH_NODES
 
 
 def _mesh_path(world: World, folder: Path, kind: str) -> Path:

@@ -228,9 +228,9 @@ def _relief(pixels: NDArray[Any], info: RasterInfo) -> float:
     return float(np.ptp(known)) * abs(info.scale) * (info.unit or 1.0) if known.size else 0.0
 
 
-FLATTEST, STEEPEST = 1e-5, 3.0
+MIN_RELIEF, MAX_RELIEF = 1e-5, 3.0
 """Usual relief of a terrain, share of its width."""
-FINE = 0.02
+MAX_DEGREE_PIXEL = 0.02
 """Size of a pixel below which degrees are as likely as meters."""
 DEGREE = 111_320.0
 """Meters of a degree at the equator."""
@@ -250,13 +250,13 @@ def _are_degrees(affine: Affine, shape: tuple[int, int], relief: float) -> bool 
     if max(map(abs, x)) > 360 or max(map(abs, y)) > 90 + step or local:
         return False
     width = step * max(rows, cols)
-    as_meters = FLATTEST * width <= relief <= STEEPEST * width
-    as_degrees = FLATTEST * width * DEGREE <= relief <= STEEPEST * width * DEGREE
+    as_meters = MIN_RELIEF * width <= relief <= MAX_RELIEF * width
+    as_degrees = MIN_RELIEF * width * DEGREE <= relief <= MAX_RELIEF * width * DEGREE
     seconds, millimeters = (
         number > 0.5 and abs(number - round(number)) < 1e-4 * number
         for number in (step * 3600 * 9, step * 1000)
     )
-    if step >= FINE:
+    if step >= MAX_DEGREE_PIXEL:
         return as_degrees and not as_meters and seconds
     if as_degrees != as_meters:
         return as_degrees

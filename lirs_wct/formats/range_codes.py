@@ -66,7 +66,7 @@ UNUSUAL, USUAL = 100.0, 99.95
 """Median reading that is no meters; percentile of the readings that is their largest, without outliers."""
 SAME_RANGE, EXACT = 0.0005, 0.9
 """Largest difference of two readings of one code, meters, and share of them among the readings from it on."""
-SPREAD, NEAR, DENSER, SCANS = 5, 0.02, 5.0, 0.5
+SPREAD, MAX_DISTANCE_SHARE, DENSER, SCANS = 5, 0.02, 5.0, 0.5
 """Noisy readings for no return: width in centimeters; distance from range_max as a share of it; ratio to the
 readings in the meter below, and share of the scans, at least."""
 
@@ -115,7 +115,7 @@ class RangeDecoder:
             self.codes.append(f"range_max is {stated:g} m: the largest reading is taken, {largest:.2f} m")
         if far.size:
             self.codes.append(f"readings beyond {FARTHEST:g} m are left out")
-        if limit < (1 - NEAR) * self.farthest:
+        if limit < (1 - MAX_DISTANCE_SHARE) * self.farthest:
             self.farthest = given or largest
 
     def decode(self, ranges: Float32Array) -> Float32Array:
@@ -178,7 +178,7 @@ def _noisy_maximum(ranges: Float32Array, range_max: float) -> float:
 
     They come in most scans, and the histogram is much denser there than in the meter below.
     """
-    width = max(SPREAD, round(100 * NEAR * range_max))
+    width = max(SPREAD, round(100 * MAX_DISTANCE_SHARE * range_max))
     middle = round(100 * range_max)
     inside = (ranges > 0) & (ranges < range_max + width / 100)
     counts = np.bincount((ranges[inside] * 100).astype(np.int64), minlength=middle + width + 1)

@@ -13,7 +13,7 @@ from lirs_wct.arrays import FloatArray
 
 AZIMUTH, ELEVATION = math.radians(62), math.radians(-35)
 """Viewing direction of an overview: towards the north-north-east, and down."""
-SPARE = 1.05
+DISTANCE_FACTOR = 1.05
 """Camera distance, as a multiple of the least one that shows the whole box."""
 
 
@@ -58,5 +58,5 @@ def overview(low: ArrayLike, high: ArrayLike, fovy: float, aspect: float = 4 / 3
     ahead, right, up = ((corners - middle) @ axis for axis in camera_axes(AZIMUTH, -ELEVATION))
     half = math.tan(fovy / 2)
     least = np.maximum(np.abs(right) / (half * aspect), np.abs(up) / half) - ahead
-    eye = middle - camera_axes(AZIMUTH, -ELEVATION)[0] * float(least.max()) * SPARE
+    eye = middle - camera_axes(AZIMUTH, -ELEVATION)[0] * float(least.max()) * DISTANCE_FACTOR
     return Viewpoint((float(eye[0]), float(eye[1]), float(eye[2])), AZIMUTH, -ELEVATION)

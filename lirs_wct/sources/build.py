@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, LogSourceError
-from lirs_wct.formats.elevation import FLATTEST, STEEPEST
+from lirs_wct.formats.elevation import MAX_RELIEF, MIN_RELIEF
 from lirs_wct.geometry.heightfield import fewer_nodes
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
@@ -200,11 +200,11 @@ def unusual_figures(world: World, kind: SourceKind) -> Iterator[str]:
         yield from _unusual_map(world.ground)
         return
     relief = world.surface.relief if world.solid is None else float(np.ptp(world.solid.vertices[:, 2]))
-    if relief > STEEPEST * width:
+    if relief > MAX_RELIEF * width:
         codes = ', or do some values mean "no height" (--option nodata=VALUE)' if is_picture else ""
         times = f"{relief / width:.3g} x the width of {width:.4g} m"
         yield f"the relief of {relief:.4g} m is {times}: is a unit wrong{codes}?"
-    if relief < FLATTEST * width:
+    if relief < MIN_RELIEF * width:
         place = ": are its heights in another band, or in the alpha channel?" if is_picture else ""
         yield f"the ground is flat, {relief:.3g} m of relief on {width:.4g} m{place}"
     if isinstance(world.ground, Terrain) and world.ground.no_ground is None:

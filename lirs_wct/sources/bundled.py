@@ -18,7 +18,7 @@ from lirs_wct.errors import unknown_name
 
 PIXELS = 1025
 SIZE = 50.0
-MARGIN = 1.0
+BORDER_DISTANCE = 1.0
 """Distance of obstacles from the border, meters; twice that from the center, where robots start."""
 
 
@@ -110,7 +110,7 @@ def _with_obstacles(hills: FloatArray, recipe: Recipe, rng: np.random.Generator)
     z = hills.copy()
     keep_out = np.zeros((PIXELS, PIXELS), np.uint8)
     cell = SIZE / (PIXELS - 1)
-    margin = round(MARGIN / cell)
+    margin = round(BORDER_DISTANCE / cell)
     cv2.circle(keep_out, (PIXELS // 2, PIXELS // 2), 2 * margin, 1, -1)
     gap = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * round(recipe.gap / cell) + 1,) * 2)
     placed = 0

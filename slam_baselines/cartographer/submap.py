@@ -258,7 +258,7 @@ class Submaps:
             oldest.release()
 
 
-FASTEST = 1
+ZLIB_LEVEL = 1
 """Level of zlib: a higher one gains little on layers like these."""
 
 
@@ -326,7 +326,7 @@ class PackedLevel:
 
 
 def _pack(layer: NDArray[Any]) -> bytes:
-    return zlib.compress(layer.data, FASTEST)
+    return zlib.compress(layer.data, ZLIB_LEVEL)
 
 
 def _unpack(packed: bytes) -> ByteArray:

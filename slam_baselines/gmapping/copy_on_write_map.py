@@ -26,7 +26,7 @@ from slam_baselines.gmapping.patches import (
     space_needed,
 )
 from slam_baselines.leveling import ScanPoints
-from slam_baselines.occupancy_map import ABOVE, STEP, TOP_STEP, UNKNOWN, UpdateConfig
+from slam_baselines.occupancy_map import STEP, STEPS_ABOVE, TOP_STEP, UNKNOWN, UpdateConfig
 
 NEW, PASSED, WALL, DONE = 0, 1, 2, 4
 """Marks of a cell: not met yet; met by a beam; a wall not met yet; hit, or a wall with a beam above it.
@@ -205,7 +205,7 @@ def _pass_walls(table: Any, record: Any, top: Any, marks: Any, line: Any, rise: 
         if marks[line[k]] & WALL:
             place, cell = line[k] // CELLS, line[k] % CELLS
             highest = top[record[table[place // table.shape[1], place % table.shape[1]]], cell]
-            marks[line[k]] = DONE if (z + k * dz) / TOP_STEP > highest + ABOVE else PASSED
+            marks[line[k]] = DONE if (z + k * dz) / TOP_STEP > highest + STEPS_ABOVE else PASSED
 
 
 @njit

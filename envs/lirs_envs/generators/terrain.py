@@ -29,7 +29,7 @@ ENDS = 10.8
 """Distance of start and goal west and east of the center, meters."""
 LEG = 4.32
 """Distance along x between two bends of a route, meters."""
-STEEPEST = 1.4
+MAX_ROUTE_SLOPE = 1.4
 """Largest slope of a route between two bends, meters north or south per meter east."""
 WALL_HEIGHT = 1.0
 """Meters; above the lidar of every ground robot."""
@@ -53,7 +53,7 @@ def winding_route(rng: np.random.Generator, sway: float) -> FloatArray:
     x = np.linspace(-ENDS, ENDS, round(2 * ENDS / LEG) + 1)
     y = rng.uniform(-sway, sway, len(x))
     for k in range(1, len(x)):
-        y[k] = y[k - 1] + np.clip(y[k] - y[k - 1], -STEEPEST * LEG, STEEPEST * LEG)
+        y[k] = y[k - 1] + np.clip(y[k] - y[k - 1], -MAX_ROUTE_SLOPE * LEG, MAX_ROUTE_SLOPE * LEG)
     fine = np.linspace(0, len(x) - 1, 20 * (len(x) - 1) + 1)
     leg = np.minimum(fine.astype(np.int64), len(x) - 2)
     blend = (1 - np.cos(np.pi * (fine - leg))) / 2

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from lirs_envs.lidar.terrain_rays import EDGE, FAR, LEAF, ROW, TerrainMipmap, clip, inverse
+from lirs_envs.lidar.terrain_rays import EDGE, FAR_DISTANCE, LEAF, ROW, TerrainMipmap, clip, inverse
 from lirs_envs.walkers import HALF_LENGTH, RADIUS
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, njit
 from lirs_wct.geometry.walls import WallGrid
@@ -114,7 +114,7 @@ def _first_wall(
     u, v, du, dv, per_u, per_v = ray
     ny, nx = distance.shape
     east, north = 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0
-    far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
+    far_u, far_v = 0.0 if per_u != 0.0 else FAR_DISTANCE, 0.0 if per_v != 0.0 else FAR_DISTANCE
     i, j = min(max(int(u + t * du), 0), nx - 1), min(max(int(v + t * dv), 0), ny - 1)
     while True:
         free = np.int64(distance[j, i])  # int() of an unsigned stays unsigned in numba

@@ -90,7 +90,7 @@ def _coarser(fine: Float32Array) -> Float32Array:
     return np.maximum(of_rows[:, :, ::2], of_rows[:, :, 1::2])
 
 
-FAR = 1e300
+FAR_DISTANCE = 1e300
 """Finite substitute for infinity, so that products with 0 stay numbers."""
 
 
@@ -189,9 +189,9 @@ def _highest(terrain: TerrainMipmap, box: tuple[int, int, int, int], level: int)
 Ray = tuple[float, float, float, float, float, float]
 """u, v, w: start, in cells from the south-west node and meters up; du, dv, dw: its change per meter."""
 GridStep = tuple[float, float, float, float, int, int]
-"""per_u, per_v: meters along the ray a cell of each axis, 0 = it crosses none; far_u, far_v: FAR where it
-does not, else 0; east, north: 1 = the ray runs up that axis (Amanatides and Woo, "A fast voxel traversal
-algorithm for ray tracing", 1987)."""
+"""per_u, per_v: meters along the ray a cell of each axis, 0 = it crosses none; far_u, far_v: FAR_DISTANCE
+where it does not, else 0; east, north: 1 = the ray runs up that axis (Amanatides and Woo, "A fast voxel
+traversal algorithm for ray tracing", 1987)."""
 START_LEVEL = 6
 """Squares of 64 cells: the fastest start, measured from 257^2 to 4097^2."""
 NEAR_LEVEL = 4
@@ -235,7 +235,7 @@ def terrain_ranges(
                 i, j = min(max(int(u + t * du), 0), nx - 1), min(max(int(v + t * dv), 0), ny - 1)
                 if not bundled:
                     height = w + t * dw - _surface(terrain, i, j, u + t * du - i, v + t * dv - j)
-            far_u, far_v = 0.0 if per_u != 0.0 else FAR, 0.0 if per_v != 0.0 else FAR
+            far_u, far_v = 0.0 if per_u != 0.0 else FAR_DISTANCE, 0.0 if per_v != 0.0 else FAR_DISTANCE
             step = (per_u, per_v, far_u, far_v, 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0)
             ray = (u, v, w, du, dv, dw)
             level = NEAR_LEVEL if bundled else START_LEVEL

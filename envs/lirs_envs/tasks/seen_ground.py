@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from lirs_envs.lidar.lidar import transform_rays
-from lirs_envs.lidar.terrain_rays import FAR, FUSED, inverse
+from lirs_envs.lidar.terrain_rays import FAR_DISTANCE, FUSED, inverse
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, IntArray, njit
 
@@ -188,7 +188,7 @@ def _mark_beam(
     (along, across), (block_along, block_across), (length, breadth) = layout
     (p, q, z), (dp, dq, dz) = start, slope
     per_p, per_q = inverse(dp), inverse(dq)
-    far, ahead = 0.0 if per_p != 0.0 else FAR, 1 if dp > 0.0 else 0
+    far, ahead = 0.0 if per_p != 0.0 else FAR_DISTANCE, 1 if dp > 0.0 else 0
     t_end = min(t_end, (length * ahead - p) * per_p + far)
     if per_q != 0.0:
         t_end = min(t_end, ((breadth if dq > 0.0 else 0) - q) * per_q)

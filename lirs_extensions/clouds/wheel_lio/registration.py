@@ -28,7 +28,7 @@ from lirs_wct.arrays import BoolArray, FloatArray, njit
 
 STEPS = 15
 """Largest number of Gauss-Newton steps."""
-SMALL = np.repeat((2e-4, 2e-5), 3)
+CONVERGED_STEP = np.repeat((2e-4, 2e-5), 3)
 """Step at which the registration has converged, meters and radians."""
 LEAST_POINTS = 50
 """Number of points with a plane below which a sweep constrains nothing."""
@@ -144,7 +144,7 @@ def register(seen: SweepPoints, local: LocalMap, prior: SpatialPrior, rule: Matc
         offset = np.concatenate((prior.t - t, Rotation.from_matrix(prior.R @ R.T).as_rotvec()))
         step = np.linalg.solve(A + E + np.diag(P), b + e + P * offset)
         t, R = t + step[:3], Rotation.from_rotvec(step[3:]).as_matrix() @ R
-        if (abs(step) < SMALL).all():
+        if (abs(step) < CONVERGED_STEP).all():
             break
     return PlaneMatch(R, t, found, constraint)
 

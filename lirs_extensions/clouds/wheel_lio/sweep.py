@@ -14,9 +14,9 @@ from lirs_wct.geometry import PointCloud
 
 INSIDE = 3
 """Points of a surface beside its end."""
-BEHIND = 0.5
+OCCLUSION_DISTANCE = 0.5
 """Distance of what is behind the end of a surface, meters."""
-WIDEST = 0.02
+MAX_BEAM_ANGLE = 0.02
 """Largest angle between two beams of a ring, radians."""
 NOISE = 0.1
 """Difference of two ranges on a surface by noise, meters."""
@@ -144,9 +144,9 @@ def find_edges(points: Any, ring: Any, origin: Any) -> Any:
                 beyond = begin + (i - begin + outward) % turn
                 inside = begin + (i - begin - INSIDE * outward) % turn
                 angle, gap = _angle(azimuth[inside], azimuth[i]) / INSIDE, _angle(azimuth[i], azimuth[beyond])
-                is_end = gap >= 3 * angle or distance[beyond] >= distance[i] + BEHIND
+                is_end = gap >= 3 * angle or distance[beyond] >= distance[i] + OCCLUSION_DISTANCE
                 step = INSIDE * (NOISE + 4 * angle * distance[i])
-                if is_end and angle <= WIDEST and abs(distance[inside] - distance[i]) < step:
+                if is_end and angle <= MAX_BEAM_ANGLE and abs(distance[inside] - distance[i]) < step:
                     found[count] = points[i] + (points[i] - points[inside]) / (2 * INSIDE)
                     count += 1
         begin = end

@@ -18,7 +18,7 @@ START = 1 << 15
 """Slots of a new table."""
 FILLED = 0.5
 """Largest share of used slots."""
-BEHIND = 0.05
+MIN_BACK_DISTANCE = 0.05
 """Least distance of a sensor behind a plane at which it sees another surface, meters."""
 CHUNK = 2048
 """Points that are added together; the table must have free slots for all of them."""
@@ -222,7 +222,7 @@ def is_behind(plane: Any, sensor: Any) -> Any:
     """Return whether a sensor (3,) is on the side of a plane that was not seen."""
     a, b, c = plane[0], plane[1], plane[2]
     side = a * (sensor[0] - plane[3]) + b * (sensor[1] - plane[4]) + c * (sensor[2] - plane[5])
-    return plane[VARIANCE] > 0.0 and side < -BEHIND
+    return plane[VARIANCE] > 0.0 and side < -MIN_BACK_DISTANCE
 
 
 @njit

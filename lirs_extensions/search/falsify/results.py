@@ -25,7 +25,7 @@ from lirs_extensions.search.falsify.drives import (
     sentence,
     write_case,
 )
-from lirs_extensions.search.falsify.search import LEAST, NEW_SEEDS, FoundCase
+from lirs_extensions.search.falsify.search import MIN_RATIO, NEW_SEEDS, FoundCase
 from lirs_extensions.search.options import FAILURE_FACTOR
 from lirs_validation.experiment.run import run
 from lirs_validation.record.run_record import RunRecord
@@ -143,7 +143,7 @@ def search_figure(drives: CaseDrives, found: Sequence[int]) -> Drawing:
         if not points:
             continue
         for counted in (True, False):
-            chosen = [(k, min(max(s.ratio, LEAST), WORST)) for k, s in points if s.counted == counted]
+            chosen = [(k, min(max(s.ratio, MIN_RATIO), WORST)) for k, s in points if s.counted == counted]
             if chosen:
                 face = color if counted else "none"
                 axes.plot(*zip(*chosen, strict=True), "o", color=color, markerfacecolor=face, markersize=4)

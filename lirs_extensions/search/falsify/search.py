@@ -12,7 +12,7 @@ import numpy as np
 from lirs_extensions.search.case_search import Case, make_proposer, shrink
 from lirs_extensions.search.falsify.drives import WORST, CaseDrives, DriveScore, SearchLimits
 
-LEAST = 0.01
+MIN_RATIO = 0.01
 """Ratios below count as this one."""
 UNCOUNTED = 1.0
 """Loss of a case that does not count, added to the largest loss of one that does."""
@@ -24,8 +24,8 @@ def loss(score: DriveScore) -> float:
     A case that does not count is worse than any that does.
     """
     if not score.counted:
-        return UNCOUNTED - math.log(LEAST)
-    return -math.log(min(max(score.ratio, LEAST), WORST))
+        return UNCOUNTED - math.log(MIN_RATIO)
+    return -math.log(min(max(score.ratio, MIN_RATIO), WORST))
 
 
 NEW_SEEDS, NEEDED = 5, 4

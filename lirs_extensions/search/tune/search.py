@@ -55,11 +55,11 @@ UNSEEN = 1000
 """Offset of the unseen seeds."""
 STREAM = 43
 """Random stream of the search."""
-KEPT = 0.9
+KEPT_GAIN = 0.9
 """Share of the gain over the defaults that a simpler set of values must keep."""
 Target = RunConfig | MapConfig
 Report = Callable[[str], None]
-LEAST, WORST = 0.01, 100.0
+MIN_RATIO, MAX_RATIO = 0.01, 100.0
 """Smallest and largest ratio of a path error and its limit; the latter also of a mapper that fails."""
 _SCENARIOS = ScenarioCache()
 
@@ -175,7 +175,7 @@ def tune(drives: TuneDrives, report: Report = lambda line: None) -> Case:
         proposer.learn(losses)
         if drives.archive.count == before:  # all cases of a small space are known
             break
-    allowed = usual - KEPT * (usual - best_loss)
+    allowed = usual - KEPT_GAIN * (usual - best_loss)
 
     def good(case: Case) -> bool:
         return mean_loss(drives.run([case], seeds)[0]) <= allowed
@@ -338,9 +338,9 @@ def score_of(figures: VerdictFigures) -> TuneScore:
     if kind in ("not evaluated", "no reference"):
         return TuneScore(None, reason=text)
     if kind == "failed" or figures.status == "lost" or error is None:
-        return TuneScore(math.log(WORST), error, reason=text)
+        return TuneScore(math.log(MAX_RATIO), error, reason=text)
     limit = LIMITS.over_odometry + LIMITS.times_odometry * (odometry or 0.0)
-    loss = math.log(min(max(error / limit, LEAST), WORST))
+    loss = math.log(min(max(error / limit, MIN_RATIO), MAX_RATIO))
     if figures.f1_aligned is not None:
         loss += math.log(max(1.0, (1.0 - figures.f1_aligned) / (1.0 - LIMITS.f1_aligned)))
     if figures.false_occupied is not None:
@@ -354,7 +354,7 @@ def measure_run(config: RunConfig) -> TuneScore:
     try:
         record = run_unwritten(config, maps=True, scenarios=_SCENARIOS)
     except MapperError as error:
-        return TuneScore(math.log(WORST), reason=str(error))
+        return TuneScore(math.log(MAX_RATIO), reason=str(error))
     except SimulationError as error:  # nothing was driven
         return TuneScore(None, reason=str(error))
     return score_of(run_figures(asdict(record)))
@@ -382,14 +382,14 @@ def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
             tracking = replay(config, mapper, log, readings, lambda *_: None)
             path = mapper.trajectory()
         except MapperError as error:
-            return TuneScore(math.log(WORST), reason=str(error))
+            return TuneScore(math.log(MAX_RATIO), reason=str(error))
     status = "lost" if tracking.reason() else "ok"
     if relations is None and reference is None:
         quality = scan_consistency(log.scans, readings, path)
         residual = None if quality is None else quality.revisit_residual
         if residual is None:
             return TuneScore(None, reason="no place was seen twice")
-        loss = math.log(WORST if status == "lost" else max(residual / AGREEING, LEAST))
+        loss = math.log(MAX_RATIO if status == "lost" else max(residual / AGREEING, MIN_RATIO))
         return TuneScore(loss, residual, status == "ok" and residual <= AGREEING)
     odometry = _odometry(log)
     entry = {

@@ -21,7 +21,7 @@ from lirs_wct.errors import SourceError
 
 BINS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, np.inf)
 """Bounds of the ranges whose residuals are counted together, meters."""
-LEAST = 200
+MIN_RESIDUALS = 200
 """Fewest residuals of a bin."""
 ROUNDS = 3
 """Simulations of the log with the noise fitted so far."""
@@ -29,7 +29,7 @@ LEAST_SCANS, STRIDE = 1000, 1000
 """Fewest simulated scans of a comparison: chance then decides little; and step of their seeds."""
 SAMPLES = 200
 """Bootstrap samples of the log's blocks, and of the segments."""
-JUMP, MARGIN = 0.6, 0.15
+JUMP, EDGE_DISTANCE = 0.6, 0.15
 """Least difference between two neighbors at an edge, and distance of a mixed pixel from both, meters."""
 SEGMENT = 5.0
 """Length of the pieces of path whose distance and turn are compared, meters."""
@@ -87,7 +87,7 @@ class Sample:
         widths = np.full(len(BINS) - 1, np.nan)
         for k in range(len(widths)):
             found = residual[bins == k]
-            if len(found) >= LEAST:
+            if len(found) >= MIN_RESIDUALS:
                 widths[k] = (np.quantile(found, 0.8413) - np.quantile(found, 0.1587)) / 2
         return widths
 
@@ -111,10 +111,10 @@ def _mixed_pixels(comparison: LogComparison) -> tuple[FloatArray, FloatArray]:
     with np.errstate(invalid="ignore"):
         depth = np.where(known[:, :-1] & known[:, 1:], far - near, 0.0)
     edge = (depth > JUMP) & comparison.used[:, None]
-    edges[:, :-1][edge] = 1 - 2 * MARGIN / depth[edge]
+    edges[:, :-1][edge] = 1 - 2 * EDGE_DISTANCE / depth[edge]
     for shift in (-1, 0, 1):
         beam = np.roll(measured, -shift, axis=1)[:, :-1]
-        mixed[:, :-1] += edge & (beam > near + MARGIN) & (beam < far - MARGIN)
+        mixed[:, :-1] += edge & (beam > near + EDGE_DISTANCE) & (beam < far - EDGE_DISTANCE)
     return mixed, edges
 
 
@@ -162,9 +162,9 @@ def fit_noise(real: LogComparison, start: FloatArray, seed: int) -> FittedNoise:
         SourceError: too few beams can be compared.
     """
     sample = Sample.of(real)
-    if len(sample.residual) < LEAST or not np.isfinite(sample.widths(sample.blocks)).any():
+    if len(sample.residual) < MIN_RESIDUALS or not np.isfinite(sample.widths(sample.blocks)).any():
         raise SourceError(
-            f"at least {LEAST} beams of one range must meet known walls, got {len(sample.residual)}"
+            f"at least {MIN_RESIDUALS} beams of one range must meet known walls, got {len(sample.residual)}"
         )
     lost, mixed = sample.shares(sample.blocks)
     step = resolution_of(real.scans.ranges)
@@ -250,7 +250,7 @@ def curve(sample: Sample) -> list[dict[str, float]]:
     rows = []
     for low, high in pairwise(BINS):
         found = sample.residual[(sample.ranges >= low) & (sample.ranges < high)]
-        if len(found) >= LEAST:
+        if len(found) >= MIN_RESIDUALS:
             low_, bias, high_ = np.quantile(found, (0.1587, 0.5, 0.8413)).tolist()
             width = (high_ - low_) / 2
             tails = float(np.mean(np.abs(found - bias) > 3 * width))

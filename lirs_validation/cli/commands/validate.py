@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from lirs_validation.sweep.sweep import Sweep, Task
     from lirs_validation.sweep.tasks import RunTask
 
-FEW = 10
+MAX_LISTED = 10
 """Folders that are listed one by one."""
 OF_A_SUITE = ("seed",)
 """Axes that a suite leaves open."""
@@ -229,7 +229,7 @@ def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
     for table in sweep_tables(sweep):
         out.print(table)
     folders = [sweep.out / found.name for found in sweep.tasks if found.name in sweep.outcomes]
-    for folder in folders if len(folders) <= FEW else [sweep.out]:
+    for folder in folders if len(folders) <= MAX_LISTED else [sweep.out]:
         say(folder)
     entries = [read_record(folder) for folder in folders if (folder / "record.json").exists()]
     runs = [entry for entry in entries if "mapper" in entry["config"]]

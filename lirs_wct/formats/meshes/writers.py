@@ -362,7 +362,7 @@ def write_glb(path: Path, parts: Sequence[tuple[str, TriangleMesh, Image.Image |
         temporary.write_bytes(trimesh.exchange.gltf.export_glb(scene, include_normals=normals))
 
 
-_LONGEST = 22
+_NUMBER_WIDTH = 22
 """Characters of a sign, 19 digits, a point and a separator."""
 
 
@@ -378,7 +378,7 @@ def fixed_text(table: ArrayLike, decimals: ArrayLike, between: bytes = b" ") -> 
     """
     values = np.ascontiguousarray(table, dtype=np.float64)
     digits = np.broadcast_to(np.asarray(decimals, dtype=np.int64), values.shape[1:]).copy()
-    out = np.empty(values.size * _LONGEST, dtype=np.uint8)
+    out = np.empty(values.size * _NUMBER_WIDTH, dtype=np.uint8)
     ends = np.full(values.shape[1], ord("\n"), np.uint8)
     ends[:-1] = np.frombuffer(between, np.uint8)
     return out[: _write(values, digits, ends, out)].tobytes()

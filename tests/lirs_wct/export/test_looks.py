@@ -11,7 +11,7 @@ import yaml
 
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.mjcf import NEAR
+from lirs_wct.export.mjcf import NEAR_PLANE
 from lirs_wct.export.package import write_package
 
 RED, GREEN, BLUE, YELLOW = (220, 40, 30), (40, 190, 60), (40, 90, 220), (230, 200, 30)
@@ -149,7 +149,7 @@ def test_the_overview_shows_all_and_the_near_plane_is_centimeters(
 ) -> None:
     world = build_world(peak, BuildOptions(size=size, height=size / 8, name=f"w{size:g}"))
     model = written(world, tmp_path / "out")
-    assert NEAR * 0.999 <= model.vis.map.znear * model.stat.extent < 0.05
+    assert NEAR_PLANE * 0.999 <= model.vis.map.znear * model.stat.extent < 0.05
     seen = picture(model).astype(int)
     sky = (seen.min(axis=2) > 170) & (seen[..., 2] >= seen[..., 0])
     assert 0.1 < 1 - sky.mean() < 0.9
