@@ -113,7 +113,7 @@ def run_episode(
         task: task of the episode.
         choice: the policy.
         data: folder with the files that do not ship.
-        progress: of the time limit.
+        progress: Function that receives the share of the time limit.
         picture: called at the end with the map and the path.
 
     Raises:

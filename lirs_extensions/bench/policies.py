@@ -247,7 +247,7 @@ class PolicyChoice:
     """A policy as a user names it.
 
     Attributes:
-        name: of `BASELINES`, or `module:name`.
+        name: Key of `BASELINES`, or `module:name`.
         arguments: keywords for a policy of the user's own, as text.
     """
 

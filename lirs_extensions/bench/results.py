@@ -31,7 +31,7 @@ class PolicyScore:
     """A mean over tasks.
 
     Attributes:
-        mean: of the tasks' scores.
+        mean: Mean of the tasks' scores.
         low: lower end of its 95 % interval, by the percentile bootstrap over tasks; None of one task.
         high: upper end.
         count: number of tasks.

@@ -201,14 +201,14 @@ class BenchTask:
         task: `navigation`, `mapping` or `traverse`.
         split: `train`, `validation` or `test`; worlds of one split are in no other.
         robot: name.
-        seed: of the episode; of a course to traverse, too.
+        seed: Seed of the episode, and of a course to traverse.
         time_limit: seconds.
         world: world of the episode; None = on a course.
         start: x, y, yaw in the world frame, meters and radians; None = the course's.
         goal: x, y; None = the task has none, or the course's.
         path_budget: path length that ends a mapping task, meters.
         course: kind of the course to traverse.
-        difficulty: of the course, 0 to 1.
+        difficulty: Difficulty of the course, 0 to 1.
 
     Raises:
         ConfigError: a value is not legal, or the task lacks one.
@@ -278,7 +278,7 @@ class TaskSet:
     """Tasks that belong together.
 
     Attributes:
-        name: of the set.
+        name: Name of the set.
         version: raised whenever a task or the environment changes; scores of two versions are not compared.
         tasks: all of them.
     """

@@ -78,7 +78,7 @@ class Bridge:
         """Publish a scan's messages and take in the client's; with lockstep, wait for its answer.
 
         Args:
-            observation: of the sensors.
+            observation: Sensor readings.
             estimate: `T_map_base` of our mapper; None = the client publishes map -> odom.
         """
         stamp = observation.scan.stamp

@@ -34,7 +34,7 @@ class Client:
 
     Args:
         options: distribution, answers, and how often an answer is expected.
-        robot: whose speed limits hold.
+        robot: Robot with its speed limits.
         period: from scan to scan, seconds.
         T_map_start: start pose in the client's map frame; the odometry begins there.
     """

@@ -108,7 +108,7 @@ def discovery_message(
     """Return the message on `ros_discovery_info` that assigns endpoints to our node.
 
     Args:
-        participant: its GUID, 16 bytes.
+        participant: GUID of the participant, 16 bytes.
         readers: GUIDs of readers.
         writers: GUIDs of writers.
         distribution: Humble's identifiers have 24 bytes, later ones 16.
@@ -146,8 +146,8 @@ def zenoh_token(
         zid: identifier of the Zenoh session.
         entity: number of the entity in the session.
         domain: ROS domain.
-        distribution: of ROS.
-        topic: of the endpoint; None = the node.
+        distribution: ROS distribution.
+        topic: Topic of the endpoint; None = the node.
         kind: `NN` node, `MP` publisher, `MS` subscription.
     """
     node = f"@ros2_lv/{domain}/{zid}/0/{entity}/{kind}/%/%/{NODE}"
@@ -166,6 +166,6 @@ def zenoh_attachment(sequence: int, nanoseconds: int, gid: bytes) -> bytes:
     Args:
         sequence: number of the message of its publisher, from 1.
         nanoseconds: wall time since 1970.
-        gid: of the publisher, 16 bytes.
+        gid: Identifier of the publisher, 16 bytes.
     """
     return struct.pack("<qqB16s", sequence, nanoseconds, len(gid), gid)

@@ -21,7 +21,7 @@ class Received(NamedTuple):
     """A message of a client.
 
     Attributes:
-        topic: of SUBSCRIBED.
+        topic: One of SUBSCRIBED.
         cdr: bytes of the message.
     """
 

@@ -63,10 +63,10 @@ def live(
     A request for a new start ends a drive, and the next one begins.
 
     Args:
-        config: of the run; its mapper is one of ours or the client's name, its driver `client` for /cmd_vel.
+        config: Configuration of the run; its mapper is one of ours or the client's name, its driver `client` for /cmd_vel.
         options: connection and pace.
         out: folder that receives the runs' folders; None = nothing is written.
-        progress: of the work.
+        progress: Function that receives step and share.
         announce: shows a line about the connection.
 
     Raises:

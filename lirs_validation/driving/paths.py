@@ -100,7 +100,7 @@ def penalize_behind(weight: FloatArray, cell: IntArray, heading: float, radius: 
         weight: (rows, cols) cost of a meter in each cell.
         cell: (2,) row and column of the robot.
         heading: in the grid's own frame (columns along x), radians.
-        radius: of the half disc behind it, cells.
+        radius: Radius of the half disc behind it, cells.
     """
     reach = math.ceil(radius)
     low, high = np.maximum(cell - reach, 0), np.minimum(cell + reach + 1, weight.shape)

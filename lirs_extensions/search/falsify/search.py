@@ -41,12 +41,12 @@ class FoundCase:
     """A confirmed failure.
 
     Attributes:
-        case: its simplest form.
+        case: Simplest form of the case.
         found: the case as the search found it.
         drives: drives of the search up to its confirmation.
         position: number of the last of them in the history.
-        seed: of a drive that fails.
-        scores: of the simplest form with new seeds.
+        seed: Seed of a drive that fails.
+        scores: Scores of the simplest form with new seeds.
         shrinking: drives that shrinking took.
     """
 

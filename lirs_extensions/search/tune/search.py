@@ -191,8 +191,8 @@ class UnseenComparison:
         pairs: number of seeds.
         error: median path error of the defaults and of the tuned values, meters.
         works: number of seeds that work, of the defaults and of the tuned values.
-        ratio: of the scores, tuned over default, geometric mean.
-        low: of its 95 % interval (bootstrap of the paired differences).
+        ratio: Geometric mean of tuned over default scores.
+        low: Lower end of its 95 % interval (bootstrap of the paired differences).
         high: the other end.
     """
 

@@ -96,8 +96,8 @@ def simulate_scans(real: LogComparison, start: FloatArray, noise: LidarNoise, se
     Args:
         real: comparison of the log.
         start: (n, 3) first poses, from which the matching begins as it did for the log.
-        noise: of the simulated lidar.
-        seed: of its random numbers.
+        noise: Noise of the simulated lidar.
+        seed: Seed of the noise.
     """
     drawn = noisy_ranges(real.beams.ranges, real.scans.range_max, noise, seed)
     return replace(real.scans, ranges=drawn.astype(np.float64), poses=start)

@@ -123,7 +123,7 @@ class FittedNoise:
     """Noise of a log's lidar.
 
     Attributes:
-        noise: as fitted.
+        noise: Fitted noise.
         low: lower bounds of its 95 % confidence intervals.
         high: upper bounds.
         map_width: (bins,) width that the map explains, meters.
@@ -294,7 +294,7 @@ def fit_odometry(
         stamps: (n,) seconds.
         control: (n, 3) matched poses of a simulation whose truth is `poses`; their errors are subtracted.
         scale_length: correlation length of the scale error, meters.
-        seed: of the bootstrap.
+        seed: Seed of the bootstrap.
 
     Returns:
         None if the path has too few segments.

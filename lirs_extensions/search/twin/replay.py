@@ -66,7 +66,7 @@ class ReplayedMapper:
         mapper: name.
         real: error on the log, meters; None if nothing can be compared.
         drawn: errors on the simulated logs, by the same metric.
-        status: of the mappings of the log and of the simulated logs.
+        status: Statuses of the mappings of the log and of the simulated logs.
         reason: why the mapper was left out; empty otherwise.
     """
 
@@ -152,7 +152,7 @@ class TwinPath:
     """A log's path in its map, and the ranges there.
 
     Attributes:
-        scans: of the log, with the usual number of beams.
+        scans: Scans of the log with the usual number of beams.
         truth: poses of the base in the map.
         exact: (n, beams) ranges to the map's walls, meters; inf = no wall.
         objects: (n, beams) ranges as the log has them where it saw what the map lacks, such as people or an
@@ -252,13 +252,13 @@ def replay_log(
     The truth of the log is its relations or its reference; without both it is the path in the map.
 
     Args:
-        config: of the log's mapping; simulations have the seeds from its seed on.
-        path: of the log in its map.
+        config: Configuration of the log's mapping; simulations have the seeds from its seed on.
+        path: Path of the log in its map.
         noise: fitted noise of lidar, wheels and gyro.
-        names: of the mappers.
+        names: Names of the mappers.
         draws: count of simulated logs with different random numbers; a mapper's error is the median.
         folder: receives the simulated logs, and their true path.
-        progress: of the mapping.
+        progress: Function that receives step and share.
     """
     drive_files.write_tum(folder / "truth.tum", path.truth)
     paths = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(draws)]

@@ -30,7 +30,7 @@ class TwinResult:
     """Result of a twin test.
 
     Attributes:
-        name: of the log's folder.
+        name: Name of the log's folder.
         lidar: preset whose data sheet the log is compared with.
         real: comparison of the log's odd blocks with the map of its even blocks.
         fitted: noise of the lidar.

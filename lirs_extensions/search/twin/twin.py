@@ -60,14 +60,14 @@ def run_twin(
     The folder holds twin.html, twin.json, noise.yaml, pictures, and the simulated logs of a replay.
 
     Args:
-        config: of the mapping; its relations or its reference are the truth of a replay.
+        config: Configuration of the mapping; its relations or its reference are the truth of a replay.
         lidar: name of the preset whose data sheet the log is compared with.
-        seed: of the simulated noise and the bootstrap.
+        seed: Seed of the simulated noise and the bootstrap.
         out: folder that receives the result's folder.
         replayed: mappers of the replay.
         draws: count of simulated logs of the replay.
         command: command line, for the page.
-        progress: of mapping and simulations.
+        progress: Function that receives step and share.
 
     Raises:
         WctError: the log cannot be used or mapped, or the result cannot be written.
