@@ -63,7 +63,8 @@ def live(
     A request for a new start ends a drive, and the next one begins.
 
     Args:
-        config: Configuration of the run; its mapper is one of ours or the client's name, its driver `client` for /cmd_vel.
+        config: Configuration of the run, with the mapper `client` or one of ours, and the driver `client` for
+            /cmd_vel or one of ours.
         options: connection and pace.
         out: folder that receives the runs' folders; None = nothing is written.
         progress: Function that receives step and share.

@@ -152,10 +152,3 @@ def test_bad_input_is_one_line_and_nothing_runs(
     assert message in line
     assert said == ""
     assert not (tmp_path / "out").exists()
-
-
-def test_without_any_file_of_its_worlds_a_set_is_refused(bench: Any, tmp_path: Path) -> None:
-    (tmp_path / "mine.json").write_text(json.dumps(SET | {"tasks": SET["tasks"][2:]}))
-    code, _, told = bench("straight")
-    assert code == 2
-    assert "none of the 1 tasks can be run: their worlds' files are missing" in told

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_extensions.bench.episode import SPENT, episode_metrics, make_task_env, run_episode
-from lirs_extensions.bench.policies import BASELINES, PolicyChoice
+from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.tasks import BenchTask, WorldSpec
 from lirs_wct.errors import ConfigError
 
@@ -191,17 +191,3 @@ def test_traverse_earns_its_share_of_the_distance() -> None:
 def test_an_episode_is_the_same_each_time() -> None:
     first, second = (run(THERE, "random")[0] for _ in range(2))
     assert np.array_equal(np.array(first.poses), np.array(second.poses))
-
-
-def test_baselines_say_what_they_are_for() -> None:
-    with pytest.raises(
-        ConfigError, match="go_to_goal is for other tasks than mapping; legal: random, straight"
-    ):
-        PolicyChoice("go_to_goal").check("mapping")
-    with pytest.raises(
-        ConfigError, match="unknown policy 'fast'; legal: astar, frontier, go_to_goal, module:name"
-    ):
-        PolicyChoice("fast").check("navigation")
-    for name, baseline in BASELINES.items():
-        for task in baseline.tasks:
-            PolicyChoice(name).check(task)

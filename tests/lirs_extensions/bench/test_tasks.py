@@ -1,12 +1,22 @@
 """The sets as they ship: whole, split by world, and large enough without any file."""
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from lirs_extensions.bench.tasks import SETS, SPLITS, read_task_set, set_entry, task_set
+from lirs_extensions.bench.tasks import (
+    SETS,
+    FileSpec,
+    WorldSpec,
+    read_task_set,
+    read_world,
+    set_entry,
+    task_set,
+)
 from lirs_wct.errors import ConfigError, SourceError
 
 GOOD: dict[str, Any] = {
@@ -48,21 +58,6 @@ def test_no_world_is_in_two_splits(name: str) -> None:
 def test_courses_of_two_splits_differ() -> None:
     drawn = [(t.course, t.seed) for t in task_set("generated").tasks if t.task == "traverse"]
     assert len(set(drawn)) == len(drawn)
-
-
-def test_at_least_100_tasks_need_no_file() -> None:
-    tasks = [task for name in SETS for task in task_set(name).tasks]
-    ship = [task for task in tasks if task.world is None or not task.world.files]
-    assert len(ship) >= 100
-    assert {task.split for task in ship} == set(SPLITS)
-
-
-@pytest.mark.parametrize("name", SETS)
-def test_every_set_has_navigation_and_mapping_that_ship_in_every_split(name: str) -> None:
-    for split in SPLITS:
-        for kind in ("navigation", "mapping"):
-            chosen = task_set(name).chosen(kind, split)
-            assert any(t.world is not None and not t.world.files for t in chosen), (split, kind)
 
 
 @pytest.mark.parametrize("name", SETS)
@@ -117,3 +112,67 @@ def test_a_set_of_ones_own(tmp_path: Path) -> None:
         task_set(str(tmp_path / "none.json"))
     with pytest.raises(ConfigError, match=r"unknown set 'mine'; legal: FILE\.json, generated"):
         task_set("mine")
+
+
+YAML = (
+    "image: plan.pgm\nresolution: 0.05\norigin: [0, 0, 0]\n"
+    "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.25\n"
+)
+
+
+def file_spec(path: Path) -> FileSpec:
+    content = path.read_bytes()
+    return FileSpec(
+        sha256=hashlib.sha256(content).hexdigest(), size=len(content), origin=f"some/where/{path.name}"
+    )
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    """A folder with a laser map, under another name than the maker's and with other files around it."""
+    folder = tmp_path / "data" / "deep"
+    folder.mkdir(parents=True)
+    cells = np.full((60, 80), 254, np.uint8)
+    cells[[0, -1], :] = cells[:, [0, -1]] = 0
+    (folder / "plan.pgm").write_bytes(b"P5\n80 60\n255\n" + cells.tobytes())
+    (folder / "renamed.yaml").write_text(YAML)
+    (folder / "other.yaml").write_text(YAML.replace("0.05", "0.10"))
+    return tmp_path / "data"
+
+
+def test_a_map_is_found_by_its_content(data: Path) -> None:
+    files = (file_spec(data / "deep" / "renamed.yaml"), file_spec(data / "deep" / "plan.pgm"))
+    world = WorldSpec(name="plan", maker="files", files=files).world(data)
+    assert world.surface.size == pytest.approx((4.0, 3.0))
+
+
+def test_a_missing_file_is_named_by_origin_and_content(data: Path) -> None:
+    files = (FileSpec(sha256="ab" * 32, size=124, origin="some/where/depot.yaml"),)
+    spec = WorldSpec(name="depot", maker="files", files=files)
+    with pytest.raises(
+        SourceError, match=r"depot: no --data folder is given: some/where/depot.yaml \(sha256 abab"
+    ):
+        spec.world(None)
+    with pytest.raises(SourceError, match=r"data does not hold it: some/where/depot\.yaml"):
+        spec.world(data)
+
+
+def test_generated_worlds_are_the_same_each_time() -> None:
+    for set_name in ("hills", "generated"):
+        world = next(t.world for t in task_set(set_name).tasks if t.world is not None and not t.world.files)
+        again = read_world(world.name, world.describe())
+        assert again == world
+        assert np.array_equal(world.world(None).surface.z, again.world(None).surface.z)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"maker": "natural", "kind": "alps", "seed": 1}, "unknown natural terrain 'alps'"),
+        ({"maker": "bundled", "source": "hard"}, "unknown bundled world 'hard'"),
+        ({"maker": "floor plan", "sed": 1}, "world 'w': "),
+    ],
+)
+def test_a_maker_says_what_it_does_not_know(entry: dict[str, object], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        read_world("w", entry).world(None)

@@ -27,12 +27,6 @@ def test_a_command_holds_within_the_robots_limits_and_ends_when_it_is_old():
     assert (it.command(2.1).v, it.command(2.1).omega) == (0.3, 0.1)
 
 
-def test_a_slow_client_keeps_its_command_between_the_scans_that_it_answers():
-    it = client(lockstep=True, every=100)
-    it.take([net.stamped(5, 0.5)], 0.0)
-    assert it.command(3.9).v == 0.5
-
-
 @pytest.mark.parametrize(("answer", "tf", "command"), [("any", 7, 9), ("tf", 7, 0), ("cmd_vel", 0, 9)])
 def test_only_the_chosen_message_answers(answer, tf, command):
     it = client(answer=answer)
@@ -89,10 +83,3 @@ def test_damaged_messages_warn_once_and_change_nothing():
     with pytest.warns(UserWarning, match="3 x 1 cells, but 2 values"):
         it.take([Received(wrong.topic, bytes(cdr))], 0.0)
     assert it.grid is None
-
-
-def test_a_start_is_a_request_for_a_reset():
-    it = client()
-    it.take([net.start(1.0, 2.0, 0.5)], 0.0)
-    assert it.reset
-    assert (it.start.x, it.start.y, it.start.yaw) == pytest.approx((1.0, 2.0, 0.5))

@@ -17,7 +17,6 @@ from lirs_extensions.live.run import live
 from lirs_validation.config import RunConfig
 from lirs_validation.record.run_record import read_record, schema_error
 from lirs_wct import ConfigError
-from tests.command_line import run_command
 from tests.kit import SMALL
 from tests.lirs_extensions.live import fake_network as net
 
@@ -81,16 +80,6 @@ def test_a_client_that_never_answers_is_skipped_and_counted(monkeypatch):
     assert result.run.record.trajectory["length"] < 0.01
 
 
-def test_a_client_that_answers_every_fifth_scan_is_waited_for_at_these(monkeypatch):
-    def client(topic, message):
-        if topic != "/scan" or round(net.stamp_of(message) / 4e7) % 5:
-            return []
-        return [net.stamped(net.stamp_of(message), 0.5)]
-
-    (result,) = drive(net.FakeNetwork(client), monkeypatch, LiveOptions(lockstep=True, every=5, limit=60.0))
-    assert (result.bridge.expected, result.bridge.answered, result.bridge.published) == (3, 3, 11)
-
-
 def test_late_answers_are_counted(monkeypatch):
     """The answer to a scan comes after the next scan."""
     last = []
@@ -150,20 +139,6 @@ def test_a_reset_begins_a_new_drive_at_the_same_start(monkeypatch, tmp_path):
     scans = [message for topic, message in network.sent if topic == "/scan"]
     assert scans[0] == scans[driven[0] + 1]  # same seed, same bytes
     assert Counter(topic for topic, _ in network.sent)["/tf_static"] == 2
-
-
-def test_messages_between_two_drives_are_not_for_the_next_one(monkeypatch):
-    reset = net.received(net.topic("/reset"), net.TYPES["std_msgs/msg/Empty"](0))
-    answers = {0: [reset]}
-    network = net.FakeNetwork(lambda topic, message: answers.pop(0, []) if topic == "/scan" else [])
-    monkeypatch.setattr(live_run, "open_middleware", lambda *_: network)
-    config = RunConfig(source="simple", seconds=1.0, mapper="client", driver="client")
-    drives = live(config, LiveOptions(rate=1000.0))
-    next(drives)
-    network.send(reset, net.stamped(10**9, 1.0))
-    (last,) = drives
-    assert last.bridge.client.messages == 0
-    assert "new start" not in last.run.record.reason
 
 
 def test_an_initial_pose_begins_a_new_drive_there(monkeypatch):
@@ -260,8 +235,3 @@ def test_no_client_is_one_line(monkeypatch):
     assert CYCLONE_LOOPBACK in (Path(__file__).parents[3] / "docs" / "howto" / "live.md").read_text()
     with pytest.raises(ConfigError, match=r"within 0\.1 s \(option wait\)$"):
         drive(network, monkeypatch, LiveOptions(wait=0.1, middleware="zenoh"))
-
-
-def test_the_command_takes_one_drive(capsys):
-    assert run_command("live", "simple", "--robot", "husky,jackal") == 2
-    assert capsys.readouterr().err.strip() == ("lirs-wct: live is one drive: --robot takes one value, got 2")

@@ -15,7 +15,7 @@ from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.cli.app import PROGRAM
-from lirs_validation.collision.drives import PERIOD, ContactRecorder, Leg, climb, places
+from lirs_validation.collision.drives import PERIOD, ContactRecorder, Leg, climb
 from lirs_validation.collision.validation import (
     CollisionVerdict,
     check_collisions,
@@ -33,7 +33,6 @@ from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import World
 
 Heights = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -82,17 +81,6 @@ def test_every_robot_among_blocks(name: str, blocks: World) -> None:
     assert verdict.legs >= 2
     assert verdict.force_peak > 0
     assert verdict.force_mean > 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("source", "kind", "name"),
-    [("medium", "mesh", "turtlebot3_waffle"), ("advanced", "prisms", "turtlebot2")],
-)
-def test_bundled_worlds(source: str, kind: ContactGeometry, name: str) -> None:
-    world = build_world(source, BuildOptions(window=(0, 0, 20)))
-    verdict = check_collisions(world, make_robot(name), terrain=kind, seconds=8.0)
-    assert verdict.passed, verdict.checks
 
 
 @pytest.mark.shared
@@ -240,20 +228,6 @@ def test_no_robot_slides_on_the_steepest_slope_that_it_drives(name: str) -> None
     assert 0.9 < found.climbed < 1.1
 
 
-def test_half_the_places_are_beside_an_obstacle(blocks: World) -> None:
-    robot = make_robot("turtlebot2")
-    found = places(blocks, robot, np.random.default_rng(1))
-    assert len(found) >= 8
-    free = blocks.traversable(clearance=robot.radius + 0.25, max_slope=robot.max_slope).free
-    tight = [not free[tuple(int(i) for i in blocks_cell(blocks, robot, p))] for p in found[1::2]]
-    assert np.mean(tight) > 0.8
-
-
-def blocks_cell(world: World, robot: object, pose: Pose2) -> np.ndarray:
-    grid = world.traversable(clearance=0.1, max_slope=1.0)
-    return grid.cells((pose.x, pose.y))
-
-
 def test_nowhere_to_stand() -> None:
     steep = terrain(lambda x, y: 2.0 * x)
     with pytest.raises(ConfigError, match=r"made-up: no place for turtlebot2: it needs 0\.6 m of free"):
@@ -318,12 +292,6 @@ def collide(folder: Path, *words: str) -> tuple[int, str, list[dict[str, Any]]]:
     written = folder / "collisions.json"
     entries = json.loads(written.read_text())["collisions"] if written.exists() else []
     return result.return_value or code or 0, str(result.exception), entries
-
-
-@pytest.mark.slow
-def test_a_terrain_that_does_not_fit_is_left_out(tmp_path: Path) -> None:
-    code, _, entries = collide(tmp_path, *QUICK, "--terrain", "hfield,convex")
-    assert (code, len(entries)) == (3, 1)
 
 
 def test_the_command(tmp_path: Path) -> None:

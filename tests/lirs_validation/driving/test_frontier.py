@@ -17,12 +17,11 @@ from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.experiment.drive import DriveLog
 from lirs_validation.experiment.mapper_under_test import LocalMapper
 from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.pose import Pose2, Trajectory
+from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.sources.build import build_world
 from lirs_wct.world import World
 from slam_baselines.hector import HectorMapper
-from slam_baselines.mapper import MapperStats
 from tests.lirs_validation.driving.ride import ride
 from tests.lirs_validation.experiment.puppets import drive_log
 
@@ -110,13 +109,6 @@ def test_beside_a_frontier_behind_it_the_robot_does_not_creep() -> None:
         assert np.linalg.norm(np.diff(path.points, axis=0), axis=1).sum() > config.step
 
 
-def test_its_drive_is_the_same_in_whatever_frame_the_mapper_has() -> None:
-    """It knows nothing but the mapper's pose and map: both shifted alike, nothing changes."""
-    _, plain, _ = explored(Pose2(), 7.0)
-    _, shifted, _ = explored(Pose2(3.0, -2.0), 7.0)
-    np.testing.assert_allclose(plain, shifted, atol=0.02)
-
-
 def test_only_the_known_is_driven_and_unknown_ground_is_no_way() -> None:
     p = np.full((80, 80), np.nan)
     p[10:70, 10:50] = 0.1
@@ -185,21 +177,6 @@ class Liar(HectorMapper):
         return replace(pose, yaw=pose.yaw + self.drift)
 
 
-class Blind:
-    """A mapper that sees nothing and never moves."""
-
-    stats, lost = MapperStats(), False
-
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        return Pose2()
-
-    def map(self) -> OccupancyGrid:
-        return OccupancyGrid(np.full((10, 10), np.nan, np.float32), 0.05)
-
-    def trajectory(self) -> Trajectory:
-        return Trajectory.from_poses([0.0], [Pose2()])
-
-
 @pytest.fixture(scope="module")
 def simple() -> World:
     return build_world("simple")
@@ -219,8 +196,3 @@ def test_a_wrong_pose_leads_the_explorer_astray_and_not_the_tour(simple: World) 
     assert math.dist(honest[-1].position[:2], lying[-1].position[:2]) > 1.0
     honest, lying = (driven(simple, Liar(drift), 2.0, "tour").truth for drift in (0.0, 0.6))
     assert all(np.array_equal(a.position, b.position) for a, b in zip(honest, lying, strict=True))
-
-
-@pytest.mark.slow
-def test_without_a_map_the_explorer_gives_up(simple: World) -> None:
-    assert driven(simple, Blind(), 22.0).status == "stuck"

@@ -2,23 +2,15 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.robots.robot import Twist, make_robot
-from lirs_validation.config import RunConfig
-from lirs_validation.driving.choice import PATIENCE, REACHED, PolicyDriver, check_driver
-from lirs_validation.experiment.run import Run, run
-from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError
+from lirs_validation.driving.choice import PATIENCE, REACHED, PolicyDriver
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
-from lirs_wct.world import World
 
 ROBOT = make_robot("jackal")
 ODOMETRY = Pose2(1.0, 2.0, 0.5)
@@ -80,25 +72,3 @@ def test_a_policy_without_progress_is_stuck() -> None:
     assert not driver.stuck
     assert driver.command(Pose2(1.3, 0.0, 0.0), 5.1 + PATIENCE, SCAN, ODOMETRY) == Twist()
     assert driver.stuck
-
-
-def test_a_policy_does_not_drive_backwards() -> None:
-    with pytest.raises(ConfigError, match=r"^driver pretrained: reversing must be 0, got 0\.5$"):
-        check_driver(RunConfig(source="simple", driver="pretrained", reversing=0.5))
-
-
-@pytest.mark.slow
-def test_the_pretrained_policy_roams_a_floor_plan(tmp_path: Path) -> None:
-    folder = World("plan", floor_plan(np.random.default_rng(1)), scale="generated").save(tmp_path)
-    config = RunConfig(source=str(folder), driver="pretrained", robot="turtlebot2", seconds=40.0)
-    fast, slow = run(config), run(replace(config, speed=0.5))
-    assert fast.record.status == slow.record.status == "ok"
-    steps, slower = driven(fast), driven(slow)
-    assert steps.sum() > 10.0
-    assert slower.max() < 0.75 * steps.max()
-
-
-def driven(found: Run) -> FloatArray:
-    """Return meters per tick."""
-    places = np.array([(p.to_pose2().x, p.to_pose2().y) for p in found.log.truth])
-    return np.hypot(*np.diff(places, axis=0).T)

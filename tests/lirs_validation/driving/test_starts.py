@@ -11,7 +11,7 @@ import pytest
 
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.placement import standing_pose
-from lirs_envs.robots.robot import ROBOTS, make_robot
+from lirs_envs.robots.robot import make_robot
 from lirs_validation.collision.drives import places
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import CLEARANCE, check_driver, make_driver, plan_tour
@@ -22,17 +22,9 @@ from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
-from lirs_wct.navigation import FOOTPRINTS
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import World
-
-
-def test_footprints_are_those_of_the_robots_on_wheels_the_largest_first() -> None:
-    rolling = {name: (robot.radius, robot.max_slope) for name, robot in ROBOTS.items() if not robot.flies}
-    assert {f.robot: (f.radius, f.max_slope) for f in FOOTPRINTS} == rolling
-    radii = [footprint.radius for footprint in FOOTPRINTS]
-    assert radii == sorted(radii, reverse=True)
 
 
 @pytest.fixture
@@ -79,24 +71,11 @@ def test_the_pretrained_policy_drives_to_a_goal_and_repeats(corridor: Path) -> N
         run(replace(config, driver="pretrained:3,5"))
 
 
-def test_the_pretrained_policy_roams_without_a_goal(corridor: Path) -> None:
-    found = run(RunConfig(source=str(corridor), robot="jackal", driver="pretrained", seconds=8))
-    steps = np.diff([(p.to_pose2().x, p.to_pose2().y) for p in found.log.truth], axis=0)
-    assert np.hypot(*steps.T).sum() > 2.0
-
-
 @pytest.mark.parametrize("kind", ["goal", "pretrained"])
 @pytest.mark.parametrize("goal", ["3", "3,4,5", "a,b", "nan,1"])
 def test_a_bad_goal_is_refused_before_the_world_is_built(goal: str, kind: str) -> None:
     with pytest.raises(ConfigError, match=f"{kind}:X,Y"):
         check_driver(RunConfig(source="simple", driver=f"{kind}:{goal}"))
-
-
-def test_starts_are_for_the_largest_robot_that_fits(corridor: Path) -> None:
-    world = build_world(corridor)
-    assert world.spawn_for == "jackal"
-    assert len(world.spawn_poses) > 3
-    assert World.load(world.save(corridor.parent / "kept")).spawn_for == "jackal"
 
 
 def test_who_does_not_fit_is_told_who_would(corridor: Path) -> None:
@@ -145,12 +124,6 @@ def test_a_start_where_nobody_can_stand_is_refused(corridor: Path) -> None:
         places(world, make_robot("husky"), np.random.default_rng(0))
     with pytest.raises(ConfigError, match="a start must be finite"):
         BuildOptions(start=Pose2(math.nan, 0.0))
-
-
-def test_a_large_terrain_is_cut_around_its_start() -> None:
-    build = BuildOptions(size=600, start=Pose2(150.0, -120.0))
-    window = build_scenario(RunConfig(source="simple", build=build)).window
-    assert window == (150.0, -120.0, 50.0)
 
 
 def test_a_refused_start_says_its_slope_and_the_nearest_place(tmp_path: Path) -> None:

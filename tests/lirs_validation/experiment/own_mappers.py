@@ -46,12 +46,6 @@ class Own:
         return MapperStats(received=len(self.poses), counts={"attitudes": self.attitudes})
 
 
-class Slow(Own):
-    def update(self, scan: Any, odometry: Any, imu: Any) -> Pose2:
-        time.sleep(0.002)  # the simulation gets ahead
-        return super().update(scan, odometry, imu)
-
-
 class Pooled(Own):
     def act(self, scan: Any, odometry: Any, imu: Any) -> None:
         with multiprocessing.get_context("fork").Pool(2) as pool:
@@ -176,11 +170,6 @@ class Dies(Own):
 class Leaves(Own):
     def act(self, scan: Any, odometry: Any, imu: Any) -> None:
         os._exit(7)
-
-
-class Interrupts(Own):
-    def act(self, scan: Any, odometry: Any, imu: Any) -> None:
-        raise KeyboardInterrupt
 
 
 class Hangs(Own):

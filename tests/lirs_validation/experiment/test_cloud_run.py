@@ -1,33 +1,26 @@
 """Runs of mappers that read point clouds, ours or anybody's, from the drive to the report."""
 
 import math
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 
 from lirs_validation import Run, validate
-from lirs_validation.analysis.results import read_results
 from lirs_validation.config import RunConfig
-from lirs_validation.drawing import FULL_COLOR_ERROR, error_picture
 from lirs_validation.experiment.loading import mapper_named, package_versions
-from lirs_validation.experiment.mapper_under_test import LocalMapper, SensorReadings, check_sensors
-from lirs_validation.gui.playback import read_playback
-from lirs_validation.metrics.elevation import MAX_CLOUDS, CloudSample, ElevationMap, read_elevation
+from lirs_validation.experiment.mapper_under_test import LocalMapper, SensorReadings
+from lirs_validation.metrics.elevation import MAX_CLOUDS, CloudSample, read_elevation
 from lirs_validation.record.provenance import damaged_files
 from lirs_validation.record.run_record import read_record, schema_error
-from lirs_validation.report.run_report import report_of, report_page
 from lirs_validation.sweep.tasks import RunTask
-from lirs_wct.drawing.canvas import BLUE, VERMILLION, Canvas
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, PointCloud
-from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats, make_mapper
+from slam_baselines.mapper import CLOUD_MAPPERS, MapperStats
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -91,25 +84,6 @@ def test_a_mapper_gets_the_odometry_on_request(room: str) -> None:
     assert 0.0 < errors["odometry_ate_rmse_3d"] <= errors["ate_rmse_3d"] + 0.01
 
 
-@pytest.mark.parametrize(
-    ("world", "seconds", "bound"),
-    [("hills", 1, 0.02), pytest.param("medium", 6, 0.03, marks=pytest.mark.slow)],
-)
-def test_our_mapper_in_space_follows_walls_and_smooth_ground(
-    hills: dict[str, Any], world: str, seconds: int, bound: float
-) -> None:
-    given = {"mapper": "wheel_lio", "lidar": "vlp16", "scan_time": "rolling", "stand": 1.0}
-    run = validate(
-        **hills if world == "hills" else {"source": world}, robot="jackal", seconds=seconds, **given
-    )
-    errors, mapper = run.record.trajectory, run.record.mapper
-    assert errors["length"] > 0.2 * seconds
-    assert errors["ate_rmse_3d"] < bound
-    assert errors["ate_rmse_3d"] < 1.05 * errors["odometry_ate_rmse_3d"] + 0.05
-    assert re.fullmatch("6[0-6]*", mapper["weak_directions"])
-    assert len(mapper["weak_directions"]) == mapper["received"] == errors["poses"]
-
-
 def test_elevation_stands_in_the_place_of_an_occupancy_map(still: Run) -> None:
     scores = still.record.map
     assert still.maps.built is None
@@ -138,14 +112,6 @@ def test_the_folder_holds_what_there_is(still: Run) -> None:
         (still.folder / "kept").rename(still.folder / "elevation.npz")
 
 
-def test_the_live_page_shows_the_run_without_a_map(still: Run) -> None:
-    assert still.folder is not None
-    shown = read_playback(still.folder)
-    moment = shown.moment(shown.scans - 1)
-    assert moment.map is None
-    assert ("map F1", "-") in moment.facts
-
-
 def test_a_run_by_another_version_of_the_mapper_is_run_again(
     still: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,21 +123,6 @@ def test_a_run_by_another_version_of_the_mapper_is_run_again(
     assert package_versions("hector") == package_versions("own_mappers:Still") == {}
     if CLOUD_MAPPERS["kiss-icp"].installed:
         assert list(package_versions("kiss-icp")) == ["kiss-icp"]
-
-
-@pytest.mark.slow
-def test_one_table_and_one_page_hold_planar_and_cloud_mappers(still: Run, hills: dict[str, Any]) -> None:
-    assert still.folder is not None
-    out = still.folder.parent
-    validate(**hills, mapper="hector", lidar="vlp16", seconds=3, out=out)
-    still.overview().savefig(still.folder / "overview.png")
-    report = report_of(read_results(out))
-    assert {entry["config"]["mapper"] for entry in report.entries} == {"hector", "own_mappers:Still"}
-    headings = report.tables["summary"].headings
-    assert {"ATE [m]", "ATE in space [m]", "elevation RMSE [m]"} <= set(headings)
-    text = report_page(report, "lirs-wct report out")
-    assert text.count("data:image/webp") == 2
-    assert "maps of hills, husky, own_mappers:Still" in text
 
 
 def test_a_planar_mapper_maps_the_ring_nearest_the_horizon(room: str) -> None:
@@ -205,12 +156,6 @@ def test_what_cannot_work_is_refused_before_the_world_is_built(change: dict[str,
     with pytest.raises(ConfigError, match=message) as error:
         RunTask(config).check()
     assert "\n" not in str(error.value)
-
-
-def test_any_lidar_suits_a_planar_mapper() -> None:
-    for lidar in (None, "vlp16", "lds01"):
-        planar = LocalMapper(make_mapper("hector"), "hector")
-        check_sensors(planar, RunConfig(source="medium", lidar=lidar))
 
 
 def test_without_attitude_there_is_no_inertial_reading() -> None:
@@ -260,31 +205,6 @@ def test_a_wrong_answer_costs_the_run_and_names_the_scan(answer: Any, message: s
     assert (cloud.xyz == 1).all()
     with pytest.raises(MapperError, match=r"trajectory\(\) is not finite"):
         LocalMapper(Wrong(None), "wrong").trajectory()
-
-
-def test_heights_that_are_off_stand_out_in_color(still: Run) -> None:
-    world = still.world
-    canvas = Canvas.over((-1.0, -1.0, 1.0, 1.0), 40)
-    centers = canvas.centers[::-1].reshape(-1, 2)
-    z = world.surface.height_at(centers[:, 0], centers[:, 1]).reshape(canvas.shape)
-    for lift, color in ((2 * FULL_COLOR_ERROR, VERMILLION), (-2 * FULL_COLOR_ERROR, BLUE), (0.0, "#ffffff")):
-        grid = ElevationMap(z + lift, canvas.pixel, (-1.0, -1.0))
-        picture = error_picture(canvas, world, grid)
-        judged = ~np.isnan(grid.error(world.surface, world.walls))[::-1]
-        assert judged.mean() > 0.5
-        np.testing.assert_allclose(
-            picture[judged], np.broadcast_to(to_rgb(color), picture[judged].shape), atol=0.02
-        )
-
-
-@pytest.mark.slow
-def test_the_documented_cloud_mapper_follows_a_drive(room: str) -> None:
-    text = (ROOT / "docs" / "bring_your_own_mapper.md").read_text(encoding="utf-8")
-    Path("my_icp.py").write_text(re.findall(r"```python\n(.*?)```", text, re.DOTALL)[1])
-    record = validate(room, mapper="my_icp:SweepToSweep", lidar="vlp16", seconds=3).record
-    assert record.status == "ok"
-    assert record.trajectory["length"] > 1.0
-    assert record.trajectory["ate_rmse_3d_unaligned"] < 0.35
 
 
 def cloud(stamp: float, n: int = 3) -> PointCloud:

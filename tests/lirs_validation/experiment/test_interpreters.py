@@ -15,8 +15,6 @@ from lirs_validation.experiment.loading import interpreter_of, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperProcess, SensorReadings
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.geometry import ImuReadings, LaserScan, PointCloud, Pose2, Pose3
-from slam_baselines.mapper import CLOUD_MAPPERS, MAPPERS
-from tests.command_line import run_command
 
 FAKE = """
 import json, os, signal, sys
@@ -147,19 +145,3 @@ def test_a_given_interpreter_must_hold_the_systems_package(monkeypatch: pytest.M
         interpreter_of("rko-lio", sys.executable)
     assert interpreter_of("own_slam:Own", sys.executable) == sys.executable
     assert interpreter_of("hector") is None
-
-
-def test_the_list_shows_requirements_and_how_to_install(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("lirs_validation.cli.commands.installation.out._width", 200)
-    monkeypatch.setattr("slam_baselines.mapper.find_spec", lambda package: None)
-    assert run_command("list", "mappers") == 0
-    rows = {line.split()[0]: line for line in capfd.readouterr().out.splitlines() if line.strip()}
-    assert set(CLOUD_MAPPERS) | set(MAPPERS) <= set(rows)
-    assert "MIT" in rows["rko-lio"]
-    assert "inertial readings, a start at rest" in rows["rko-lio"]
-    assert "no: pip install '.[slam]'" in rows["rko-lio"]
-    assert "no: pip install . evalio" in rows["evalio:ct"]
-    assert "organized clouds" in rows["evalio:loam"]
-    assert "pip install '.[slam]'" in rows["small-gicp"]

@@ -1,6 +1,5 @@
 """A mapper changes nothing that it is judged by, and ends nothing but its own run."""
 
-import gzip
 import json
 from contextlib import closing
 from copy import deepcopy
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 
 from lirs_envs.sensing.sensors import Observation
-from lirs_validation import validate
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.mapper_under_test import LocalMapper, MapperProcess
 from lirs_validation.metrics.trajectory import trajectory_errors
@@ -87,14 +85,6 @@ def test_a_serial_sweep_goes_on_past_a_mapper_that_exits(here: Path, room: str, 
     assert len(json.loads((here / "out" / "sweep.json").read_text())["cells"]) == 2
 
 
-@pytest.mark.slow
-def test_a_process_that_ends_itself_costs_its_own_run(here: Path, room: str, plain_pictures: None) -> None:
-    names = ",".join(f"own_mappers:{name}" for name in ("Leaves", "Interrupts", "Own"))
-    assert run_command("validate", room, "--mapper", names, "--seconds", "1", "-o", "out") == 3
-    found = {name: status for name, (status, _) in statuses(here / "out").items()}
-    assert found == {"Leaves": "error", "Interrupts": "error", "Own": "ok"}
-
-
 @pytest.mark.parametrize("mapper", ["Replaces", "Looks"])
 def test_no_mapper_reaches_the_evaluation_or_the_drive(
     here: Path, mapper: str, observations: list[Observation]
@@ -109,24 +99,6 @@ def test_no_mapper_reaches_the_evaluation_or_the_drive(
     assert evaluation.trajectory_errors is trajectory_errors
     assert dict(np.geterr()) == before
     assert Path.cwd() == here
-
-
-@pytest.mark.slow
-def test_no_mapper_reaches_the_next_run(here: Path, room: str) -> None:
-    names = ("Own", "Replaces", "Looks", "Own")
-    first, *others = (validate(room, mapper=f"own_mappers:{name}", seconds=2).record for name in names)
-    for record in others:
-        assert record.trajectory == first.trajectory
-        assert record.map == first.map
-
-
-def test_logs_have_the_same_guard(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lines = gzip.decompress((ROOT / "examples" / "data" / "office.clf.gz").read_bytes()).splitlines()
-    (here / "log.clf").write_bytes(b"\n".join(lines[:60]) + b"\n")
-    assert run_command("map", "log.clf", "--mapper", "own_mappers:Exits", "-o", "out") == 3
-    said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert said.startswith("lirs-wct: mapper 'own_mappers:Exits': update() failed for the scan at ")
-    assert not (here / "out").exists()
 
 
 def test_a_module_that_exits_when_imported_is_bad_input(

@@ -101,12 +101,6 @@ def test_what_is_no_mapper_is_said_in_one_line(name: str, message: str) -> None:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("wrong", [Pose2(math.nan, 0, 0), Pose2(0, math.inf, 0), Pose2(0, 0, math.nan)])
-def test_a_pose_that_is_not_finite_is_named_by_its_scan(wrong: Pose2) -> None:
-    with pytest.raises(MapperError, match=r"finite pose, got .* for the scan at 1\.240 s"):
-        check_pose(wrong, Pose2, 1.24)
-
-
 def test_what_a_mapper_hands_over_is_looked_at() -> None:
     class Wrong:
         stats: object = {}

@@ -18,7 +18,6 @@ import pytest
 
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import RunConfig, validate
-from lirs_validation.experiment.evaluation import evaluate_rtf
 from lirs_validation.experiment.loading import mapper_named, own_source_file
 from lirs_validation.experiment.mapper_under_test import (
     LocalMapper,
@@ -26,12 +25,10 @@ from lirs_validation.experiment.mapper_under_test import (
     MapperUnderTest,
     SensorReadings,
 )
-from lirs_validation.experiment.run import prepare
 from lirs_wct.errors import ConfigError, MapperError, SourceError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
-from tests.lirs_validation.experiment.mapper_processes import mapper_processes
-from tests.lirs_validation.experiment.puppets import drive_log
+from tests.lirs_validation.experiment.puppets import mapper_processes
 
 MADE = """
 from types import SimpleNamespace
@@ -120,36 +117,10 @@ def test_a_process_that_fails_is_told_in_a_line(
         assert "in act\n    raise ValueError" in raised.value.__notes__[0]
 
 
-def test_a_process_that_dies_keeps_nobody_waiting(observations: list[Observation]) -> None:
-    process = MapperProcess(config("own_mappers:Own"))
-    process._child.process.kill()
-    process._child.process.wait()
-    for _ in range(2):
-        with pytest.raises(MapperError, match="its process ended"):
-            process.observe(observations[0])
-
-
-def test_the_parts_of_the_time_add_up() -> None:
-    ready = prepare(config("own_mappers:Own"))
-    with closing(ready.mapper):
-        log = drive_log(ready.simulation, ready.driver, ready.mapper, 2.0)
-    rtf = evaluate_rtf(log, ready.simulation)
-    assert set(rtf["parts"]) == {"physics", "sensors", "mapper", "rest"}
-    assert min(rtf["parts"].values()) > 0
-    assert sum(rtf["parts"].values()) == pytest.approx(1 / rtf["mean"])
-
-
 def test_a_process_that_cannot_be_started_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     with pytest.raises(MapperError, match="mapper 'own_mappers:Own': its process cannot be started"):
         validate("simple", seconds=1, mapper="own_mappers:Own")
-
-
-def test_nothing_is_left_of_a_mapper_that_cannot_be_made() -> None:
-    with pytest.raises(ConfigError, match="no class 'Missing'") as kept:
-        MapperProcess(config("own_mappers:Missing"))
-    assert kept.tb is not None
-    assert not mapper_processes()
 
 
 def test_nothing_is_left_of_a_run_whose_world_cannot_be_built() -> None:

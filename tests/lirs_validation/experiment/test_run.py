@@ -1,6 +1,5 @@
 """A whole run: what it writes, that it repeats to the byte, that failures are told."""
 
-import json
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -13,15 +12,14 @@ from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_validation import RunConfig, read_record, validate
+from lirs_validation.config import ATTITUDES, Attitude
 from lirs_validation.experiment.cost import is_shared
 from lirs_validation.experiment.evaluation import evaluate_rtf, per_second, reference_rtf
 from lirs_validation.experiment.run import Run, prepare
 from lirs_validation.experiment.scenario import ScenarioCache, build_scenario
 from lirs_validation.record.verdict import LOST_SECONDS
 from lirs_validation.sweep.tasks import RunTask
-from lirs_wct.errors import ConfigError, MapperError, SimulationError, SourceError
-from lirs_wct.formats.drive_files import read_tum
-from lirs_wct.formats.map_server import read_map
+from lirs_wct.errors import MapperError, SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.progress import no_progress
@@ -99,16 +97,6 @@ def test_a_brief_run_is_complete_without_its_picture(room: str, tmp_path: Path) 
     assert experiment.find_outcome(tmp_path) is not None
 
 
-def test_the_files_open_where_they_should(run: Run) -> None:
-    assert run.folder is not None
-    truth, estimate = read_tum(run.folder / "truth.tum"), read_tum(run.folder / "estimate.tum")
-    assert len(truth) == len(estimate) == 101
-    np.testing.assert_allclose(truth.stamps, np.arange(101) * 0.04, atol=1e-9)
-    np.testing.assert_allclose(truth.xy[0], estimate.xy[0], atol=1e-9)
-    built = read_map(run.folder / "map.yaml")
-    assert built.occupied.sum() == run.maps.built.occupied.sum()
-
-
 @pytest.mark.parametrize("world", ["room", pytest.param("medium", marks=pytest.mark.slow)])
 def test_the_same_seed_gives_the_same_bytes(
     world: str, room: str, tmp_path: Path, plain_pictures: None
@@ -131,22 +119,6 @@ def test_a_large_terrain_is_cut_to_its_middle(hills: dict[str, Any]) -> None:
     assert build_scenario(RunConfig(source=source, build=options)).window is None
 
 
-def test_configs_differ_in_their_digest() -> None:
-    config = RunConfig(source="simple")
-    assert config.digest == RunConfig(source="simple").digest
-    assert config.digest != replace(config, seconds=60.0).digest
-    for wrong in ({"seconds": 0.0}, {"seconds": float("nan")}, {"seed": -1}):
-        with pytest.raises(ConfigError):
-            RunConfig(source="simple", **wrong)  # type: ignore[arg-type]
-
-
-def test_a_record_that_is_none_is_named(tmp_path: Path) -> None:
-    for text in ("", "{}", json.dumps({"schema": 0})):
-        (tmp_path / "record.json").write_text(text)
-        with pytest.raises(SourceError, match=r"record\.json: "):
-            read_record(tmp_path)
-
-
 @pytest.mark.parametrize("fails", ["tipped", "off world", "stuck", "diverged", "lost"])
 def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
     puppet, mapper = Puppet(fails, 10), SlowPuppet(0.0, lost=(0.4 if fails == "lost" else 1e9, 1e9))
@@ -155,12 +127,6 @@ def test_a_failure_ends_the_run_and_is_in_the_log(fails: str) -> None:
     assert log.reason
     assert puppet.ticks <= 12 + (LOST_SECONDS / puppet.period if fails == "lost" else 0)
     assert len(log.observations) == len(log.truth) == len(log.estimates)
-
-
-def test_a_run_without_failure_lasts_its_time() -> None:
-    puppet = Puppet("nothing", 0)
-    assert drive_log(puppet, puppet, SlowPuppet(0.0).under_test, 2.0).status == "ok"  # type: ignore[arg-type]
-    assert puppet.ticks == 1 + 50
 
 
 def test_a_driver_with_nothing_left_to_drive_ends_the_run() -> None:
@@ -247,3 +213,36 @@ def test_odometry_noise_scales_wheels_and_gyro_alone(room: str) -> None:
     assert half.odometry == replace(usual.odometry, scale_sigma=usual.odometry.scale_sigma / 2)
     rates = {"rate_sigma": usual.imu.rate_sigma / 2, "rate_bias": usual.imu.rate_bias / 2}
     assert half == replace(usual, odometry=half.odometry, imu=replace(usual.imu, **rates))
+
+
+def test_the_true_map_holds_no_walker_and_the_mappers_map_does(room: str) -> None:
+    run = validate(room, seconds=6, seed=3, actors=6)
+    assert run.record.config.actors == 6
+    met = np.array(run.log.walker_beams)
+    assert len(met) == len(run.log.observations)
+    assert 0.02 < met.mean() < 0.5
+    # What is occupied at the true poses is a wall or a block of the world.
+    assert run.maps.scores["reference_false_occupied"] < 0.005
+    assert run.maps.scores["false_occupied"] > 0.01
+
+
+@pytest.mark.parametrize("attitude", ATTITUDES)
+def test_a_users_mapper_is_given_the_readings_or_none(
+    hills: dict[str, Any], monkeypatch: pytest.MonkeyPatch, attitude: Attitude
+) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parent)
+    run = validate(**hills, mapper="own_mappers:Own", seconds=1, attitude=attitude)
+    assert len(run.log.observations) > 20
+    given = len(run.log.observations) if attitude == "imu" else 0
+    assert run.record.mapper["counts"] == {"attitudes": given}
+    assert run.record.config.attitude == attitude
+    # What was recorded, and the map at the true poses, have the attitude in either case.
+    assert any(abs(observation.imu.pitch) > 0.01 for observation in run.log.observations)
+
+
+def test_only_the_mapper_loses_the_attitude(hills: dict[str, Any]) -> None:
+    runs = [validate(**hills, seconds=2, attitude=attitude) for attitude in ATTITUDES]
+    truths, estimates = ([run.log.trajectories()[k].positions for run in runs] for k in (0, 1))
+    np.testing.assert_array_equal(*truths)
+    np.testing.assert_array_equal(*(run.maps.true_pose.log_odds for run in runs))
+    assert not np.array_equal(*estimates)

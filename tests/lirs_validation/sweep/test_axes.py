@@ -43,12 +43,6 @@ def test_the_default_of_an_axis_changes_no_digest() -> None:
     assert RunConfig(source="simple", wall_limit=3.0).digest == default
 
 
-def test_a_name_tells_the_driver() -> None:
-    _, frontier, replay = map(RunTask, cross("simple", driver=("tour", "frontier", "replay:out/a")))
-    assert frontier.name.startswith("simple-husky-hector-frontier-s1-")
-    assert replay.name.startswith("simple-husky-hector-replay-s1-")
-
-
 def test_the_papers_suite_has_every_run_of_its_tables_once() -> None:
     experiments = make_suite("paper", seed=(1, 2))
     runs = [experiment for experiment in experiments if isinstance(experiment, RunTask)]

@@ -14,7 +14,7 @@ import pytest
 
 from lirs_validation.config import RunConfig
 from lirs_validation.record.provenance import source_files
-from lirs_validation.record.run_record import Status, read_record, read_whole_record
+from lirs_validation.record.run_record import Status, read_record
 from lirs_validation.sweep.engines import Processes
 from lirs_validation.sweep.sweep import Outcome, Serial, Sweep
 from lirs_validation.sweep.tasks import RunTask
@@ -96,14 +96,6 @@ def test_a_run_without_a_manifest_is_run_again(tmp_path: Path) -> None:
     assert experiment.find_outcome(tmp_path) is None
 
 
-def test_sizes_of_files_in_an_older_record_are_ignored(tmp_path: Path) -> None:
-    experiment = RunTask(RunConfig(source="simple"))
-    file = saved(experiment, tmp_path)
-    edited(file, file_sizes={"map.pgm": 0})
-    assert read_whole_record(file.parent)["status"] == "ok"
-    assert experiment.find_outcome(tmp_path) is not None
-
-
 def test_a_failure_whose_trace_is_cut_off_is_run_again(tmp_path: Path) -> None:
     experiment = RunTask(RunConfig(source="simple"))
     outcome = Outcome(task=experiment.name, status="error", reason="it broke", trace="line 7")
@@ -135,15 +127,6 @@ def test_a_run_that_hit_a_wall_limit_counts_for_that_limit_only(tmp_path: Path) 
         assert other.find_outcome(tmp_path) is None
     saved(experiment, tmp_path, "ok")
     assert RunTask(replace(experiment.config, wall_limit=None)).find_outcome(tmp_path) is not None
-
-
-def test_the_digest_tells_experiments_apart_and_no_more() -> None:
-    config = RunConfig(source="simple", seconds=12)
-    assert config.digest == RunConfig(source="simple", seconds=12.0, wall_limit=3.0).digest
-    assert config.digest != replace(config, rays="mujoco").digest
-    for wrong in ({"rays": "sonar"}, {"wall_limit": 0.0}, {"wall_limit": float("nan")}):
-        with pytest.raises(WctError):
-            RunConfig(source="simple", **wrong)  # type: ignore[arg-type]
 
 
 def test_a_failure_leaves_a_record_without_figures(tmp_path: Path) -> None:

@@ -110,11 +110,6 @@ def test_the_only_experiment_says_at_once_that_it_cannot_be_written(tmp_path: Pa
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_an_experiment_named_twice_is_run_once(tmp_path: Path, notes: str) -> None:
-    (experiment,) = experiments(notes, "good")
-    assert len(list(Sweep([experiment, experiment], tmp_path / "out").run(Serial()))) == 1
-
-
 def test_the_sweeps_file_names_every_experiment_and_the_command(tmp_path: Path, notes: str) -> None:
     manifest = Manifest(command="lirs-wct validate --suite paper", suite="paper")
     list(Sweep(experiments(notes, "good", "raises"), tmp_path / "out", manifest=manifest).run(Serial()))
@@ -143,12 +138,6 @@ def test_processes_lose_no_experiment_whatever_happens_to_them(tmp_path: Path, n
     assert (tmp_path / "out" / "0-good" / "result").read_text() == "0-good True"
     assert ("0-good", "drive", 0.5) in reported
     assert hidden(tmp_path / "out") == []
-
-
-@pytest.mark.slow
-def test_one_process_at_a_time_is_no_contention(tmp_path: Path, notes: str) -> None:
-    list(Sweep(experiments(notes, "good"), tmp_path / "out").run(Processes(jobs=1)))
-    assert (tmp_path / "out" / "0-good" / "result").read_text() == "0-good False"
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ import sys
 from pathlib import Path
 
 import pytest
-import yaml
 
 from lirs_extensions.search.falsify.drives import DriveScore
 from lirs_wct.drawing.canvas import bare_figure
@@ -140,13 +139,6 @@ def test_a_bad_suite_is_one_line(
     error = capsys.readouterr().err
     assert error.startswith("lirs-wct: cases.yaml: ")
     assert message in error
-
-
-def test_a_case_with_an_unknown_option_is_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (folder / "case").mkdir()
-    (folder / "case" / "case.yaml").write_text(yaml.safe_dump({"run": {"mappr": "hector"}}))
-    assert run_command("validate", "case", "-o", "out") == 2
-    assert "case/case.yaml: `run` must hold options of a run" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -60,13 +60,6 @@ def test_a_failure_is_found_confirmed_and_reduced_to_its_cause(
     assert found.drives <= 200 + NEW_SEEDS
 
 
-def test_the_next_case_has_another_cause(tmp_path: Path, measured: Synthetic) -> None:
-    _, found = search(tmp_path / "out", drives=300, cases=2)
-    names = [{p.name for p in LIMITS.difference(f.case)} for f in found]
-    assert len(names) == 2
-    assert not names[0] & names[1]
-
-
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(
     tmp_path: Path, measured: Synthetic
 ) -> None:
@@ -162,19 +155,7 @@ def test_a_missing_package_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
         CmaProposer(LIMITS, np.random.default_rng(0))
 
 
-def test_limits_without_a_choice_are_refused() -> None:
-    held = LIMITS.held([p.name for p in LIMITS.parameters])
-    with pytest.raises(ConfigError, match="no parameter is left"):
-        make_proposer("cma", held, np.random.default_rng(0))
-
-
 def test_a_damaged_archive_names_its_line(tmp_path: Path) -> None:
     (tmp_path / ARCHIVE).write_text("{}\n")
     with pytest.raises(OutputError, match=r"drives.jsonl: line 1 is damaged"):
         CaseDrives(FalsifyOptions(), LIMITS, tmp_path)
-
-
-def test_a_method_is_not_its_own_reference() -> None:
-    with pytest.raises(ConfigError, match="another method than hector"):
-        FalsifyOptions(mapper="hector", reference="hector")
-    assert FalsifyOptions(policy="go_to_goal").compared_with == "astar"

@@ -21,7 +21,6 @@ from lirs_extensions.search.tune.tunable import TUNABLE, default_parameters
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
 from lirs_validation.record.verdict import VerdictFigures
-from lirs_wct.errors import ConfigError
 from slam_baselines.mapper import make_mapper, read_parameters
 from tests.command_line import run_command
 
@@ -70,11 +69,6 @@ def test_the_planted_value_alone_is_found_and_is_better_on_unseen_seeds(
     assert ros_text(made, tuned)[1].startswith("slam_gmapping:\n  ros__parameters:\n    linearUpdate: ")
 
 
-def test_defaults_against_themselves_are_not_better(tmp_path: Path, planted: Planted) -> None:
-    made = drives(tmp_path / "out")
-    assert not compare(made, made.space.easiest).better
-
-
 def test_an_interrupted_search_ends_with_the_same_bytes(tmp_path: Path, planted: Planted) -> None:
     tune(drives(tmp_path / "whole", 120))
     planted.calls, planted.stop_after = 0, 50
@@ -115,11 +109,6 @@ def test_parameters_are_fields_whose_defaults_lie_within_the_limits(mapper: str)
             make_mapper(mapper, **{tunable.name: kind(value)})
 
 
-def test_values_that_the_user_sets_are_held() -> None:
-    names = {p.name for p in search_space("gmapping", "srr=0.1", None).parameters}
-    assert "srr" not in names
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -146,12 +135,6 @@ def test_bad_input_is_one_line(
     assert message in error
     assert error.count("\n") == 1
     assert not Path("out").exists()
-
-
-def test_nothing_to_evaluate_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(search_module, "measure_run", lambda config: TuneScore(None, reason="stuck"))
-    with pytest.raises(ConfigError, match="no drive can be evaluated: stuck"):
-        tune(drives(tmp_path / "out"))
 
 
 def test_the_printed_command_of_a_log_names_its_truth_and_seed(tmp_path: Path) -> None:

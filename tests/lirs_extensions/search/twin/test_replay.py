@@ -8,15 +8,7 @@ from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_extensions.search.twin.fit import fit_odometry, odometry_deviations
-from lirs_extensions.search.twin.replay import (
-    REPLAYED,
-    Replay,
-    ReplayedMapper,
-    TwinPath,
-    parse_mappers,
-    simulate_odometry,
-)
-from lirs_wct.errors import ConfigError
+from lirs_extensions.search.twin.replay import Replay, ReplayedMapper, TwinPath, simulate_odometry
 from lirs_wct.geometry import LaserScan, Pose2, Trajectory
 
 ERRORS = st.floats(0.001, 100.0)
@@ -87,22 +79,3 @@ def test_order_and_size_of_errors_are_compared(pairs: list[tuple[float, float]])
     assert replay.tau == (None if np.isnan(tau) else pytest.approx(tau))
     within = sum(abs(np.log2(real / twin)) <= 1 for real, twin in pairs)
     assert f"Errors of {within} of {len(pairs)} mappers" in replay.sentence
-
-
-def test_the_median_of_the_simulations_counts() -> None:
-    mapper = ReplayedMapper("hector", 0.1, (0.3, None, 0.05, 0.15))
-    assert mapper.simulated == 0.15
-    assert mapper.agrees
-    assert ReplayedMapper("hector", 0.1, (None,)).ratio is None
-    alone = Replay("ATE", (mapper, ReplayedMapper("gmapping", reason="needs odometry")))
-    assert "Errors of 1 of 1 mappers" in alone.sentence
-    assert "Kendall" not in alone.sentence
-    assert Replay("ATE", alone.mappers[1:]).sentence.startswith("No mapper could be compared")
-
-
-def test_mappers_of_a_replay_are_named() -> None:
-    assert parse_mappers("all") == REPLAYED
-    assert parse_mappers("none") == ()
-    assert parse_mappers("hector,gmapping") == ("hector", "gmapping")
-    with pytest.raises(ConfigError, match="unknown --replay 'hectors'; legal: all, cartographer, "):
-        parse_mappers("hectors")

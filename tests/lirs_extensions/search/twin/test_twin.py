@@ -199,17 +199,6 @@ def test_standstill_is_measured_while_the_odometry_rests() -> None:
     assert standstill(scans, rests, poses) is None, "the mapper sees a motion"
 
 
-def test_an_unknown_lidar_is_named(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    log = str(ROOT / "examples" / "data" / "office.clf.gz")
-    monkeypatch.setattr("sys.argv", ["lirs-wct", "twin", log, "--lidar", "lms201"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 2
-    assert "unknown lidar 'lms201'" in capsys.readouterr().err
-
-
 def test_a_log_that_is_too_short_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
