@@ -25,8 +25,6 @@ from lirs_wct.errors import OutputError, SourceError
 
 GZIP = b"\x1f\x8b"
 """First bytes of a gzipped file."""
-GZIP_LEVEL = 1
-"""Level of gzip: higher ones hardly shrink sensor noise further and take many times as long."""
 _TEMPORARY = re.compile(r"(\..*)\.(\d+)-[0-9a-f]{8}(|\.[^.]*)")
 """Stem, process and suffix of a temporary name."""
 _WRITING: set[str] = set()
@@ -119,10 +117,11 @@ def write_gzipped(path: Path) -> Iterator[gzip.GzipFile]:
     Raises:
         OutputError: the file cannot be written.
     """
+    # Higher levels hardly shrink sensor noise further and take many times as long.
     with (
         atomic_write(path) as temporary,
         temporary.open("wb") as raw,
-        gzip.GzipFile("", "wb", GZIP_LEVEL, raw, mtime=0) as zipped,
+        gzip.GzipFile("", "wb", compresslevel=1, fileobj=raw, mtime=0) as zipped,
     ):
         yield zipped
 

@@ -38,9 +38,6 @@ from lirs_wct.formats.laser_log import (
 from lirs_wct.formats.range_codes import NO_RETURN, RANGE_MIN, no_return, usual_reading
 from lirs_wct.geometry import LaserScan, Pose2, Pose3
 
-MAX_REASONS = 5
-"""Number of reasons that an error lists."""
-
 
 def read_carmen(path: Path, *, fov: float | None = None, range_max: float | None = None) -> LaserLog:
     """Read a CARMEN log; skip and count unusable lines.
@@ -63,7 +60,7 @@ def read_carmen(path: Path, *, fov: float | None = None, range_max: float | None
     odoms = messages_of("ODOM", lines.get("ODOM", ()), skipped)
     laser, read = _lasers(lines, skipped)
     if not read:
-        reasons = ", ".join(f"{count} x {why}" for why, count in skipped.most_common(MAX_REASONS))
+        reasons = ", ".join(f"{count} x {why}" for why, count in skipped.most_common(5))
         said = f"; skipped: {reasons}" if skipped else ""
         raise SourceError(f"{path}: no usable laser scan (FLASER, ROBOTLASER1, ...) in this CARMEN log{said}")
     scans, odoms, stamps = in_file_order(read, odoms)
@@ -117,8 +114,6 @@ def _lasers(lines: Lines, skipped: Counter[str]) -> tuple[str, list[Message]]:
     return "", []
 
 
-BINARY_TEST = 65_536
-"""Bytes that are searched for a zero byte, which text does not contain."""
 AFTER_STAMP = 2
 """Tokens that may follow a stamp: host and logger's stamp."""
 Lines = dict[str, list[tuple[int, str]]]
@@ -132,7 +127,7 @@ def read_lines(path: Path) -> Lines:
         SourceError: it cannot be read, is a damaged gzip file, or is not text.
     """
     data = read_gzipped(path)
-    if b"\0" in data[:BINARY_TEST]:
+    if b"\0" in data[:65_536]:
         raise SourceError(f"{path}: not a text file, a CARMEN log is one")
     lines: Lines = {}
     # Comments may be in any encoding; numbers and names are ASCII in all of them.

@@ -160,11 +160,10 @@ def _yaml_entries(path: Path, text: str) -> list[tuple[str, Any]]:
     return [(f"waypoint {k}", row) for k, row in enumerate(rows, 1)]
 
 
-FARTHEST = 1e9
+MAX_COORDINATE = 1e9
 """Largest coordinate, meters; squares of far larger ones overflow."""
 NANOSECONDS, PERIOD = 1e15, 1e5
 """Smallest stamp of a wall clock, and period of poses, in nanoseconds."""
-TUM_HEADER = "# stamp[s] x y z[m] qx qy qz qw"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -173,7 +172,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
         (trajectory.stamps, trajectory.positions, np.roll(trajectory.quaternions, -1, axis=1))
     )
     with atomic_write(path) as temporary:
-        np.savetxt(temporary, rows, fmt="%.9f", header=TUM_HEADER, comments="")
+        np.savetxt(temporary, rows, fmt="%.9f", header="# stamp[s] x y z[m] qx qy qz qw", comments="")
 
 
 def read_tum(path: Path, scans: FloatArray | None = None) -> Trajectory:
@@ -226,6 +225,6 @@ def _trajectory(path: Path, rows: FloatArray) -> Trajectory:
     length = np.linalg.norm(rows[:, 4:], axis=1, keepdims=True)
     if not (np.isfinite(rows).all() and length.all()):
         raise SourceError(f"{path}: not a trajectory: its numbers must be finite, and no quaternion zero")
-    if (farthest := float(np.abs(rows[:, 1:4]).max())) > FARTHEST:
-        raise SourceError(f"{path}: a position must be within {FARTHEST:.0e} m, got {farthest:.3g} m")
+    if (farthest := float(np.abs(rows[:, 1:4]).max())) > MAX_COORDINATE:
+        raise SourceError(f"{path}: a position must be within {MAX_COORDINATE:.0e} m, got {farthest:.3g} m")
     return Trajectory(rows[:, 0], rows[:, 1:4], np.roll(rows[:, 4:], 1, axis=1) / length)

@@ -232,7 +232,7 @@ MIN_RELIEF, MAX_RELIEF = 1e-5, 3.0
 """Usual relief of a terrain, share of its width."""
 MAX_DEGREE_PIXEL = 0.02
 """Size of a pixel below which degrees are as likely as meters."""
-DEGREE = 111_320.0
+METERS_PER_DEGREE = 111_320.0
 """Meters of a degree at the equator."""
 
 
@@ -251,7 +251,7 @@ def _are_degrees(affine: Affine, shape: tuple[int, int], relief: float) -> bool 
         return False
     width = step * max(rows, cols)
     as_meters = MIN_RELIEF * width <= relief <= MAX_RELIEF * width
-    as_degrees = MIN_RELIEF * width * DEGREE <= relief <= MAX_RELIEF * width * DEGREE
+    as_degrees = MIN_RELIEF * width * METERS_PER_DEGREE <= relief <= MAX_RELIEF * width * METERS_PER_DEGREE
     seconds, millimeters = (
         number > 0.5 and abs(number - round(number)) < 1e-4 * number
         for number in (step * 3600 * 9, step * 1000)
@@ -390,14 +390,14 @@ def tile_georeference(path: Path, shape: tuple[int, int]) -> Georeference | None
     return Georeference.of(CoordinateSystem.of_code(3857), affine, shape)
 
 
-USUAL = (-9999.0, -32768.0)
-"""Values of unmeasured pixels even where they are not isolated; values beyond `HUGE` likewise."""
-HUGE = 1e30
-CODES = (999, 9999, 9999.9, 10_000, 32_767, 65_535, 99_999, 1e5, 999_999, 1e6, 2.0**31 - 1, 2.0**32 - 1)
+NODATA_VALUES = (-9999.0, -32768.0)
+"""Values of unmeasured pixels even where they are not isolated; values beyond `MAX_VALUE` likewise."""
+MAX_VALUE = 1e30
+NO_HEIGHTS = (999, 9999, 9999.9, 10_000, 32_767, 65_535, 99_999, 1e5, 999_999, 1e6, 2.0**31 - 1, 2.0**32 - 1)
 """Magnitudes of further values that mean "no height" where they are far outside all others."""
-HIGHEST = 1e7
+MAX_HEIGHT = 1e7
 """Magnitude of heights in any unit; isolated values above it mean "no height" as well."""
-ISOLATED = 0.1
+MIN_ISOLATION = 0.1
 """Distance of such a code from all other heights, share of their range."""
 
 
@@ -411,8 +411,8 @@ def missing_heights(
         nodata: declared value of unmeasured pixels.
         search: whether isolated codes count as "no height".
     """
-    missing = ~np.isfinite(values) | (np.abs(values) > HUGE)
-    for value in (*USUAL, *(() if nodata is None else (np.float64(nodata).astype(values.dtype),))):
+    missing = ~np.isfinite(values) | (np.abs(values) > MAX_VALUE)
+    for value in (*NODATA_VALUES, *(() if nodata is None else (np.float64(nodata).astype(values.dtype),))):
         missing |= values == value
     codes: list[float] = []
     while search and (code := _isolated_code(values[~missing])) is not None:
@@ -424,8 +424,8 @@ def missing_heights(
 def _isolated_code(known: NDArray[Any]) -> float | None:
     """Return the lowest or highest height if it is a code far from all others."""
     for edge in (float(known.min()), float(known.max())) if known.size else ():
-        if abs(edge) > HIGHEST or any(abs(abs(edge) - code) <= 1e-6 * code for code in CODES):
+        if abs(edge) > MAX_HEIGHT or any(abs(abs(edge) - code) <= 1e-6 * code for code in NO_HEIGHTS):
             rest = known[known != edge]
-            if rest.size and np.abs(rest - edge).min() > ISOLATED * np.ptp(rest):
+            if rest.size and np.abs(rest - edge).min() > MIN_ISOLATION * np.ptp(rest):
                 return edge
     return None

@@ -25,7 +25,7 @@ MODES = ("trinary", "scale", "raw")
 SWITCHES = dict.fromkeys(("true", "yes", "y", "on"), "1") | dict.fromkeys(("false", "no", "n", "off"), "0")
 MAX_RESOLUTION = 1000.0
 """Meters of a cell's edge: a map of robots has cells of centimeters."""
-FARTHEST = 1e9
+MAX_COORDINATE = 1e9
 """Meters of an origin's coordinates at most; farther ones cannot tell cells apart."""
 BLACK, WHITE, UNKNOWN = 0, 254, 205
 """Pixels of occupied, free and unknown cells, as map_saver writes them."""
@@ -188,8 +188,8 @@ def _check_metadata(metadata: MapMetadata) -> MapMetadata:
             f"got {metadata.resolution}"
         )
     origin = metadata.origin
-    if not max(abs(origin.x), abs(origin.y)) <= FARTHEST:
-        raise ValueError(f"origin must lie within {FARTHEST:g} m, got {origin.x:g}, {origin.y:g}")
+    if not max(abs(origin.x), abs(origin.y)) <= MAX_COORDINATE:
+        raise ValueError(f"origin must lie within {MAX_COORDINATE:g} m, got {origin.x:g}, {origin.y:g}")
     if metadata.mode not in MODES:
         raise ValueError(f"unknown mode {metadata.mode!r}; legal: {', '.join(MODES)}")
     free, occupied = metadata.free_thresh, metadata.occupied_thresh

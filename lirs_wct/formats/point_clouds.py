@@ -11,15 +11,13 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.formats.limited import read_limited
-from lirs_wct.formats.meshes.reader import FARTHEST, ply_header, read_ply
+from lirs_wct.formats.meshes.reader import MAX_COORDINATE, ply_header, read_ply
 from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_wkt
 
 VERTICAL_UNITS = "4099"
 """GeoKey of the vertical unit."""
 METERS = {9001: 1.0, 9002: 0.3048, 9003: 1200 / 3937}
 """Meters in a unit of length (EPSG): meter, foot, US survey foot."""
-HEADER = 1 << 16
-"""Bytes of a PLY file that contain its header."""
 LAS = b"LASF"
 """The first bytes of a LAS or LAZ file."""
 EXTRA = "pip install '.[clouds]'"
@@ -46,7 +44,7 @@ def is_cloud_ply(path: Path) -> bool:
     """Return whether a PLY file holds points and no faces."""
     try:
         with path.open("rb") as file:
-            _, elements = ply_header(file.read(HEADER))
+            _, elements = ply_header(file.read(1 << 16))
     except (OSError, ValueError, LookupError):  # the reader of meshes reports the fault
         return False
     return not any(element.rows for element in elements if element.name in ("face", "tristrips"))
@@ -72,8 +70,8 @@ def read_points(path: Path) -> PointFile:
     kept = np.isfinite(found.xyz).all(axis=1)
     if kept.sum() < 3:
         raise SourceError(f"{path}: holds {int(kept.sum())} points, a ground needs at least 3")
-    if not (np.abs(found.xyz[kept]) <= FARTHEST).all():
-        raise SourceError(f"{path}: has points farther than {FARTHEST:g} units")
+    if not (np.abs(found.xyz[kept]) <= MAX_COORDINATE).all():
+        raise SourceError(f"{path}: has points farther than {MAX_COORDINATE:g} units")
     ground = None if found.ground is None else found.ground[kept]
     return replace(found, xyz=found.xyz[kept], ground=ground)
 

@@ -16,7 +16,7 @@ NO_RETURN = 50.0
 RANGE_MIN = 0.02
 """Shortest valid range, that of the SICK LMS's front pane; shorter ranges are errors, meters."""
 
-CODE_SHARE, CODE_BEAMS, CODE_CONTRAST, CODE_MOST = 0.001, 0.05, 20, 100
+CODE_SHARE, CODE_BEAMS, CODE_CONTRAST, MAX_CODE_RATIO = 0.001, 0.05, 20, 100
 """Conditions under which the largest range is a code: least share of all ranges, least share of the beams,
 least ratio to the frequency of the three meters below it, and largest ratio to all other ranges."""
 
@@ -41,7 +41,7 @@ def no_return(ranges: Float32Array, farthest: float = NO_RETURN) -> float:
         below = counts[max(0, top - 300) : top]
         count, rest = int(counts[top]), int(counts[:top].sum())
         usual = CODE_CONTRAST * max(1.0, float(np.median(below)))
-        if CODE_MOST * rest < count or count < max(usual, CODE_SHARE * ranges.size):
+        if MAX_CODE_RATIO * rest < count or count < max(usual, CODE_SHARE * ranges.size):
             return limit
         if (cm == top).any(axis=0).sum() < CODE_BEAMS * ranges.shape[1]:
             return limit
@@ -58,15 +58,15 @@ def usual_reading(ranges: Float32Array) -> float | None:
     return float(readings[np.argmax(counts)]) if len(readings) else None
 
 
-SAMPLED = 500
+SAMPLE_SCANS = 500
 """Scans of a laser, evenly spaced, in which codes for no return are searched."""
-OFTEN, ALL_ROUND = 0.01, 0.2
+MIN_EXACT_SHARE, MIN_EXACT_BEAMS = 0.01, 0.2
 """Least share of the readings that are a code below the largest reading, and of the beams that show it."""
-UNUSUAL, USUAL = 100.0, 99.95
+MAX_MEDIAN, LARGEST_PERCENTILE = 100.0, 99.95
 """Median reading that is no meters; percentile of the readings that is their largest, without outliers."""
-SAME_RANGE, EXACT = 0.0005, 0.9
+RANGE_TOLERANCE, EXACT_CODE_SHARE = 0.0005, 0.9
 """Largest difference of two readings of one code, meters, and share of them among the readings from it on."""
-SPREAD, MAX_DISTANCE_SHARE, DENSER, SCANS = 5, 0.02, 5.0, 0.5
+NOISE_CENTIMETERS, MAX_DISTANCE_SHARE, MIN_DENSITY_RATIO, MIN_SCAN_SHARE = 5, 0.02, 5.0, 0.5
 """Noisy readings for no return: width in centimeters; distance from range_max as a share of it; ratio to the
 readings in the meter below, and share of the scans, at least."""
 
@@ -96,11 +96,11 @@ class RangeDecoder:
         """
         size = Counter(len(r) for r in ranges).most_common(1)[0][0]
         usual = [r for r in ranges if len(r) == size]
-        sample = np.stack(usual[:: -(-len(usual) // SAMPLED)])
+        sample = np.stack(usual[:: -(-len(usual) // SAMPLE_SCANS)])
         real = sample[np.isfinite(sample) & (sample > 0)]
-        far = real[np.abs(real - (usual_reading(real) or 0.0)) > SAME_RANGE]
-        if far.size and np.median(far) > UNUSUAL:
-            unit = "millimeters" if far.max() > 10 * UNUSUAL else "centimeters"
+        far = real[np.abs(real - (usual_reading(real) or 0.0)) > RANGE_TOLERANCE]
+        if far.size and np.median(far) > MAX_MEDIAN:
+            unit = "millimeters" if far.max() > 10 * MAX_MEDIAN else "centimeters"
             raise ValueError(f"ranges up to {far.max():,.0f} m: {unit}? LaserScan has meters")
         far = far[far > FARTHEST]
         self.codes: list[str] = []
@@ -109,7 +109,7 @@ class RangeDecoder:
         legal = 0 < stated <= FARTHEST
         limit = given or self._find_codes(sample, stated if legal else FARTHEST, range_min)
         known = real[~self._means_none(real) & (real <= min(limit, FARTHEST))]
-        largest = float(np.percentile(known, USUAL)) if known.size else 0.0
+        largest = float(np.percentile(known, LARGEST_PERCENTILE)) if known.size else 0.0
         self.farthest = stated if legal else largest
         if not legal:
             self.codes.append(f"range_max is {stated:g} m: the largest reading is taken, {largest:.2f} m")
@@ -141,7 +141,7 @@ class RangeDecoder:
         if limit < FARTHEST:
             self._add_code(ranges, limit, FARTHEST)
         elif (exact := _exact_code(ranges)) is not None:
-            self._add_code(ranges, exact - SAME_RANGE, exact + SAME_RANGE)
+            self._add_code(ranges, exact - RANGE_TOLERANCE, exact + RANGE_TOLERANCE)
         if range_min <= 0 and _is_code(ranges == 0):
             self._add_code(ranges, 0.0, 0.0)
         if _is_code(np.isfinite(ranges) & (ranges > FARTHEST)):
@@ -152,8 +152,9 @@ class RangeDecoder:
         """Add the most frequent reading between two as a code; with noise, all of them."""
         inside = ranges[(ranges >= low) & (ranges <= high)]
         code = usual_reading(inside) or 0.0
-        exact = np.abs(inside - code) <= SAME_RANGE
-        self._codes.append((code - SAME_RANGE, code + SAME_RANGE) if exact.mean() >= EXACT else (low, high))
+        exact = np.abs(inside - code) <= RANGE_TOLERANCE
+        is_exact = exact.mean() >= EXACT_CODE_SHARE
+        self._codes.append((code - RANGE_TOLERANCE, code + RANGE_TOLERANCE) if is_exact else (low, high))
         self.codes.append(f"{code:g} m is a no-return code")
 
 
@@ -166,10 +167,10 @@ def _exact_code(ranges: Float32Array) -> float | None:
     """Return a reading that comes from many directions, far more often than its neighbors; else None."""
     real = ranges[np.isfinite(ranges) & (ranges > 0) & (ranges <= FARTHEST)]
     code = usual_reading(real) or 0.0
-    same = np.abs(ranges - code) <= SAME_RANGE
+    same = np.abs(ranges - code) <= RANGE_TOLERANCE
     near = np.bincount((np.abs(real[np.abs(real - code) < 0.5] - code) * 100).astype(np.int64), minlength=50)
     usual = max(1.0, float(np.median(near)))
-    frequent = same.mean() >= OFTEN and same.any(axis=0).mean() >= ALL_ROUND
+    frequent = same.mean() >= MIN_EXACT_SHARE and same.any(axis=0).mean() >= MIN_EXACT_BEAMS
     return code if frequent and same.sum() >= CODE_CONTRAST * usual else None
 
 
@@ -178,19 +179,19 @@ def _noisy_maximum(ranges: Float32Array, range_max: float) -> float:
 
     They come in most scans, and the histogram is much denser there than in the meter below.
     """
-    width = max(SPREAD, round(100 * MAX_DISTANCE_SHARE * range_max))
+    width = max(NOISE_CENTIMETERS, round(100 * MAX_DISTANCE_SHARE * range_max))
     middle = round(100 * range_max)
     inside = (ranges > 0) & (ranges < range_max + width / 100)
     counts = np.bincount((ranges[inside] * 100).astype(np.int64), minlength=middle + width + 1)
-    density = np.convolve(counts, np.ones(SPREAD), "same")
+    density = np.convolve(counts, np.ones(NOISE_CENTIMETERS), "same")
     first = max(0, middle - width)
     peak = first + int(np.argmax(density[first:]))
     usual = float(np.median(density[max(0, first - 100) : first])) if first else 0.0
-    if density[peak] < DENSER * max(1.0, usual):
+    if density[peak] < MIN_DENSITY_RATIO * max(1.0, usual):
         return FARTHEST
     floor = usual + (density[peak] - usual) / 10
     low = peak
     while low > first and density[low - 1] > floor:
         low -= 1
     noisy = (ranges >= low / 100) & (ranges < range_max + width / 100)
-    return low / 100 if _is_code(noisy) and noisy.any(axis=1).mean() >= SCANS else FARTHEST
+    return low / 100 if _is_code(noisy) and noisy.any(axis=1).mean() >= MIN_SCAN_SHARE else FARTHEST

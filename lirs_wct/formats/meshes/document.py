@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.geometry.mesh import TriangleMesh
 
-MOST_NODES = 1_000_000
+MAX_NODES = 1_000_000
 """Visits of nodes in a scene; more mean that nodes contain themselves."""
 STL_HEAD = 84
 STL_FACET = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 """Bytes before the first facet of a binary STL; its normal and three corners, and two unused bytes."""
-_AREA, _DIGITS = 1e-3, 1e-5
+_AREA_TOLERANCE, _COORDINATE_TOLERANCE = 1e-3, 1e-5
 """Shares of the area, and of the largest coordinate (in float32), by which another reading may differ."""
 
 
@@ -58,10 +58,10 @@ def is_same(mesh: TriangleMesh, other: TriangleMesh) -> bool:
         return False
     corners, others = mesh.vertices[mesh.faces], other.vertices[other.faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    noise = _DIGITS * float(np.abs((low, high)).max())
+    noise = _COORDINATE_TOLERANCE * float(np.abs((low, high)).max())
     off = np.abs((low - others.min(axis=(0, 1)), high - others.max(axis=(0, 1)))).max()
     area = float(mesh.face_areas.sum())
-    return bool(off <= noise and abs(area - other.face_areas.sum()) <= _AREA * area)
+    return bool(off <= noise and abs(area - other.face_areas.sum()) <= _AREA_TOLERANCE * area)
 
 
 def place_triangles(points: FloatArray, triangles: IntArray, matrix: FloatArray) -> TriangleMesh:

@@ -24,7 +24,7 @@ from lirs_wct.formats.meshes.scenes import collada_frame, read_collada, read_glb
 from lirs_wct.formats.suffixes import MESHES, way_to_read
 from lirs_wct.geometry.mesh import TriangleMesh, weld
 
-FARTHEST = 1e9
+MAX_COORDINATE = 1e9
 """Largest coordinate of a vertex, in the file's unit."""
 _UPRIGHT = {
     "X": np.array(((0.0, 0.0, 1.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))),
@@ -117,8 +117,10 @@ def read_document(path: Path) -> Document:
         raise SourceError(f"{path}: cannot be read as a mesh: {reason_of(error)}") from error
     if len(whole.faces) == 0:
         raise SourceError(f"{path}: holds no triangles, at least one is needed")
-    if not (np.abs(whole.vertices[whole.faces]) <= FARTHEST).all():
-        raise SourceError(f"{path}: has vertices that are not finite, or farther than {FARTHEST:g} units")
+    if not (np.abs(whole.vertices[whole.faces]) <= MAX_COORDINATE).all():
+        raise SourceError(
+            f"{path}: has vertices that are not finite, or farther than {MAX_COORDINATE:g} units"
+        )
     return document
 
 

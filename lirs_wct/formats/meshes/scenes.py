@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.formats.meshes.document import (
-    MOST_NODES,
+    MAX_NODES,
     Document,
     cut_polygons,
     numbers,
@@ -31,7 +31,7 @@ from lirs_wct.formats.meshes.document import (
 )
 from lirs_wct.geometry.mesh import TriangleMesh
 
-_MOST_CONTROLLERS = 10
+_MAX_CONTROLLERS = 10
 _NO_MOVE = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
 _MOVES = {"matrix", "translate", "rotate", "scale", "lookat", "skew"}
 _INSTANCES = {"instance_node", "instance_geometry", "instance_controller"}
@@ -111,8 +111,8 @@ class _Shapes:
     def _below(self, node: Element, matrix: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         """Yield the instances in a node and below it."""
         self._visits += 1
-        if self._visits > MOST_NODES:
-            raise ValueError(f"has more than {MOST_NODES} nodes; nodes may contain themselves")
+        if self._visits > MAX_NODES:
+            raise ValueError(f"has more than {MAX_NODES} nodes; nodes may contain themselves")
         for element in node:
             if element.tag in _MOVES:
                 matrix = matrix @ _move(element.tag, numbers(element.text or "", np.float64))
@@ -134,7 +134,7 @@ class _Shapes:
 
     def _bound(self, url: str, matrix: FloatArray) -> tuple[str, FloatArray]:
         """Return the geometry of a skin or morph, and its place in the bind pose."""
-        for _ in range(_MOST_CONTROLLERS):
+        for _ in range(_MAX_CONTROLLERS):
             if ("geometry", url[1:]) in self._ids:
                 break
             inner = self._target(Element("", url=url), "controller")[0]
@@ -293,8 +293,8 @@ class _Scene:
     def _below(self, index: int, matrix: FloatArray) -> Iterator[TriangleMesh]:
         """Yield the instances of a node and of those below it."""
         self._visits += 1
-        if self._visits > MOST_NODES:
-            raise ValueError(f"has more than {MOST_NODES} nodes; nodes may contain themselves")
+        if self._visits > MAX_NODES:
+            raise ValueError(f"has more than {MAX_NODES} nodes; nodes may contain themselves")
         node = self.entry("nodes", index)
         matrix = matrix @ _place(node)
         if "mesh" in node:

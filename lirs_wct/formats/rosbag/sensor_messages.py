@@ -17,7 +17,7 @@ from lirs_wct.formats.rosbag.frames import seconds
 from lirs_wct.formats.rosbag.open_bag import open_bag
 from lirs_wct.geometry import PointCloud, Pose3
 
-SAME_ANGLE = 1e-4
+ANGLE_TOLERANCE = 1e-4
 """Largest difference between angle_max and the sum of increments, both float32, radians."""
 FULL_TURN = math.tau * 1.01
 """Largest span of a scan's beams, radians; with some drivers the last beam meets the first."""
@@ -59,7 +59,7 @@ def beams_of(message: Any, n: int) -> BeamGeometry | None:
 def geometry(beams: BeamGeometry, n: int) -> tuple[float, float, float, float]:
     """Return first angle, increment and range limits without float32 rounding."""
     first, step, last = _angle(beams.first), _angle(beams.step), _angle(beams.last)
-    if n > 1 and abs(first + step * (n - 1) - last) < SAME_ANGLE:
+    if n > 1 and abs(first + step * (n - 1) - last) < ANGLE_TOLERANCE:
         # Rounding of the increment would add up over the beams.
         step = (last - first) / (n - 1)
     return first, step, _decimal(beams.range_min), _decimal(beams.range_max)
@@ -90,14 +90,14 @@ TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """NumPy types by the `datatype` of a PointField."""
 TIMES = ("t", "time", "timestamp", "offset_time")
 """Names of the time field with different drivers."""
-READ = ("x", "y", "z", "intensity", "ring", *TIMES)
+FIELDS = ("x", "y", "z", "intensity", "ring", *TIMES)
 """Fields that are read."""
 NANOSECONDS = 1e-9
-ABSOLUTE = 1e3
+MIN_CLOCK_TIME = 1e3
 """Smallest time of a point, seconds, that is a clock's time and not relative to the sweep."""
-ABSOLUTE_NANOSECONDS = 1e15
+MIN_CLOCK_NANOSECONDS = 1e15
 """Smallest floating-point time that is in nanoseconds of a clock."""
-LONGEST_SWEEP = 10.0
+MAX_REVOLUTION = 10.0
 """Largest difference to the header's stamp, seconds, for times of the same clock."""
 
 
@@ -107,7 +107,7 @@ def records_of(message: Any) -> NDArray[Any] | None:
     The ends of rows may be padded.
     """
     m = message
-    kinds = {f.name: (f.datatype, f.offset) for f in m.fields if f.name in READ and f.datatype in TYPES}
+    kinds = {f.name: (f.datatype, f.offset) for f in m.fields if f.name in FIELDS and f.datatype in TYPES}
     fields = {name: ("<>"[m.is_bigendian] + TYPES[kind], at) for name, (kind, at) in kinds.items()}
     if any(fields.get(axis, ("",))[0][1:] not in ("f4", "f8") for axis in "xyz"):
         return None
@@ -137,12 +137,12 @@ def times_of(records: NDArray[Any], header: float) -> FloatArray:
     times = records[name].astype(np.float64)
     known = np.isfinite(times)
     times[~known] = times.min(where=known, initial=times.max(where=known, initial=0.0))
-    if times.max() > ABSOLUTE_NANOSECONDS:
+    if times.max() > MIN_CLOCK_NANOSECONDS:
         unit = NANOSECONDS
     first = float(times.min()) * unit
-    if abs(first) < ABSOLUTE:
+    if abs(first) < MIN_CLOCK_TIME:
         return times * unit
-    same_clock = abs(first - header) < LONGEST_SWEEP
+    same_clock = abs(first - header) < MAX_REVOLUTION
     return (times - (header / unit if same_clock else times.min())) * unit
 
 
