@@ -31,22 +31,6 @@ def test_a_file_appears_when_the_block_ends(tmp_path: Path) -> None:
     assert listing(tmp_path) == ["deep", "deep/map.pgm"]
 
 
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_broken_off_file_leaves_the_old_one(tmp_path: Path, error: type[BaseException]) -> None:
-    target = tmp_path / "map.pgm"
-    target.write_text("old")
-
-    def broken_off() -> None:
-        with atomic_write(target) as temporary:
-            temporary.write_text("half")
-            raise error
-
-    with pytest.raises(error):
-        broken_off()
-    assert target.read_text() == "old"
-    assert listing(tmp_path) == ["map.pgm"]
-
-
 def test_a_folder_is_replaced_by_the_new_one(tmp_path: Path) -> None:
     target = tmp_path / "world"
     for name in ("first", "second"):
@@ -56,19 +40,23 @@ def test_a_folder_is_replaced_by_the_new_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_broken_off_folder_leaves_the_old_one(tmp_path: Path, error: type[BaseException]) -> None:
+@pytest.mark.parametrize("write", [atomic_write, atomic_folder, staged_files])
+def test_a_write_that_is_broken_off_leaves_the_old_files(
+    tmp_path: Path, error: type[BaseException], write: Callable[[Path], Any]
+) -> None:
     target = tmp_path / "world"
     target.mkdir()
     (target / "old").write_text("old")
 
     def broken_off() -> None:
-        with atomic_folder(target) as temporary:
-            (temporary / "half").write_text("half")
+        with write(target / "old" if write is atomic_write else target) as temporary:
+            (temporary if write is atomic_write else temporary / "half").write_text("half")
             raise error
 
     with pytest.raises(error):
         broken_off()
     assert listing(tmp_path) == ["world", "world/old"]
+    assert (target / "old").read_text() == "old"
 
 
 def test_errors_begin_with_the_path(tmp_path: Path) -> None:
@@ -111,28 +99,17 @@ def test_an_error_shows_no_hidden_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "None"]
 
 
-def test_staged_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
+def test_staged_files_appear_beside_those_of_the_user(tmp_path: Path) -> None:
     (tmp_path / "case").mkdir()
     for name in ("mine", "page", "case/mine", "case/run"):
         (tmp_path / name).write_text("old")
-
-    def write(error: BaseException | None = None) -> dict[str, str]:
-        with staged_files(tmp_path) as staged:
-            (staged / "case").mkdir()
-            for name in ("page", "case/run", "case/new"):
-                (staged / name).write_text("new")
-            if error is not None:
-                raise error
-        return {str(p.relative_to(tmp_path)): p.read_text() for p in tmp_path.rglob("*") if p.is_file()}
-
-    for error in (KeyboardInterrupt(), ValueError()):
-        with pytest.raises(type(error)):
-            write(error)
-        assert sorted(p.name for p in tmp_path.rglob("*")) == ["case", "mine", "mine", "page", "run"]
-        assert (tmp_path / "page").read_text() == (tmp_path / "case" / "run").read_text() == "old"
+    with staged_files(tmp_path) as staged:
+        (staged / "case").mkdir()
+        for name in ("page", "case/run", "case/new"):
+            (staged / name).write_text("new")
+    texts = {str(p.relative_to(tmp_path)): p.read_text() for p in tmp_path.rglob("*") if p.is_file()}
     mine = {"mine": "old", "case/mine": "old"}
-    assert write() == mine | {"page": "new", "case/run": "new", "case/new": "new"}
-    assert not list(tmp_path.glob(".*"))
+    assert texts == mine | {"page": "new", "case/run": "new", "case/new": "new"}
 
 
 def test_what_a_killed_process_left_goes_when_its_place_is_written_next(tmp_path: Path) -> None:
