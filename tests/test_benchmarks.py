@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from benchmarks.forecast import came_true
-from benchmarks.log_quality import correlation, table, thinned, worsened
+from benchmarks.log_quality import correlation, table, worsened
 from benchmarks.mrpt import write_rawlog
 from lirs_extensions.bench.tasks import task_set
 from lirs_extensions.search.falsify.drives import SearchLimits, measure
@@ -78,18 +78,6 @@ def test_agreement_is_by_medians_over_the_runs_that_have_an_original(fidelity: M
     assert found.rank_correlation == pytest.approx(1.0)
 
 
-def test_without_an_original_nothing_is_compared(fidelity: ModuleType) -> None:
-    found = fidelity.agreement([row(0.2, [0.1], [0.1])], "hector_original")
-    assert found == (0, None, 0, 0)
-    assert "no run has its original" in fidelity.formatted("hector_original", found)
-
-
-def test_a_cell_holds_the_median_and_the_range(fidelity: ModuleType) -> None:
-    assert fidelity._cell([0.1, 0.3, 0.2]) == "0.200 (0.100-0.300)"
-    assert fidelity._cell([0.1]) == "0.100"
-    assert fidelity._cell([]) == "-"
-
-
 ROOT = Path(__file__).resolve().parents[1]
 LINES = [f"FLASER 2 1.00 2.00 {x} 0 0 {x} 0 0 {x} host {x}\n" for x in np.arange(0.0, 10.0, 0.5)]
 
@@ -105,18 +93,6 @@ def test_the_published_table_is_that_of_the_stored_rows() -> None:
     assert len(logs) == 4
     assert min(sum(row["log"] == log for row in rows) for log in logs) >= 12
     assert np.median(found) >= 0.8
-
-
-def test_the_correlation_is_that_of_ranks() -> None:
-    rows = [{"error": 10.0**k, "figure": k**3} for k in range(6)]
-    assert correlation(rows, "figure") == pytest.approx(1.0)
-    assert correlation([row | {"figure": -row["figure"]} for row in rows], "figure") == pytest.approx(-1.0)
-    assert correlation([*rows, {"error": 1.0, "figure": None}], "figure") == pytest.approx(1.0)
-
-
-def test_every_kth_scan_stays_and_all_other_lines() -> None:
-    lines = ["# a log\n", *LINES]
-    assert list(thinned(lines, 4)) == ["# a log\n", *LINES[::4]]
 
 
 def test_worse_odometry_keeps_scans_and_stamps_and_leaves_the_path() -> None:

@@ -87,7 +87,3 @@ def texts(cell: NotebookNode) -> Iterator[str]:
     for output in cell.outputs:
         yield output.get("text", "")
         yield output.get("data", {}).get("text/plain", "")
-
-
-def test_there_are_notebooks() -> None:
-    assert len(NOTEBOOKS) >= 6

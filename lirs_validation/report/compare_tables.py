@@ -100,43 +100,25 @@ def reading(comparison: Comparison) -> str:
     return "\n".join((*lines, *failed, *worse))
 
 
-def write_compare_csv(path: Path, comparison: Comparison) -> None:
-    """Write the differences as CSV.
+def write_comparison(path: Path, comparison: Comparison, names: tuple[str, str]) -> None:
+    """Write the differences as CSV or as JSON, by the file's suffix.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    write_csv(path, [as_dict(d) for d in comparison.differences], without_rows=FIELDS)
-
-
-def write_compare_json(path: Path, comparison: Comparison, names: tuple[str, str]) -> None:
-    """Write the differences as JSON.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    document = {
-        "a": names[0],
-        "b": names[1],
-        "differences": [as_dict(d) for d in comparison.differences],
-        "only_a": [asdict(group) for group in comparison.only_a],
-        "only_b": [asdict(group) for group in comparison.only_b],
-    }
-    write_json(path, document)
-
-
-def as_dict(d: Difference) -> dict[str, Any]:
-    """Return a difference as one flat row."""
-    return {
-        **asdict(d.group),
-        "figure": d.metric.key,
-        "unit": d.metric.unit,
-        **{key: getattr(d, key) for key in ("a", "b", "difference", "low", "high", "pairs", "seeds")},
-        **{key: getattr(d, key) for key in ("test", "p")},
-        "p_corrected": d.p_corrected,
-        "real": d.significant,
-        "verdict": verdict(d),
-    }
+    kept = ("a", "b", "difference", "low", "high", "pairs", "seeds", "test", "p", "p_corrected")
+    rows = [
+        asdict(d.group)
+        | {"figure": d.metric.key, "unit": d.metric.unit}
+        | {key: getattr(d, key) for key in kept}
+        | {"real": d.significant, "verdict": verdict(d)}
+        for d in comparison.differences
+    ]
+    if path.suffix == ".csv":
+        write_csv(path, rows, without_rows=FIELDS)
+        return
+    only = {f"only_{x}": [*map(asdict, getattr(comparison, f"only_{x}"))] for x in "ab"}
+    write_json(path, {"a": names[0], "b": names[1], "differences": rows, **only})
 
 
 def score_table(score: Score, record: Mapping[str, Any]) -> ReportTable:
@@ -167,7 +149,6 @@ def write_score(
     Raises:
         OutputError: the file cannot be written.
     """
-    given = {"trajectory": trajectory, "map": map_yaml}
-    files = {key: None if p is None else str(p) for key, p in given.items()}
+    files = {"trajectory": trajectory and str(trajectory), "map": map_yaml and str(map_yaml)}
     judged = None if verdict is None else verdict.to_dict()
     write_json(path, {"files": files} | asdict(score) | {"verdict": judged})

@@ -150,7 +150,7 @@ def compare(options: CompareOptions) -> None:
     from lirs_validation.analysis.compare import compare as compared, only
     from lirs_validation.analysis.results import read_results
     from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
-    from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
+    from lirs_validation.report.compare_tables import compare_table, write_comparison
 
     if options.output is not None and options.output.suffix not in (".csv", ".json"):
         raise ConfigError(f"{options.output}: must end in .csv or .json")
@@ -165,10 +165,8 @@ def compare(options: CompareOptions) -> None:
     )
     names = options.a, options.b
     out.print(compare_table(comparison, names))
-    if options.output is not None and options.output.suffix == ".csv":
-        write_compare_csv(options.output, comparison)
-    elif options.output is not None:
-        write_compare_json(options.output, comparison, names)
+    if options.output is not None:
+        write_comparison(options.output, comparison, names)
 
 
 def _selected(text: str) -> tuple[Path, dict[str, str]]:

@@ -15,7 +15,7 @@ from scipy import stats
 from lirs_validation.analysis.compare import compare, holm, only, paired_test
 from lirs_validation.analysis.groups import repeats
 from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
-from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
+from lirs_validation.report.compare_tables import compare_table, write_comparison
 from lirs_wct.errors import ConfigError
 from tests.lirs_validation.records import entry
 
@@ -147,8 +147,8 @@ def test_what_only_one_has_is_named() -> None:
 
 def test_files(tmp_path: Path) -> None:
     comparison = compare(results(0, 0.001), results(0.01, 0.001), metrics_selected("compared"))
-    write_compare_csv(tmp_path / "d.csv", comparison)
-    write_compare_json(tmp_path / "d.json", comparison, ("a", "b"))
+    write_comparison(tmp_path / "d.csv", comparison, ("a", "b"))
+    write_comparison(tmp_path / "d.json", comparison, ("a", "b"))
     rows = list(csv.DictReader((tmp_path / "d.csv").open()))
     document = json.loads((tmp_path / "d.json").read_text())
     assert len(rows) == len(document["differences"]) == len(comparison.differences)

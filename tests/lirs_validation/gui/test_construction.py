@@ -37,7 +37,6 @@ def dunes(tmp_path_factory: pytest.TempPathFactory) -> str:
         {},
         {"size": 30.0, "height": 4.0, "scale": (1.0, 2.0, 3.0)},
         {"invert": True, "z_scale": 2.0, "resolution": 0.1, "crop": (50, 20, 200, 250)},
-        {"smoothing": 6.0},
         {"window": (5.0, -5.0, 20.0)},
         {"resize": (200, 300)},
     ],
@@ -83,11 +82,6 @@ def test_another_file_of_the_same_name_is_read_anew(tmp_path: Path, picture: Pat
     after = construction.preview(str(picture), BuildOptions()).world.surface.z
     np.testing.assert_allclose(after, 6.0 - before, atol=0.05)
     np.testing.assert_allclose(scenarios.scenario(config).world.surface.z, 6.0 - driven, atol=0.05)
-
-
-def test_an_impossible_crop_is_refused_by_a_preview_too(tmp_path: Path, picture: Path) -> None:
-    with pytest.raises(WctError, match="crop"):
-        Construction(tmp_path).preview(str(picture), BuildOptions(crop=(60, 0, 10, 10)))
 
 
 @pytest.mark.parametrize("most", [2_000, 50_000])

@@ -2,7 +2,6 @@
 
 import asyncio
 import gc
-import itertools
 import threading
 import weakref
 from collections.abc import Coroutine, Iterable, Iterator
@@ -56,8 +55,6 @@ def errors(monkeypatch: pytest.MonkeyPatch) -> list[Exception]:
 class Client:
     """A browser's end of the connection, without a browser."""
 
-    transfers = itertools.count()
-
     def __init__(self, server: Any) -> None:
         self._server = server
 
@@ -72,28 +69,16 @@ class Client:
             compression=None,
         )
         self._reading = asyncio.create_task(self._read())
+        import msgspec
         from viser import _messages
 
-        await self.send(_messages.ViewerCameraMessage(**VIEW))  # the server waits for it
+        view = _messages.ViewerCameraMessage(**VIEW)  # the server waits for it
+        await self._socket.send(msgspec.msgpack.encode(view.as_serializable_dict()))
 
     async def _read(self) -> None:
         with suppress(ConnectionClosed):
             async for _ in self._socket:
                 pass
-
-    async def send(self, message: Any) -> None:
-        import msgspec
-
-        await self._socket.send(msgspec.msgpack.encode(message.as_serializable_dict()))
-
-    async def upload(self, page: Any, name: str, content: bytes) -> None:
-        from viser import _messages
-
-        handles = page.client.gui._gui_input_handle_from_uuid
-        button = next(u for u, h in handles.items() if getattr(h, "label", "") == "Open a file ...")
-        transfer = f"transfer {next(self.transfers)}"
-        await self.send(_messages.FileTransferStartUpload(button, transfer, name, "", 1, len(content)))
-        await self.send(_messages.FileTransferPart(button, transfer, 0, content))
 
     async def vanish(self) -> None:
         """Cut the connection without a farewell."""
@@ -132,9 +117,8 @@ async def a_round(
     pages = sorted(server.pages, key=lambda page: page.client.client_id)
     await until(lambda: all(page.world.shown is not None for page in pages))
     for kind, files in enumerate(zip(*(broken_files(picture, rng) for _ in clients), strict=True), 1):
-        await asyncio.gather(
-            *(client.upload(page, *file) for client, page, file in zip(clients, pages, files, strict=True))
-        )
+        for page, file in zip(pages, files, strict=True):
+            page.world._open(*file)
         await until(lambda so_far=CLIENTS * kind: len(errors) >= so_far)
     for page in pages[:DRIVING]:
         page.drive.start(((-7.0, -13.0), (7.0, -11.0)))
@@ -191,7 +175,7 @@ async def a_healthy_client(server: Any, picture: Path, errors: list[Exception]) 
     await until(lambda: len(server.pages) == 1)
     (page,) = server.pages
     await until(lambda: page.world.shown is not None)
-    await client.upload(page, picture.name, picture.read_bytes())
+    page.world._open(picture.name, picture.read_bytes())
     await until(lambda: page.world.shown.world.name == "hill")
     assert errors == []
     await client.vanish()

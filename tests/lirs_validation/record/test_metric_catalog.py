@@ -23,7 +23,7 @@ from lirs_validation.record.metric_catalog import (
     picture_lines,
 )
 from lirs_validation.record.run_record import record_schema
-from lirs_validation.report.compare_tables import compare_table, write_compare_csv, write_compare_json
+from lirs_validation.report.compare_tables import compare_table, write_comparison
 from lirs_validation.report.run_report import report_of, report_page
 from lirs_validation.report.run_tables import results_table
 from slam_baselines.mapper import MapperStats
@@ -107,8 +107,8 @@ def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.Monk
     assert html.count("blur [cm]") >= 5  # tile, summary, section by group and by run, distributions
     comparison = compare(runs, runs_with(blur=0.0100), metrics_selected("compared"))
     assert "blur [cm]" in shown(compare_table(comparison, ("a", "b")))
-    write_compare_csv(tmp_path / "d.csv", comparison)
-    write_compare_json(tmp_path / "d.json", comparison, ("a", "b"))
+    write_comparison(tmp_path / "d.csv", comparison, ("a", "b"))
+    write_comparison(tmp_path / "d.json", comparison, ("a", "b"))
     assert "map.blur" in (tmp_path / "d.csv").read_text()
     assert "map.blur" in (tmp_path / "d.json").read_text()
     assert metrics_named(["map.blur"]) == (new,)
