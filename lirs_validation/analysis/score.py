@@ -13,7 +13,7 @@ import numpy as np
 
 from lirs_validation.analysis.results import RunFolder, recorded_truth, recorded_world_config, true_pose_map
 from lirs_validation.experiment.scenario import build_scenario
-from lirs_validation.logs.map_log import read_trajectory
+from lirs_validation.logs.read_log import read_trajectory
 from lirs_validation.metrics.alignment import (
     MAX_GAP,
     StartAlignment,

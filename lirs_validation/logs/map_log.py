@@ -5,14 +5,12 @@ A log that is a source of worlds is mapped once; later worlds are built from its
 
 from __future__ import annotations
 
-import codecs
 import hashlib
 import json
-import math
 import time
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,46 +18,81 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lirs_validation.experiment.cost import CostMeter, compile_timer
-from lirs_validation.experiment.mapper_under_test import MapperUnderTest
-from lirs_validation.logs.log_replay import (
-    check_log,
-    horizontal_map,
-    inertial_readings,
-    log_mapper,
-    replay,
-    replay_clouds,
-    warm_up_log_mapper,
-    with_recorded_mount,
+from lirs_validation.experiment.loading import mapper_named
+from lirs_validation.experiment.mapper_under_test import (
+    LocalMapper,
+    MapperProcess,
+    MapperUnderTest,
+    SensorReadings,
+    needs_process,
 )
 from lirs_validation.logs.preflight import Preflight, check_log_data
+from lirs_validation.logs.read_log import (
+    check_log,
+    inertial_readings,
+    read_log,
+    read_truth,
+    truth_in_time,
+    with_recorded_mount,
+)
 from lirs_validation.map_config import MapConfig
-from lirs_validation.metrics.alignment import rms, scan_coverage
+from lirs_validation.metrics.alignment import associated, rms, scan_coverage
 from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
 from lirs_validation.metrics.trajectory import (
     Accuracy,
-    RelativePoseConstraint,
-    read_constraints,
+    odometry_accuracy,
     reference_errors,
     trajectory_accuracy,
 )
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.provenance import is_stale
+from lirs_validation.record.run_record import RECORD
 from lirs_validation.record.verdict import LostRule, incompleteness, inconsistency
-from lirs_wct import BuildOptions, ConfigError, Imu, OccupancyGrid, SourceError, Trajectory, unknown_name
-from lirs_wct.arrays import FloatArray
-from lirs_wct.files import atomic_folder, atomic_write, check_writable, readable_lines
-from lirs_wct.formats import carmen_log, drive_files, map_server, suffixes
-from lirs_wct.formats.laser_log import LaserLog, LineStamps
-from lirs_wct.formats.rosbag.topics import ANY, Topics
+from lirs_wct import (
+    BuildOptions,
+    ConfigError,
+    Imu,
+    LaserScan,
+    OccupancyGrid,
+    PointCloud,
+    Pose3,
+    SourceError,
+    Trajectory,
+    unknown_name,
+)
+from lirs_wct.files import atomic_folder, atomic_write, check_writable
+from lirs_wct.formats.laser_log import LaserLog
+from lirs_wct.formats.map_server import read_map, write_map
+from lirs_wct.formats.rosbag.topics import ANY
+from lirs_wct.formats.suffixes import METADATA, is_bag_file
+from lirs_wct.formats.tum import write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import SourceKind, find_source, is_bag
-from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name
+from slam_baselines.map_builder import KnownPoseMapper
+from slam_baselines.mapper import (
+    ALL_CLOUD_MAPPERS,
+    MAPPERS,
+    CloudMapper,
+    Mapper,
+    file_name,
+    make_mapper,
+    read_parameters,
+)
+from slam_baselines.warm_up import warm_up
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.canvas import Drawing
 
+WARM_UP_CONFIG = {"gmapping": {"particles": 4}}
+"""Kernels need no more particles than these to be compiled."""
+HORIZONTAL = np.tan(np.radians(1.5))
+"""Slope of the beams that count as horizontal, up and down: rings of lidars are mostly 2 deg apart."""
+BEAMS = 720
+RANGE_MAX = 100.0
+RESOLUTION = 0.05
+"""Edge of the map's cell, meters."""
 SECOND = "hector"
 """Mapper that others are compared with: it takes a fraction of their time."""
 
@@ -69,13 +102,13 @@ class MappedLog:
     """Result of mapping a log.
 
     Attributes:
-        record: config and metrics.
-        log: as read.
-        grid: the map; its frame is the first base pose.
-        trajectory: pose of every scan in the map, by the log's stamps.
-        reference: in its own frame; None where none was given.
-        accuracy: errors pose by pose.
-        folder: where it was written; None = nowhere.
+        record: Config and metrics.
+        log: Log as read.
+        grid: Map; its frame is the first base pose.
+        trajectory: Pose of every scan in the map, by the log's stamps.
+        reference: Reference trajectory in its own frame; None without one.
+        accuracy: Errors pose by pose.
+        folder: Folder of the results; None = not written.
     """
 
     record: MapRecord
@@ -108,10 +141,10 @@ def map_log(
     >>> map_log("intel.clf.gz", mapper="hector", relations="intel.relations.gz")  # doctest: +SKIP
 
     Args:
-        log: path of a .clf or .log file, gzipped or not, or of a bag.
-        out: folder that receives the map's folder; None = nothing is written.
-        progress: of the mapping.
-        **map_options: fields of `MapConfig`: mapper, seed, parameters, resolution, fov, range_max, relations,
+        log: Path of a .clf or .log file, gzipped or not, or of a bag.
+        out: Folder that receives the map's folder; None = nothing is written.
+        progress: Progress of the mapping.
+        **map_options: Fields of `MapConfig`: mapper, seed, parameters, resolution, fov, range_max, relations,
             reference, imu, attitude, scan_topic, odom_topic, imu_topic, second.
 
     Raises:
@@ -141,10 +174,50 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
     folder = out / mapped.record.name
     with atomic_folder(folder) as temporary:
         mapped.record.save(temporary)
-        map_server.write_map(temporary / "map", mapped.grid)
-        drive_files.write_tum(temporary / "estimate.tum", mapped.trajectory)
+        write_map(temporary / "map", mapped.grid)
+        write_tum(temporary / "estimate.tum", mapped.trajectory)
         mapped.overview().savefig(temporary / "overview.png")
     return replace(mapped, folder=folder)
+
+
+@contextmanager
+def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
+    """Give the mapper of a log.
+
+    Foreign code works in its own process, which ends with the block.
+
+    Raises:
+        ConfigError: there is no such mapper or parameter, or it reads point clouds and the log is no bag.
+        MapperError: the process cannot be started.
+    """
+    with closing(_start(config)) as mapper:
+        if mapper.reads_clouds and not is_bag(Path(config.log)):
+            raise ConfigError(
+                f"{config.log}: mapper {config.mapper} reads point clouds, a CARMEN log holds planar scans; "
+                f"legal: {', '.join(MAPPERS)}"
+            )
+        yield mapper
+
+
+def _start(config: MapConfig) -> MapperUnderTest:
+    if not needs_process(config.mapper):
+        return LocalMapper(_make(config), config.mapper, config.attitude)
+    if config.resolution is not None and config.mapper not in ALL_CLOUD_MAPPERS:
+        raise ConfigError(f"resolution can be given for {', '.join(MAPPERS)} only")
+    return MapperProcess(config)
+
+
+def _make(config: MapConfig) -> Mapper | CloudMapper:
+    if config.resolution is None or config.mapper not in MAPPERS:
+        return mapper_named(config.mapper, config.seed, config.parameters)
+    parameters = {"resolution": config.resolution} | read_parameters(config.parameters)
+    return make_mapper(config.mapper, seed=config.seed, **parameters)
+
+
+def warm_up_log_mapper(config: MapConfig) -> None:
+    """Compile a mapper's kernels; one of your own is not warmed up."""
+    if config.mapper in MAPPERS:
+        warm_up(config.mapper, **WARM_UP_CONFIG.get(config.mapper, {}))
 
 
 def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) -> MappedLog:
@@ -156,24 +229,25 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         name, log = folder_name(config), read_log(config, clouds=mapper.reads_clouds)
         check_log(config, mapper, log)
         readings = inertial_readings(config, log)
-        found = _preflight(config, log)
+        preflight = _preflight(config, log)
         log = log if config.imu is None or is_bag(Path(config.log)) else with_recorded_mount(config, log)
     progress("compile", 0.0)
     with compile_timer() as compile_seconds:
         warm_up_log_mapper(config)
     seconds["compile_seconds"] = compile_seconds()
     with _measure_time(seconds, "map_seconds"):
-        tracking, grid, trajectory = _map(config, mapper, log, readings, progress)
+        tracking, level = replay(config, mapper, log, readings, progress)
+        trajectory = mapper.trajectory()
+        grid = horizontal_map(level, trajectory, config.resolution) if mapper.reads_clouds else mapper.map()
+    cost = {**seconds, **asdict(meter.cost())}
     relations, reference = truth_in_time(truth, log.lines)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
-    cost = {**seconds, **asdict(meter.cost())}
-    used = len(log.stamps) / (len(log.stamps) + log.left_out)
-    coverage = used * scan_coverage(log.stamps, trajectory.stamps)
-    contradicted = contradicted_share(log.scans, readings, trajectory)
-    quality = scan_consistency(log.scans, readings, trajectory)
-    judged = relations is not None or reference is not None
-    second = None if judged or mapper.reads_clouds else _compare(config, log, readings, trajectory, progress)
-    lost, lacking = tracking.reason() or inconsistency(contradicted), incompleteness(coverage)
+    path = _describe_path(log, readings, trajectory)
+    quality = asdict(found) if (found := scan_consistency(log.scans, readings, trajectory)) else {}
+    judged = relations is not None or reference is not None or mapper.reads_clouds
+    second = None if judged else _compare(config, log, readings, trajectory, progress)
+    lost = tracking.reason() or inconsistency(path["contradicted"])
+    lacking = incompleteness(path["scan_coverage"])
     record = MapRecord(
         name=name,
         config=config,
@@ -181,21 +255,27 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         reason=lost or lacking or "",
         log=describe_log(log)
         | {"inertial_readings": sum(reading is not None for reading in readings)}
-        | {"unfit": found.unfit, "findings": [str(finding) for finding in found.findings]},
+        | {"unfit": preflight.unfit, "findings": [str(finding) for finding in preflight.findings]},
         map=describe_map(grid),
-        trajectory={
-            "poses": len(trajectory),
-            "length": trajectory.length,
-            "scan_coverage": coverage,
-            "contradicted": contradicted,
-        },
+        trajectory=path,
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
-        quality=(asdict(quality) if quality else {}) | {"second": second},
+        quality=quality | {"second": second},
         odometry=odometry_accuracy(log.track, relations, reference),
         cost=cost,
     )
     return MappedLog(record, log, grid, trajectory, reference, accuracy)
+
+
+def _describe_path(log: LaserLog, readings: Sequence[Imu | None], trajectory: Trajectory) -> dict[str, Any]:
+    """Return a record's description of a trajectory; scans left out of the log lack a pose."""
+    used = len(log.stamps) / (len(log.stamps) + log.left_out)
+    return {
+        "poses": len(trajectory),
+        "length": trajectory.length,
+        "scan_coverage": used * scan_coverage(log.stamps, trajectory.stamps),
+        "contradicted": contradicted_share(log.scans, readings, trajectory),
+    }
 
 
 def _preflight(config: MapConfig, log: LaserLog) -> Preflight:
@@ -204,28 +284,12 @@ def _preflight(config: MapConfig, log: LaserLog) -> Preflight:
     Raises:
         SourceError: a map would not fit into memory.
     """
-    found = check_log_data(log)
-    if any(finding.hopeless for finding in found.findings):
-        raise SourceError(f"{config.log}: {found.sentence}")
-    if found.unfit:
-        warnings.warn(f"{config.log}: {found.sentence}", stacklevel=2)
-    return found
-
-
-def _map(
-    config: MapConfig,
-    mapper: MapperUnderTest,
-    log: LaserLog,
-    readings: Sequence[Imu | None],
-    progress: Progress,
-) -> tuple[LostRule, OccupancyGrid, Trajectory]:
-    """Return tracking, map and trajectory of a log."""
-    if not mapper.reads_clouds:
-        tracking = replay(config, mapper, log, readings, progress)
-        return tracking, mapper.map(), mapper.trajectory()
-    tracking, level = replay_clouds(config.log, mapper, log, readings, progress)
-    trajectory = mapper.trajectory()
-    return tracking, horizontal_map(level, trajectory, config.resolution), trajectory
+    preflight = check_log_data(log)
+    if any(finding.hopeless for finding in preflight.findings):
+        raise SourceError(f"{config.log}: {preflight.sentence}")
+    if preflight.unfit:
+        warnings.warn(f"{config.log}: {preflight.sentence}", stacklevel=2)
+    return preflight
 
 
 def _compare(
@@ -256,22 +320,69 @@ def _compare(
     }
 
 
-def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
-    """Read the log with the config's laser options; of a bag, clouds if requested."""
-    path = Path(config.log)
-    topics = (config.scan_topic, config.odom_topic, config.imu_topic)
-    if is_bag(path):
-        if config.fov is not None:
-            raise ConfigError(f"{path}: the messages of a bag say their field of view themselves")
-        from lirs_wct.formats.rosbag.reader import read_bag
+def replay(
+    config: MapConfig,
+    mapper: MapperUnderTest,
+    log: LaserLog,
+    readings: Sequence[Imu | None],
+    progress: Progress,
+) -> tuple[LostRule, list[LaserScan]]:
+    """Replay a log with inertial readings.
 
-        others = ", ".join(MAPPERS if clouds else ALL_CLOUD_MAPPERS)
-        names = Topics(*topics, clouds, others)
-        return read_bag(path, names, range_max=config.range_max, time=config.time)
-    if any(topics) or config.time != "header":
-        raise ConfigError(f"{path}: topics and --time can be given for a ROS bag only, this is none")
-    fov = None if config.fov is None else math.radians(config.fov)
-    return carmen_log.read_carmen(path, fov=fov, range_max=config.range_max)
+    Returns:
+        Whether the place was kept, and of point clouds the horizontal beams of each.
+
+    Raises:
+        SourceError: the log lacks data that the mapper needs, or no cloud holds a valid point.
+        MapperError: it failed.
+    """
+    tracking, level, points, before = LostRule(), list[LaserScan](), 0, -np.inf
+    scans: Iterable[LaserScan | PointCloud] = log.scans if log.clouds is None else log.clouds
+    for k, (scan, odometry, imu) in enumerate(zip(scans, log.odometry, readings, strict=True)):
+        if isinstance(scan, LaserScan):
+            observation = SensorReadings(scan, odometry, imu)
+        else:
+            inertial = None if log.inertial is None else log.inertial.between(before, scan.stamp)
+            observation = SensorReadings(None, odometry, imu, scan, inertial)
+            level.append(horizontal_scan(scan))
+            points += len(scan)
+            before = scan.stamp
+        try:
+            estimate = mapper.observe(observation)
+        except ConfigError as error:
+            raise SourceError(f"{config.log}: {error}") from error
+        tracking.observe(scan.stamp, estimate.lost)
+        progress("map", (k + 1) / len(readings))
+    if level and not points:
+        raise SourceError(f"{config.log}: none of its {len(level)} point clouds holds a valid point")
+    return tracking, level
+
+
+def horizontal_scan(cloud: PointCloud) -> LaserScan:
+    """Return the nearest horizontal point per half degree; NaN where there is none."""
+    p = cloud.T_base_laser
+    turn = Pose3(0.0, 0.0, 0.0, p.qw, p.qx, p.qy, p.qz)
+    x, y, z = turn.apply(cloud.xyz.astype(np.float64)).T
+    distance = np.hypot(x, y)
+    level = np.abs(z) <= HORIZONTAL * distance
+    beam = np.rint((np.arctan2(y, x)[level] + np.pi) * BEAMS / (2 * np.pi)).astype(np.int64) % BEAMS
+    ranges = np.full(BEAMS, np.inf)
+    np.minimum.at(ranges, beam, distance[level])
+    ranges[np.isinf(ranges)] = np.nan
+    mount = Pose3(p.x, p.y, p.z)
+    step = 2 * np.pi / BEAMS
+    return LaserScan(ranges.astype(np.float32), -np.pi, step, 0.0, RANGE_MAX, cloud.stamp, mount)
+
+
+def horizontal_map(
+    scans: Sequence[LaserScan], trajectory: Trajectory, resolution: float | None
+) -> OccupancyGrid:
+    """Return the occupancy map of horizontal beams at a mapper's final poses."""
+    builder = KnownPoseMapper(resolution=resolution or RESOLUTION)
+    stamps = np.array([scan.stamp for scan in scans])
+    for k, pose in zip(*associated(stamps, trajectory.stamps), strict=True):
+        builder.update(scans[k], trajectory.pose2(int(pose)), None)
+    return builder.map()
 
 
 def check_log_file(log: str | Path, **log_options: Any) -> Preflight:
@@ -307,7 +418,7 @@ def folder_name(config: MapConfig) -> str:
 def _digests(folder: Path) -> bytes:
     """Return digests of a bag's files, ordered by name, without other files of the folder."""
     digests = []
-    for path in sorted(p for p in folder.iterdir() if p.name == suffixes.METADATA or suffixes.is_bag_file(p)):
+    for path in sorted(p for p in folder.iterdir() if p.name == METADATA or is_bag_file(p)):
         with path.open("rb") as file:
             digests.append(hashlib.file_digest(file, "sha256").digest())
     return b"".join(digests)
@@ -319,108 +430,6 @@ def _measure_time(seconds: dict[str, float], name: str) -> Iterator[None]:
     begun = time.perf_counter()
     yield
     seconds[name] = time.perf_counter() - begun
-
-
-def read_trajectory(path: Path, scans: FloatArray | None = None) -> Trajectory:
-    """Read a trajectory from a TUM, EuRoC or KITTI file, or a bag.
-
-    A bag holds transforms from map to base_link, or a topic of poses; BAG:/TOPIC names it.
-
-    Args:
-        path: File or bag.
-        scans: (n,) Stamps of the scans, seconds, which a KITTI file lacks.
-
-    Raises:
-        SourceError: it is neither, or has no such topic, or holds no poses.
-        ConfigError: a topic is given, and it is no bag.
-    """
-    path, topic = _split_topic(path)
-    if is_bag(path):
-        from lirs_wct.formats.rosbag.frames import read_poses
-
-        return read_poses(path, topic)
-    if topic is not None:
-        raise ConfigError(f"{path}: a topic can be given for a ROS bag only, this is none")
-    return drive_files.read_tum(path, scans)
-
-
-def _split_topic(path: Path) -> tuple[Path, str | None]:
-    """Return bag and topic of a text such as `run.mcap:/pose`."""
-    bag, colon, topic = str(path).partition(":/")
-    return (path, None) if not colon or path.exists() else (Path(bag), f"/{topic}")
-
-
-def read_reference(path: Path) -> Trajectory:
-    """Read a reference trajectory.
-
-    The file is a TUM or EuRoC file, a bag or BAG:/TOPIC, or a CARMEN log with corrected poses (as of a pose
-    graph's nodes).
-
-    Raises:
-        SourceError: it is none of these, or holds no poses.
-        ConfigError: a topic is given, and it is no bag.
-    """
-    bag, topic = _split_topic(path)
-    if is_bag(bag) or topic is not None:
-        return read_trajectory(path)
-    if _begins_with_a_number(path):
-        return drive_files.read_tum(path)
-    track = carmen_log.read_carmen(path).track
-    if len(track) == 0:
-        raise SourceError(f"{path}: holds no poses that change, a reference trajectory does")
-    return track
-
-
-def _begins_with_a_number(path: Path) -> bool:
-    """Return whether a file begins with a number, after comments."""
-    for line in readable_lines(path):
-        tokens = line.removeprefix(codecs.BOM_UTF8).replace(b",", b" ").split(None, 1)
-        if tokens and not tokens[0].startswith(b"#"):
-            try:
-                float(tokens[0])
-            except ValueError:
-                return False
-            return True
-    return False
-
-
-Relations = tuple[RelativePoseConstraint, ...]
-Truth = tuple[Relations | None, Trajectory | None]
-"""True relations and reference trajectory of a log; None where they are not given."""
-
-
-def read_truth(config: MapConfig) -> Truth:
-    """Read the relations and the reference trajectory, where they are given."""
-    c = config
-    return (
-        None if c.relations is None else read_constraints(Path(c.relations)),
-        None if c.reference is None else read_reference(Path(c.reference)),
-    )
-
-
-def odometry_accuracy(
-    odometry: Trajectory, relations: Sequence[RelativePoseConstraint] | None, reference: Trajectory | None
-) -> dict[str, Any]:
-    """Return the accuracy of a log's raw odometry; empty without odometry."""
-    if len(odometry) == 0:
-        return {}
-    return trajectory_accuracy(odometry, odometry, relations, reference).metrics()
-
-
-def truth_in_time(truth: Truth, lines: LineStamps) -> Truth:
-    """Return relations and reference with repaired stamps instead of logged ones.
-
-    Of reference poses with the same stamp, the first stays.
-    """
-    relations, reference = truth
-    if lines.moved and relations:
-        logged = np.array([(r.stamp_a, r.stamp_b) for r in relations])
-        pairs = zip(relations, lines.repaired_at(logged).tolist(), strict=True)
-        relations = tuple(replace(relation, stamp_a=a, stamp_b=b) for relation, (a, b) in pairs)
-    if lines.moved and reference is not None:
-        stamps, first = np.unique(lines.repaired_at(reference.stamps), return_index=True)
-        reference = Trajectory(stamps, reference.positions[first], reference.quaternions[first])
-    return relations, reference
 
 
 def resolve_source(
@@ -459,11 +468,11 @@ def resolve_source(
 
 def _read_ending(folder: Path) -> tuple[str, str] | None:
     """Return status and reason of a finished mapping; None without a current result."""
-    path = folder / "record.json"
+    path = folder / RECORD
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         ended, written_by = (str(record["status"]), str(record["reason"])), record["versions"]
-        map_server.read_map(folder / "map.yaml")
+        read_map(folder / "map.yaml")
     except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
         return None
     # The folder's name holds the digest of the log: another content is another folder.

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,9 +30,8 @@ from lirs_validation.metrics.alignment import (
     spatial_alignment,
     wrap_angles,
 )
-from lirs_wct import ConfigError, Pose2, SourceError, Trajectory
+from lirs_wct import ConfigError, Pose2, Trajectory
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.files import read_gzipped
 
 PROPAGATION_GAP = 0.1
 """A pose farther than this from a constraint's stamp is propagated there by odometry, seconds."""
@@ -276,25 +274,6 @@ class ConstraintErrorSummary:
     relations: int
 
 
-def read_constraints(path: Path) -> tuple[RelativePoseConstraint, ...]:
-    """Read `stamp1 stamp2 x y z roll pitch yaw` lines, gzipped or not.
-
-    Raises:
-        SourceError: the file cannot be read, holds none, or a line has not eight finite numbers.
-    """
-    data = read_gzipped(path)
-    try:
-        lines = [line.split() for line in data.decode().splitlines()]
-        rows = [[float(field) for field in line] for line in lines if line and line[0][0] != "#"]
-    except ValueError as error:
-        raise SourceError(f"{path}: not readable as relations: {error}") from error
-    if not rows:
-        raise SourceError(f"{path}: holds no relation (stamp1 stamp2 x y z roll pitch yaw)")
-    if any(len(row) != 8 or not np.isfinite(row).all() for row in rows):
-        raise SourceError(f"{path}: a relation needs 8 numbers (stamp1 stamp2 x y z roll pitch yaw)")
-    return tuple(RelativePoseConstraint(r[0], r[1], Pose2(r[2], r[3], r[7])) for r in rows)
-
-
 def constraint_errors(
     estimate: Trajectory, constraints: Sequence[RelativePoseConstraint], odometry: Trajectory
 ) -> ConstraintErrors:
@@ -428,6 +407,15 @@ def trajectory_accuracy(
         None if constraints is None else constraint_errors(estimate, constraints, odometry),
         None if reference is None else reference_errors(estimate, reference),
     )
+
+
+def odometry_accuracy(
+    odometry: Trajectory, constraints: Sequence[RelativePoseConstraint] | None, reference: Trajectory | None
+) -> dict[str, Any]:
+    """Return the accuracy of a log's raw odometry; empty without odometry."""
+    if len(odometry) == 0:
+        return {}
+    return trajectory_accuracy(odometry, odometry, constraints, reference).metrics()
 
 
 def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceErrors:

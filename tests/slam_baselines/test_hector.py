@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lirs_validation.logs.map_log import read_reference
+from lirs_validation.logs.read_log import read_constraints, read_reference
 from lirs_validation.metrics.map import agreement, false_occupied
-from lirs_validation.metrics.trajectory import constraint_errors, read_constraints, reference_errors
+from lirs_validation.metrics.trajectory import constraint_errors, reference_errors
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2

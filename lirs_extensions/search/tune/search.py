@@ -29,11 +29,11 @@ from lirs_extensions.search.tune.tunable import TUNABLE, default_parameters
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.logs.log_replay import check_log, inertial_readings, log_mapper, replay
-from lirs_validation.logs.map_log import odometry_accuracy, read_log, read_truth, truth_in_time
+from lirs_validation.logs.map_log import log_mapper, replay
+from lirs_validation.logs.read_log import check_log, inertial_readings, read_log, read_truth, truth_in_time
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.consistency import scan_consistency
-from lirs_validation.metrics.trajectory import trajectory_accuracy
+from lirs_validation.metrics.trajectory import odometry_accuracy, trajectory_accuracy
 from lirs_validation.record.verdict import (
     AGREEING,
     LIMITS,
@@ -379,7 +379,7 @@ def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
             raise ConfigError(f"{config.mapper} reads point clouds: tune takes planar mappers")
         check_log(config, mapper, log)
         try:
-            tracking = replay(config, mapper, log, readings, lambda *_: None)
+            tracking, _ = replay(config, mapper, log, readings, lambda *_: None)
             path = mapper.trajectory()
         except MapperError as error:
             return TuneScore(math.log(MAX_RATIO), reason=str(error))

@@ -5,4 +5,4 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def _without_warm_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lirs_validation.logs.log_replay.warm_up", lambda name, **config: None)
+    monkeypatch.setattr("lirs_validation.logs.map_log.warm_up", lambda name, **config: None)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from lirs_validation.logs.map_log import read_reference, truth_in_time
+from lirs_validation.logs.read_log import read_reference, truth_in_time
 from lirs_validation.metrics.trajectory import RelativePoseConstraint
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.drive_files import write_tum

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from lirs_validation.logs.read_log import read_constraints
 from lirs_validation.metrics.trajectory import (
     RelativePoseConstraint,
     close_pairs,
     constraint_error_summary,
     constraint_errors,
     poses_at,
-    read_constraints,
 )
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2, Trajectory

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from lirs_validation import validate
-from lirs_validation.metrics.trajectory import constraint_errors, read_constraints
+from lirs_validation.logs.read_log import read_constraints
+from lirs_validation.metrics.trajectory import constraint_errors
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
