@@ -8,9 +8,10 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, Literal, get_args
 
 from lirs_wct import BuildOptions, ConfigError, unknown_name
@@ -118,22 +119,9 @@ def drive_factor(default: float, text: str, legal: str, shown: str) -> Any:
     )
 
 
-def _robots() -> Collection[str]:
-    from lirs_envs.robots.robot import ROBOTS
-
-    return ROBOTS
-
-
-def _lidars() -> Collection[str]:
-    from lirs_envs.lidar.presets import LIDARS
-
-    return LIDARS
-
-
-def _ray_casters() -> Collection[str]:
-    from lirs_envs.lidar.ray_casting import RAYS
-
-    return RAYS
+def names_in(path: str) -> Callable[[], Collection[str]]:
+    """Return a function that loads the names of `module:CONSTANT`, whose import is slow."""
+    return lambda: resolve_name(path)
 
 
 @documented
@@ -152,7 +140,14 @@ class RunConfig(Options):
     """
 
     source: str
-    robot: str = option("husky", "Robots.", axis=True, metavar="R,R,...", panel=AXES, names=_robots)
+    robot: str = option(
+        "husky",
+        "Robots.",
+        axis=True,
+        metavar="R,R,...",
+        panel=AXES,
+        names=names_in("lirs_envs.robots.robot:ROBOTS"),
+    )
     mapper: str = option(
         "hector",
         "SLAM methods (lirs-wct list mappers); module:Class or file.py:Class for your own.",
@@ -179,7 +174,12 @@ class RunConfig(Options):
         on_page=False,
     )
     lidar: str | None = option(
-        None, "Lidars; default: the robot's own.", axis=True, metavar="L,L,...", panel=AXES, names=_lidars
+        None,
+        "Lidars; default: the robot's own.",
+        axis=True,
+        metavar="L,L,...",
+        panel=AXES,
+        names=names_in("lirs_envs.lidar.presets:LIDARS"),
     )
     terrain: ContactGeometry = option(
         "hfield",
@@ -194,7 +194,7 @@ class RunConfig(Options):
         axis=True,
         metavar="builtin|mujoco",
         panel=AXES,
-        check=one_of(_ray_casters),
+        check=one_of(names_in("lirs_envs.lidar.ray_casting:RAYS")),
         shown="rays: {}",
         on_page=False,
     )
@@ -341,7 +341,11 @@ class EngineOptions(Options):
     """
 
     jobs: int | None = option(
-        None, "Concurrent runs, each in its own process; their RTFs are marked.", metavar="N", panel=ENGINE
+        None,
+        "Concurrent runs, each in its own process; their RTFs are marked.",
+        metavar="N",
+        panel=ENGINE,
+        check=within("[1, inf)"),
     )
     address: str | None = option(
         None, "Address of a Ray cluster; `local` starts one on this machine.", panel=ENGINE
@@ -355,11 +359,6 @@ class EngineOptions(Options):
         rare=True,
     )
     retry_failed: bool = option(False, "Repeat failed runs of an earlier sweep.", panel=ENGINE)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.jobs is not None and self.jobs < 1:
-            raise ConfigError(f"--jobs must be 1 or more, got {self.jobs}")
 
 
 def digest_text(entry: dict[str, Any]) -> str:

@@ -1,11 +1,11 @@
-"""Jupyter display of values: as a picture or as a table."""
+"""Jupyter display of values: as a picture or as a table of two columns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
-from importlib import import_module
-from typing import Any, ClassVar
+from pkgutil import resolve_name
+from typing import ClassVar
 
 
 class ShownAsPicture:
@@ -20,22 +20,8 @@ class ShownAsPicture:
     _painter: ClassVar[str] = "lirs_wct.drawing.pictures:figure_of"
 
     def _repr_png_(self) -> bytes:
-        picture: bytes = _load(self._painter)(self)._repr_png_()
+        picture: bytes = resolve_name(self._painter)(self)._repr_png_()
         return picture
-
-
-class ShownAsTable:
-    """Base of value types that Jupyter shows as a table of two columns.
-
-    Attributes:
-        _rows: `module:function` that returns names and formatted values.
-    """
-
-    __slots__ = ()
-    _rows: ClassVar[str]
-
-    def _repr_html_(self) -> str:
-        return html_table(_load(self._rows)(self))
 
 
 def html_table(rows: Sequence[tuple[str, str]]) -> str:
@@ -45,8 +31,3 @@ def html_table(rows: Sequence[tuple[str, str]]) -> str:
         for name, value in rows
     )
     return f"<table>{cells}</table>"
-
-
-def _load(path: str) -> Any:
-    module, name = path.split(":")
-    return getattr(import_module(module), name)

@@ -17,9 +17,9 @@ from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
 from lirs_validation.driving.driver import Driver
 from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
+from lirs_validation.metrics.consistency import LostRule
 from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status
-from lirs_validation.record.verdict import LostRule
 from lirs_wct import Imu, LaserScan, Pose2, Pose3, SimulationError, Trajectory
 from lirs_wct.arrays import BoolArray, FloatArray
 from slam_baselines.dead_reckoning import spatial_odometry

@@ -37,7 +37,7 @@ from lirs_validation.logs.read_log import (
 )
 from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import associated, rms, scan_coverage
-from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
+from lirs_validation.metrics.consistency import LostRule, contradicted_share, inconsistency, scan_consistency
 from lirs_validation.metrics.trajectory import (
     Accuracy,
     odometry_accuracy,
@@ -47,7 +47,7 @@ from lirs_validation.metrics.trajectory import (
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.provenance import is_stale
 from lirs_validation.record.run_record import RECORD
-from lirs_validation.record.verdict import LostRule, incompleteness, inconsistency
+from lirs_validation.record.verdict import incompleteness
 from lirs_wct import (
     BuildOptions,
     ConfigError,

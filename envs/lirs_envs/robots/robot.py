@@ -17,10 +17,10 @@ import tomllib
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from lirs_wct.checks import is_finite, require_within
-from lirs_wct.display import ShownAsTable
+from lirs_wct.display import html_table
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry import Pose3
 
@@ -39,7 +39,7 @@ POSITIVE = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robot(ShownAsTable):
+class Robot:
     """Figures of a robot, which has driven wheels on both sides or rotors.
 
     Attributes:
@@ -64,8 +64,6 @@ class Robot(ShownAsTable):
     Raises:
         ConfigError: a value is not legal.
     """
-
-    _rows: ClassVar = "lirs_envs.robots.robot:figures"
 
     name: str
     left_wheels: tuple[str, ...] = ()
@@ -97,6 +95,19 @@ class Robot(ShownAsTable):
     def __repr__(self) -> str:
         return f"Robot({self.name!r}, radius {self.radius:g} m, {self.max_speed:g} m/s, lidar {self.lidar!r})"
 
+    def _repr_html_(self) -> str:
+        x, y, z = self.T_base_laser.position
+        rows = [
+            ("robot", self.name),
+            ("moves by", f"{len(self.rotors)} rotors" if self.flies else _wheels(self)),
+            ("radius", f"{self.radius:g} m"),
+            ("top speed", f"{self.max_speed:g} m/s"),
+            ("top turn rate", f"{self.max_turn_rate:g} rad/s"),
+            ("steepest ground", f"{math.degrees(self.max_slope):.3g} deg"),
+            ("lidar", f"{self.lidar} at ({x:g}, {y:g}, {z:g}) m"),
+        ]
+        return html_table(rows)
+
     @property
     def flies(self) -> bool:
         """Whether it has rotors instead of wheels."""
@@ -117,20 +128,6 @@ class Robot(ShownAsTable):
         for which its makers use 1.875. It is 1 for a single driven axle, and without wheels.
         """
         return 1 + (self.wheelbase / self.track) ** 2 if self.wheelbase else 1.0
-
-
-def figures(robot: Robot) -> list[tuple[str, str]]:
-    """Return names and formatted values for a comparison of robots."""
-    x, y, z = robot.T_base_laser.position
-    return [
-        ("robot", robot.name),
-        ("moves by", f"{len(robot.rotors)} rotors" if robot.flies else _wheels(robot)),
-        ("radius", f"{robot.radius:g} m"),
-        ("top speed", f"{robot.max_speed:g} m/s"),
-        ("top turn rate", f"{robot.max_turn_rate:g} rad/s"),
-        ("steepest ground", f"{math.degrees(robot.max_slope):.3g} deg"),
-        ("lidar", f"{robot.lidar} at ({x:g}, {y:g}, {z:g}) m"),
-    ]
 
 
 def _wheels(robot: Robot) -> str:

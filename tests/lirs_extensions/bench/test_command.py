@@ -139,7 +139,7 @@ def test_a_policy_that_fails_costs_its_own_episode(bench: Any, tmp_path: Path) -
         (("straight", "--parameters", "a=1"), "--parameters are for policies of your own"),
         (("my_policies:Ahead", "--parameters", "a"), "--parameters must be NAME=VALUE,NAME=VALUE,..."),
         (("my_policies:Ahead", "--parameters", "a=1"), "takes no argument 'a'; it takes none"),
-        (("straight", "--jobs", "0"), "--jobs must be 1 or more"),
+        (("straight", "--jobs", "0"), "jobs must be at least 1"),
     ],
 )
 def test_bad_input_is_one_line_and_nothing_runs(

@@ -46,7 +46,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         (("--suite", "paper", "--actors", "5"), "leave out --actors"),
         (("simple", "--robot", "husky,,jackal"), "--robot must be a list such as a,b,c"),
         (("simple", "--seed", "5-1"), "--seed must be a list such as 1-5 or 1,3,7-9, got '5-1'"),
-        (("simple", "--jobs", "0"), "--jobs must be 1 or more, got 0"),
+        (("simple", "--jobs", "0"), "jobs must be at least 1, got 0"),
         (("simple", "--wall-limit", "0"), "wall limit must be a finite number above 0, got 0"),
         (("simple", "--option", "cell-timeout=-1"), "cell timeout must be a finite number above 0, got -1"),
         (("simple", "--option", "cell-timeout=nan"), "cell timeout must be a finite number above 0, got nan"),

@@ -79,7 +79,7 @@ def test_options_choose_the_engine() -> None:
     assert make_executor(EngineOptions(cell_timeout=5)) == Processes(jobs=1, seconds=5)
     assert make_executor(EngineOptions(address="local", jobs=3)) == RayCluster(address="local", jobs=3)
     for wrong, message in (
-        ({"jobs": 0}, "--jobs must be 1 or more, got 0"),
+        ({"jobs": 0}, "jobs must be at least 1, got 0"),
         ({"cell_timeout": 0.0}, "cell timeout must be a finite number above 0"),
     ):
         with pytest.raises(ConfigError, match=message):
