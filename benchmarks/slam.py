@@ -29,7 +29,7 @@ from rich.table import Table
 
 from lirs_validation.logs.read_log import read_constraints, read_reference
 from lirs_validation.metrics.trajectory import RelativePoseConstraint, constraint_errors, reference_errors
-from lirs_wct.formats.carmen.log import read_carmen
+from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper

@@ -61,11 +61,11 @@ from lirs_wct import (
     unknown_name,
 )
 from lirs_wct.files import atomic_folder, atomic_write, check_writable
+from lirs_wct.formats.drive_files import write_tum
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.topics import ANY
 from lirs_wct.formats.suffixes import METADATA, is_bag_file
-from lirs_wct.formats.tum import write_tum
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES

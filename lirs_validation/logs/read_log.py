@@ -16,12 +16,10 @@ from lirs_validation.metrics.trajectory import RelativePoseConstraint
 from lirs_wct import ConfigError, Imu, Pose2, SourceError, Trajectory
 from lirs_wct.arrays import FloatArray
 from lirs_wct.files import read_gzipped, readable_lines
-from lirs_wct.formats.carmen.laser import read_mount
-from lirs_wct.formats.carmen.log import read_carmen
-from lirs_wct.formats.drive_csv import read_imu
+from lirs_wct.formats.carmen_log import read_carmen, read_mount
+from lirs_wct.formats.drive_files import read_imu, read_tum
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.formats.rosbag.topics import Topics
-from lirs_wct.formats.tum import read_tum
 from lirs_wct.sources.source import is_bag
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS
 
@@ -142,7 +140,7 @@ def read_trajectory(path: Path, scans: FloatArray | None = None) -> Trajectory:
     """
     path, topic = _split_topic(path)
     if is_bag(path):
-        from lirs_wct.formats.rosbag.poses import read_poses
+        from lirs_wct.formats.rosbag.frames import read_poses
 
         return read_poses(path, topic)
     if topic is not None:
