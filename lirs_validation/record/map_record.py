@@ -29,7 +29,7 @@ class MapRecord:
     """Result of mapping a log.
 
     Attributes:
-        name: name of the folder.
+        name: Name of the folder.
         status: `lost` where the mapper lost its place or the scans contradict each other, `incomplete` where
             the trajectory leaves out scans; `reason` says when, and how many.
         log: scans, beams, laser, seconds, distance by odometry, skipped, left_out (scans), late, repaired,
@@ -127,28 +127,37 @@ MAX_REASONS = 8
 
 def map_lines(record: MapRecord) -> list[tuple[str, str]]:
     """Return names and values of existing results, the status first."""
-    log, grid, mapper, cost = record.log, record.map, record.mapper, record.cost
+    log, grid, mapper, quality = record.log, record.map, record.mapper, record.quality
     width, depth = grid["size"]
-    driven = log["odometry_length"]
+    driven, contradicted = log["odometry_length"], record.trajectory["contradicted"]
     beams = "" if log["beams"] is None else f" of {log['beams']} beams"
-    lines = [
+    told = " (not told to the mapper)" if record.config.attitude == "none" else ""
+    second = quality.get("second") or {}
+    rows: list[tuple[str, str | None]] = [
         ("status", record.status),
         ("scans", f"{log['scans']}{beams} ({log['laser']})"),
         ("time", f"{log['seconds']:.0f} s"),
         ("distance by odometry", "no odometry" if driven is None else f"{driven:.0f} m"),
-        *_inertial_line(record),
+        ("with attitude", f"{log['inertial_readings']} scans{told}" if record.config.imu else None),
         ("map", f"{width:.1f} x {depth:.1f} m, {grid['resolution']:g} m a cell"),
         ("known", f"{grid['known_area']:.0f} m2"),
         ("scans received, used", f"{mapper['received']}, {mapper['used']}"),
         ("scans while lost", f"{mapper['lost']}"),
-        *_contradiction_line(record),
-        *_quality_lines(record),
+        ("scans in contradiction", None if contradicted is None else f"{100 * contradicted:.1f} %"),
+        ("walls seen again differ by", _meters(quality.get("revisit_residual"))),
+        ("... within one pass by", _meters(quality.get("pass_residual"))),
+        ("wall thickness", _meters(quality.get("wall_thickness"))),
+        (f"path differs from {second.get('mapper')}'s by", _meters(second.get("difference"))),
         ("scans with a pose", f"{100 * record.trajectory['scan_coverage']:.1f} %"),
         ("ms a scan (p50, p95, max)", ", ".join(f"{mapper[f'ms_{p}']:.2f}" for p in ("p50", "p95", "max"))),
-        ("mapping took", f"{cost['map_seconds']:.1f} s"),
+        ("mapping took", f"{record.cost['map_seconds']:.1f} s"),
         ("memory of the maps", f"{mapper['memory'] / 1e6:.0f} MB"),
     ]
-    return lines + _accuracy_lines(record)
+    return [(name, text) for name, text in rows if text is not None] + _accuracy_lines(record)
+
+
+def _meters(value: float | None) -> str | None:
+    return None if value is None else f"{value:.3f} m"
 
 
 def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
@@ -167,35 +176,6 @@ def repair_lines(record: MapRecord) -> list[tuple[str, str]]:
     return lines
 
 
-def _contradiction_line(record: MapRecord) -> list[tuple[str, str]]:
-    """Return the share of scans that contradict other passes, where the scans are level."""
-    share = record.trajectory["contradicted"]
-    return [] if share is None else [("scans in contradiction", f"{100 * share:.1f} %")]
-
-
-def _quality_lines(record: MapRecord) -> list[tuple[str, str]]:
-    """Return the figures that need no truth."""
-    found, second = record.quality, record.quality.get("second")
-    lines = []
-    if found.get("revisit_residual") is not None:
-        lines.append(("walls seen again differ by", f"{found['revisit_residual']:.3f} m"))
-    if found.get("pass_residual") is not None:
-        lines.append(("... within one pass by", f"{found['pass_residual']:.3f} m"))
-    if found.get("wall_thickness") is not None:
-        lines.append(("wall thickness", f"{found['wall_thickness']:.3f} m"))
-    if second is not None and second["difference"] is not None:
-        lines.append((f"path differs from {second['mapper']}'s by", f"{second['difference']:.3f} m"))
-    return lines
-
-
-def _inertial_line(record: MapRecord) -> list[tuple[str, str]]:
-    """Return the number of scans with attitude, if an IMU file was given."""
-    if record.config.imu is None:
-        return []
-    told = " (not told to the mapper)" if record.config.attitude == "none" else ""
-    return [("with attitude", f"{record.log['inertial_readings']} scans{told}")]
-
-
 def _accuracy_lines(record: MapRecord) -> list[tuple[str, str]]:
     """Return the errors of the path, those of the odometry alone beside them."""
     lines = []
@@ -210,21 +190,16 @@ def _accuracy_lines(record: MapRecord) -> list[tuple[str, str]]:
             lines.append(("... of the odometry", f"{shift}, {turn}"))
     if reference is not None and reference["used"]:
         lines.append((f"ATE over {reference['used']} poses", f"{reference['ate_rmse']:.3f} m"))
-        lines += _odometry_lines(reference["ate_rmse"], record.odometry.get("reference"))
+        alone = record.odometry.get("reference")
+        if alone is not None and alone["used"]:
+            lines.append(("ATE of the odometry", f"{alone['ate_rmse']:.3f} m"))
+            lines += [("", WORSE)] if is_worse(reference["ate_rmse"], alone["ate_rmse"]) else []
     lines += [
         (name, "nothing within the log's time")
         for name, errors in record.accuracy.items()
         if errors is not None and not errors["used"]
     ]
     return lines
-
-
-def _odometry_lines(ate: float, alone: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    """Return the odometry's ATE, and whether the mapper's is the worse."""
-    if alone is None or not alone["used"]:
-        return []
-    lines = [("ATE of the odometry", f"{alone['ate_rmse']:.3f} m")]
-    return [*lines, ("", WORSE)] if is_worse(ate, alone["ate_rmse"]) else lines
 
 
 def _most(counts: Mapping[str, int]) -> list[tuple[str, int]]:

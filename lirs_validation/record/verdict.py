@@ -8,6 +8,7 @@ each other (`lirs_validation.metrics.consistency`): a run knows the truth, and i
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
@@ -150,32 +151,22 @@ def classify(
         return "not evaluated", (Reason("robot lengths driven", figures.robot_lengths, limits.robot_lengths),)
     if figures.status == "lost" or ended:
         return "loses its way", (status,)
-    most = _largest_error(figures, limits)
-    if figures.error is not None and most is not None and figures.error > most:
-        return "loses its way", (Reason("trajectory error", figures.error, most),)
-    if reasons := _no_gain(figures, limits):
+    error, odometry, distance = figures.error, figures.odometry_error, figures.distance
+    if odometry is not None:
+        most = limits.times_odometry * odometry + limits.over_odometry
+    else:
+        most = math.inf if distance is None else limits.drift * distance
+    if error is not None and error > most:
+        return "loses its way", (Reason("trajectory error", error, most),)
+    reasons = [Reason("occupied cells", 0, 1)] if figures.occupied == 0 else []
+    if error is not None and odometry is not None:
+        most = max(limits.gain * odometry, limits.small_error)
+        reasons += [Reason("trajectory error", error, most)] if error > most else []
+    if reasons:
         return "adds nothing", tuple(reasons)
     if reasons := _poor_map(figures, limits):
         return "path only", tuple(reasons)
     return "works", ()
-
-
-def _largest_error(figures: VerdictFigures, limits: VerdictLimits) -> float | None:
-    """Return the error above which a method loses its way, meters."""
-    if figures.odometry_error is not None:
-        return limits.times_odometry * figures.odometry_error + limits.over_odometry
-    return None if figures.distance is None else limits.drift * figures.distance
-
-
-def _no_gain(figures: VerdictFigures, limits: VerdictLimits) -> list[Reason]:
-    reasons = []
-    if figures.occupied == 0:
-        reasons.append(Reason("occupied cells", 0, 1))
-    if figures.error is not None and figures.odometry_error is not None:
-        most = max(limits.gain * figures.odometry_error, limits.small_error)
-        if figures.error > most:
-            reasons.append(Reason("trajectory error", figures.error, most))
-    return reasons
 
 
 def _poor_map(figures: VerdictFigures, limits: VerdictLimits) -> list[Reason]:

@@ -241,8 +241,7 @@ def _checks() -> Iterator[InstallationCheck]:
         version = _version(name)
         yield InstallationCheck(name, version or "-", "" if version else "pip install .", needed=True)
     yield from _opengl()
-    yield _numba_cache()
-    yield _world_cache()
+    yield from _caches()
     yield from _ray_token()
     for extra, packages in EXTRAS.items():
         found = {name: _version(name) for name in packages}
@@ -299,31 +298,26 @@ def _draws(backend: str) -> bool:
     return drawn.returncode == 0
 
 
-def _numba_cache() -> InstallationCheck:
-    """Check the cache of compiled kernels; without it, each start compiles for a minute."""
+def _caches() -> Iterator[InstallationCheck]:
+    """Check the caches of compiled kernels, without which each start compiles, and of worlds."""
     import lirs_wct
-
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    package = Path(lirs_wct.__file__).parent / "__pycache__"
-    places = [Path(given)] if given else [package, Path.home() / ".cache" / "numba"]
-    usable = next((place for place in places if _writable(place)), None)
-    if usable is None:
-        mend = "set NUMBA_CACHE_DIR to a folder that can be written"
-        return InstallationCheck("numba cache", f"{places[0]}: cannot be written", mend)
-    return InstallationCheck("numba cache", str(usable))
-
-
-def _world_cache() -> InstallationCheck:
     from lirs_envs.episodes.world_cache import cache_folder
 
-    folder = cache_folder()
-    if folder is None:
-        return InstallationCheck("world cache", "switched off (LIRS_WCT_CACHE is empty)")
-    if _writable(folder):
-        return InstallationCheck("world cache", str(folder))
-    return InstallationCheck(
-        "world cache", f"{folder}: cannot be written", "set LIRS_WCT_CACHE to a folder that can be"
-    )
+    set_by_user, package = os.environ.get("NUMBA_CACHE_DIR"), Path(lirs_wct.__file__).parent / "__pycache__"
+    kernels = [Path(set_by_user)] if set_by_user else [package, Path.home() / ".cache" / "numba"]
+    worlds = cache_folder()
+    if worlds is None:
+        yield InstallationCheck("world cache", "switched off (LIRS_WCT_CACHE is empty)")
+    for name, variable, folders in (
+        ("numba cache", "NUMBA_CACHE_DIR", kernels),
+        ("world cache", "LIRS_WCT_CACHE", [] if worlds is None else [worlds]),
+    ):
+        usable = next((str(folder) for folder in folders if _writable(folder)), "")
+        if usable:
+            yield InstallationCheck(name, usable)
+        elif folders:
+            mend = f"set {variable} to a folder that can be written"
+            yield InstallationCheck(name, f"{folders[0]}: cannot be written", mend)
 
 
 def _writable(folder: Path) -> bool:

@@ -79,13 +79,6 @@ def test_drives_end_with_the_decision_and_then_changes_are_tried(
     assert "It works with terrain-aware hector (10 of 10)." in fails.sentence
 
 
-def test_finished_drives_are_kept(driven: list[RunConfig], tmp_path: Path) -> None:
-    first = decide([CONFIG], tmp_path, ENGINE, budget=60)
-    count = len(driven)
-    assert decide([CONFIG], tmp_path, ENGINE, budget=60) == first
-    assert len(driven) == count
-
-
 def test_failed_drives_are_repeated_on_request(
     driven: list[RunConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,7 +14,7 @@ from hypothesis import given, settings, strategies as st
 
 from lirs_validation.config import read_drivers
 from lirs_wct.errors import ConfigError
-from lirs_wct.option import read_names, read_numbers
+from lirs_wct.option import read_numbers
 
 
 def started(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -60,32 +60,12 @@ def test_a_process_ends_with_code_2_and_without_a_traceback(files: Path) -> None
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
 
 
-def test_build_writes_the_package(files: Path, wct: Any) -> None:
-    code, _, err = wct("build", "good.png", "-o", "worlds", "--size", "20", "--height", "2")
-    assert code == 0, err
-    folder = files / "worlds" / "good"
-    expected = {
-        "model.config", "model.sdf", "good.world", "good.xml", "world.json",
-        "meshes/good.dae", "meshes/good.stl", "materials/textures/good.png",
-    }  # fmt: skip
-    assert expected <= {p.relative_to(folder).as_posix() for p in folder.rglob("*")}
-    assert [p.name for p in (files / "worlds").iterdir()] == ["good"]
-
-
 def test_build_spares_a_folder_that_is_not_its_own(files: Path, wct: Any) -> None:
     other = files / "worlds" / "good"
     other.mkdir(parents=True)
     (other / "thesis.tex").write_text("years of work")
     assert wct("build", "good.png", "-o", "worlds")[0] == 2
     assert (other / "thesis.tex").read_text() == "years of work"
-
-
-@pytest.mark.slow
-def test_info_draws_any_source(files: Path, wct: Any) -> None:
-    before = (files / "good.png").read_bytes()
-    assert wct("info", "good.png", "-o", "good-view.png")[0] == 0
-    assert cv2.imread(str(files / "good-view.png")) is not None
-    assert (files / "good.png").read_bytes() == before
 
 
 def test_an_old_command_names_the_new_way(wct: Any) -> None:
@@ -102,16 +82,6 @@ def test_no_command_shows_the_help_and_nothing_else(wct: Any) -> None:
 
 def test_the_version_is_shown(wct: Any) -> None:
     assert wct("--version") == (0, f"lirs-wct {importlib.metadata.version('lirs-wct')}\n", "")
-
-
-def test_names_are_read_each_once() -> None:
-    assert read_names("husky, jackal,husky", "--robot") == ("husky", "jackal")
-
-
-@pytest.mark.parametrize("text", ["", ",", "a,,b", "a,"])
-def test_a_list_with_a_missing_name_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match="--robot must be a list such as a,b,c"):
-        read_names(text, "--robot")
 
 
 @pytest.mark.parametrize(
@@ -152,12 +122,6 @@ def test_seeds_are_read_as_written(ranges: list[tuple[int, int]]) -> None:
 def test_what_is_no_list_of_seeds_is_told(text: str) -> None:
     with pytest.raises(ConfigError, match="--seed must be a list such as"):
         read_numbers(text, "--seed")
-
-
-def test_what_is_no_source_is_no_page(wct: Any) -> None:
-    code, _, err = wct("gui", "nowhere.png")
-    assert code == 2
-    assert "nowhere.png: no such file" in err
 
 
 def test_it_needs_its_extra(wct: Any, monkeypatch: pytest.MonkeyPatch) -> None:

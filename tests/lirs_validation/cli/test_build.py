@@ -11,8 +11,7 @@ import trimesh
 
 from lirs_validation.cli.commands.info import STRIP, _slopes
 from lirs_validation.metrics.world_geometry import mesh_error
-from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.contact.parts import prisms
+from lirs_wct import World
 from lirs_wct.files import MANIFEST
 from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
@@ -59,18 +58,6 @@ def roughness(surface: HeightField) -> float:
     return float(np.abs(np.diff(surface.z, 2)).mean())
 
 
-def test_meters_multiply_whatever_the_size_gave(folder: Path) -> None:
-    plain = built("hill.png", "--size", "20", "--height", "3").surface
-    assert built(
-        "hill.png", "--size", "20", "--height", "3", "--z-scale", "2"
-    ).surface.relief == pytest.approx(6)
-    scaled = built("hill.png", "--size", "20", "--height", "3", "--scale", "2,3,0.5").surface
-    assert scaled.size == pytest.approx((2 * plain.size[0], 3 * plain.size[1]))
-    assert scaled.relief == pytest.approx(1.5)
-    whole = built("hill.png", "--size", "20", "--height", "3", "--scale", "2").surface
-    assert (*whole.size, whole.relief) == pytest.approx((*(2 * s for s in plain.size), 6.0))
-
-
 def test_filters_reach_the_picture(folder: Path) -> None:
     plain = built("hill.png").surface
     assert built("hill.png", "--option", "crop=8,4,32,16").surface.shape == (16, 32)
@@ -80,15 +67,6 @@ def test_filters_reach_the_picture(folder: Path) -> None:
     assert roughness(smooth) < roughness(plain)
     sharp = built("hill.png", "--smoothing", "2", "--sharpness", "1.5").surface
     assert roughness(sharp) > roughness(smooth)
-
-
-def test_stairs_of_a_picture_are_smoothed(folder: Path) -> None:
-    stairs = built("stairs.png").surface
-    assert roughness(built("stairs.png", "--option", "deterrace=true").surface) < 0.5 * roughness(stairs)
-    median = built("stairs.png", "--option", "denoise=median").surface
-    assert not np.array_equal(median.z, stairs.z)
-    bilateral = built("stairs.png", "--option", "denoise=bilateral").surface
-    assert not np.array_equal(bilateral.z, median.z)
 
 
 def test_to_writes_only_what_is_asked(folder: Path) -> None:
@@ -102,13 +80,6 @@ def test_to_writes_only_what_is_asked(folder: Path) -> None:
     built("hill.png", to="stl,sdf")
     assert files() == always | {"meshes/w.stl", "model.sdf", "model.config", "w.world", "w.sdf"}
     assert "meshes/w.stl" in Path("out/w/model.sdf").read_text()
-
-
-def test_the_hfield_is_the_surface_to_the_bit(folder: Path) -> None:
-    world = built("hill.png", "--height", "3")
-    raw = Path("out/w/w.hfield").read_bytes()
-    z = np.frombuffer(raw, "<f4", offset=8).reshape(np.frombuffer(raw, "<i4", 2))
-    assert np.array_equal(z[::-1], world.surface.z)
 
 
 def test_a_budget_limits_every_mesh_file(folder: Path) -> None:
@@ -142,28 +113,6 @@ def test_a_texture_is_copied_named_and_tiled(folder: Path) -> None:
     assert again.export_options.texture is not None
     assert again.export_options.texture.read_bytes() == Path("my grass.JPG").read_bytes()
     assert again.export_options.texture_size == 5
-
-
-def test_a_heightmap_for_gazebo(folder: Path) -> None:
-    built("hill.png", "--terrain", "heightmap", to="sdf")
-    assert "<heightmap>" in Path("out/w/model.sdf").read_text()
-    picture = cv2.imread("out/w/materials/textures/w-heights.png", cv2.IMREAD_UNCHANGED)
-    assert picture.dtype == np.uint8
-    assert picture.shape == (65, 65)
-
-
-def test_unknown_cells_and_speckles_of_a_map(folder: Path) -> None:
-    walls = {u: built("room.yaml", "--option", f"unknown={u}").walls for u in ("floor", "wall", "hole")}
-    counts = {u: int(w.solid.sum()) for u, w in walls.items() if w is not None}
-    assert counts == {"floor": 11, "wall": 11 + 20 * 40, "hole": 11}
-    assert walls["hole"] is not None
-    assert walls["hole"].hole is not None
-    assert walls["hole"].hole.sum() == 20 * 40
-    speckless = built("room.yaml", "--option", "speckle=2")
-    assert speckless.walls is not None
-    assert speckless.walls.solid.sum() == 10
-    assert speckless.truth is not None
-    assert speckless.truth.occupied.sum() == 10
 
 
 def test_options_without_effect_are_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -333,12 +282,6 @@ def test_convert_keeps_shape_and_up(source: str, folder: Path) -> None:
     np.testing.assert_allclose(read_upright(Path("turned.stl")).bounds, [(0, -1, 0), (4, 0, 2)], atol=1e-6)
 
 
-def test_a_glb_stands_upright_where_y_is_up(folder: Path) -> None:
-    trimesh.creation.box((1, 2, 5)).export("tower.stl")
-    wct("convert", "tower.stl", "tower.glb")
-    np.testing.assert_allclose(np.ptp(trimesh.load_mesh("tower.glb").bounds, axis=0), (1, 5, 2), atol=1e-6)
-
-
 @pytest.mark.parametrize(
     "source", ["hill.png", "room.yaml", pytest.param("ball.ply", marks=pytest.mark.slow)]
 )
@@ -370,12 +313,6 @@ def test_without_a_budget_mesh_files_are_within_a_thousandth_of_the_relief(
     exact = built("fine.png", "--height", "4", "--max-error", "0", to="stl")
     assert "keeps all" not in capsys.readouterr().out
     assert len(read_upright(Path("out/w/meshes/w.stl")).faces) == len(exact.mesh.faces) > full
-
-
-def test_the_default_budget_is_none_of_what_is_touched(folder: Path) -> None:
-    plain, exact = (build_world("hill.png", BuildOptions(size=5, max_error=e)) for e in (None, 0.0))
-    assert sum(1 for _ in prisms(plain)) == sum(1 for _ in prisms(exact))
-    np.testing.assert_array_equal(plain.mesh.vertices, exact.mesh.vertices)
 
 
 @pytest.mark.parametrize("rows", [2, STRIP, STRIP + 1, 2 * STRIP + 3])

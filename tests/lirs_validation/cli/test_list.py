@@ -31,13 +31,6 @@ def test_every_name_is_listed_and_has_data(
     assert f"unknown {kind[:-1]} 'nothing'; legal: " in capsys.readouterr().err
 
 
-def test_the_data_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run_command("list", "robots", "husky") == 0
-    shown = capsys.readouterr().out
-    assert "56.58 kg" in shown
-    assert "lms111" in shown
-
-
 def test_a_robot_is_exported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

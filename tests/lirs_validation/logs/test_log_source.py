@@ -13,7 +13,7 @@ from lirs_validation import resolve_source
 from lirs_validation.analysis.results import read_results
 from lirs_validation.experiment.run import validate
 from lirs_validation.record.provenance import is_stale
-from lirs_wct import BuildOptions, World, build_world
+from lirs_wct import BuildOptions, World
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
 from tests.command_line import run_command
@@ -76,11 +76,6 @@ def test_a_map_is_stale_where_a_run_would_be(changed: dict[str, str], again: boo
     assert (json.loads(record.read_text())["versions"] == entry["versions"]) == again
 
 
-def test_what_is_no_log_stays_as_it_is(folder: Path) -> None:
-    assert resolve_source("simple", BuildOptions(), folder) == "simple"
-    assert maps(folder) == []
-
-
 def test_a_map_of_a_lost_mapper_is_no_world(folder: Path) -> None:
     """After the first half the laser sees nothing of the room any more, but noise."""
     rng, lines = np.random.default_rng(5), room_lines(60)[0]
@@ -130,11 +125,6 @@ def test_the_map_command_tells_figures_and_what_was_wrong(
         assert part in told
     assert "stamps going back" in told
     assert len(maps(folder / "maps")) == 1
-
-
-def test_building_a_log_from_python_says_what_to_do(folder: Path) -> None:
-    with pytest.raises(SourceError, match=r"my room\.clf: a log is mapped before it is a world"):
-        build_world("my room.clf")
 
 
 BAD = {

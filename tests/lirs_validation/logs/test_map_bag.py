@@ -1,7 +1,6 @@
 """Bags as logs: the same trajectory as from the log of the same run, and every refusal one line."""
 
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,12 +41,6 @@ def test_a_bag_gives_the_trajectory_of_its_log(run: Path, mapper: str) -> None:
     np.testing.assert_allclose(bag.trajectory.stamps, log.trajectory.stamps, atol=1e-9)
     np.testing.assert_allclose(bag.trajectory.xy, log.trajectory.xy, atol=1e-6)
     np.testing.assert_allclose(bag.trajectory.yaw, log.trajectory.yaw, atol=1e-6)
-
-
-def test_other_topics_are_another_folder(run: Path) -> None:
-    config = MapConfig(log=str(run / "export" / "bag"))
-    names = {folder_name(config), folder_name(replace(config, imu_topic="/imu"))}
-    assert len(names) == 2
 
 
 def test_options_of_the_other_kind_of_log_are_refused(run: Path) -> None:

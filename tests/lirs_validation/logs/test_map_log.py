@@ -147,12 +147,6 @@ def test_a_log_in_which_nothing_was_seen_is_no_map(tmp_path: Path) -> None:
         map_log(write_log(tmp_path / "x.clf", lines))
 
 
-@EVERY_MAPPER
-def test_the_cells_are_as_large_as_asked_for(room: Path, mapper: str) -> None:
-    mapped = map_log(room / "short.clf", mapper=mapper, resolution=0.1, second="none")
-    assert mapped.grid.resolution == 0.1
-
-
 def test_nothing_to_compare_with_is_told_and_null(room: Path, tmp_path: Path) -> None:
     (tmp_path / "other.relations").write_text("1 2 0 0 0 0 0 0\n")
     (tmp_path / "other.tum").write_text("1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n")
@@ -225,11 +219,6 @@ def test_bad_options_are_told_before_the_log_is_read(case: str) -> None:
         map_log("not there.clf", **options)
 
 
-def test_an_unknown_option_is_named_with_the_legal_ones() -> None:
-    with pytest.raises(ConfigError, match=r"^unknown option 'parameter'.*did you mean parameters"):
-        map_log("not there.clf", parameter="a=5")
-
-
 @pytest.mark.slow
 @pytest.mark.shared
 def test_a_real_log_against_its_reference(shared_data: Path) -> None:
@@ -297,16 +286,6 @@ def test_a_mapper_of_your_own(room: Path, tmp_path: Path, monkeypatch: pytest.Mo
         ConfigError, match=r"resolution can be given for hector, .*, cartographer_original only"
     ):
         map_log(room / "room.clf", mapper="wct_own_log_mapper:Still", resolution=0.1)
-
-
-def test_a_mapper_of_your_own_that_needs_odometry(
-    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    needy = OWN.replace("lost = False", "lost, requires_odometry = False, True").replace("ANSWER", "Pose2()")
-    (tmp_path / "wct_needy_log_mapper.py").write_text(needy)
-    with pytest.raises(SourceError, match=r"holds no odometry.*wct_needy_log_mapper:Still needs it"):
-        map_log(room / "blind.clf", mapper="wct_needy_log_mapper:Still")
 
 
 def test_the_accuracy_of_the_odometry_stands_beside_that_of_the_mapper(room: Path) -> None:

@@ -7,14 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.consistency import (
-    ScanConsistency,
-    _compare,
-    _residuals,
-    _sees,
-    contradicted_share,
-    scan_consistency,
-)
+from lirs_validation.metrics.consistency import ScanConsistency, contradicted_share, scan_consistency
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
 from tests.slam_baselines.synthetic import ranges_to
@@ -188,41 +181,3 @@ def test_distances_are_those_to_the_nearest_hit() -> None:
     between = np.linalg.norm(ends[0][::2, None] - ends[1][None], axis=2).min(axis=1)
     back = np.linalg.norm(ends[1][::2, None] - ends[0][None], axis=2).min(axis=1)
     assert found.pass_residual == pytest.approx(np.minimum(np.append(between, back), 1.0).mean(), rel=0.05)
-
-
-@pytest.mark.parametrize(
-    ("distance", "turn", "nearer", "verdict"),
-    [
-        (4.6, 45, 5.0, 1),  # every beam passes it and ends more than 0.3 m behind it
-        (4.8, 45, 5.0, 0),
-        (5.2, 45, 5.0, 0),
-        (4.6, 45, 4.7, 0),  # a beam beside it ends there
-        (4.6, 45, math.nan, -1),
-        (4.6, 1, 5.0, -1),  # at the rim of the field of view
-        (4.6, 89, 5.0, -1),
-        (4.8, 89, 5.0, 0),  # its own beam ends there
-    ],
-)
-def test_a_point_is_free_a_wall_or_unknown(distance: float, turn: float, nearer: float, verdict: int) -> None:
-    ranges = np.full(91, 5.0)
-    ranges[47] = nearer
-    assert _sees(ranges, math.radians(turn), math.radians(1), distance) == verdict
-
-
-def test_hits_in_free_space_are_counted() -> None:
-    """Two laps apart, the second scan stands 1 m behind the first and sees the wall there, too."""
-    sensors, driven = np.array([(0.0, 0.0, 0.0), (-1.0, 0.0, 0.0)]), np.array([0.0, 20.0])
-    bearings = np.radians(np.arange(-45, 46))
-    angles = np.full((2, 2), (bearings[0], math.radians(1)))
-    wall = np.stack((3 / np.cos(bearings), 4 / np.cos(bearings)))
-    seen, against = _compare(wall, angles, sensors, driven)
-    assert seen.min() > 60
-    assert against.tolist() == [0, 0]
-    compared, total = _residuals(wall, angles, sensors, driven, 10.0, math.inf)
-    assert compared.min() > 60
-    assert (total / compared).max() < 0.06  # beams are that far apart
-    wall[1] *= 1.5  # now the second scan sees 2 m of free space behind the first one's wall
-    seen, against = _compare(wall, angles, sensors, driven)
-    assert against[0] == seen[0] > 60
-    assert against[1] == 0
-    assert _compare(wall, angles, sensors, np.array([0.0, 5.0]))[0].tolist() == [0, 0]  # one pass

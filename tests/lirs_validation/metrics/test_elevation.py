@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from lirs_validation.metrics.elevation import (
-    CELL,
     MAX_CLOUDS,
     CloudSample,
     ElevationMap,
@@ -53,32 +52,6 @@ def test_points_in_the_cell_beyond_a_border_are_left_out(x: float, y: float) -> 
     assert np.nansum(grid.mean) == 2.0
 
 
-def test_rows_run_from_the_south() -> None:
-    grid = elevation_map([np.array([(0.05, 0.45, 2.0)])], (0.0, 0.0, 1.0, 0.5))
-    assert grid.mean[4, 0] == 2.0
-    error = grid.error(HeightField.centered(np.zeros((3, 3), np.float32), (2.0, 2.0)), None)
-    assert error[4, 0] == 2.0
-
-
-def test_points_on_the_surface_leave_the_cells_own_error_only() -> None:
-    surface = hill()
-    reference = elevation_map([on(surface)], BOUNDS)
-    scores = elevation_scores(reference, reference, None, surface=surface)
-    assert scores.elevation_seen == 1.0
-    assert scores.elevation_rmse_aligned is None
-    assert scores.reference_elevation_rmse == scores.elevation_rmse
-    assert scores.elevation_rmse < 0.03
-
-
-@pytest.mark.parametrize("lift", [-0.5, 0.25])
-def test_a_lifted_map_is_off_by_the_lift(lift: float) -> None:
-    surface = hill()
-    points = on(surface)
-    built = elevation_map([points + np.array((0, 0, lift))], BOUNDS)
-    scores = elevation_scores(built, elevation_map([points], BOUNDS), None, surface=surface)
-    assert scores.elevation_rmse == pytest.approx(abs(lift), abs=0.01)
-
-
 def test_what_is_not_seen_is_no_error_but_is_missed() -> None:
     surface = hill()
     points = on(surface)
@@ -113,16 +86,6 @@ def test_walls_and_steep_faces_are_not_judged() -> None:
     )
     grid = elevation_map([face], BOUNDS)
     assert elevation_scores(grid, grid, None, surface=cliff).elevation_rmse == pytest.approx(0, abs=1e-6)
-
-
-def test_a_map_moves_with_its_points() -> None:
-    """Moving all points by whole cells moves the map, and nothing else."""
-    points = on(hill(), 5000)
-    T = Pose3(3 * CELL, -2 * CELL, 0.4)
-    still, moved = elevation_map([points], (-9, -9, 9, 9)), elevation_map([T.apply(points)], (-9, -9, 9, 9))
-    rolled = np.roll(still.mean, (-2, 3), axis=(0, 1)) + 0.4
-    same = np.isclose(rolled, moved.mean, atol=1e-9) | (np.isnan(rolled) & np.isnan(moved.mean))
-    assert same.mean() > 0.999, "but for points that rounding moves over a border"
 
 
 def test_the_file_gives_the_maps_back(tmp_path: Path) -> None:

@@ -218,13 +218,6 @@ def test_the_figures_of_the_map_are_those_after_alignment() -> None:
     ) in sentence
 
 
-def test_a_short_drive_says_what_is_needed() -> None:
-    trajectory = ENTRY["trajectory"] | {"robot_lengths": 3.0, "length": 1.9}
-    verdict = judge(ENTRY | {"trajectory": trajectory})
-    assert verdict.kind == "not evaluated"
-    assert "drove 1.9 m, at least 6.4 m are needed" in verdict.sentence
-
-
 def test_the_end_of_an_ok_drive_is_no_cause() -> None:
     trajectory = ENTRY["trajectory"] | {"robot_lengths": 3.0, "length": 1.9}
     ended = ENTRY | {"reason": "the last waypoint is reached at 13.5 s", "trajectory": trajectory}

@@ -1,15 +1,20 @@
-"""Points near steep faces and wall cells, against plain geometry on cells that are not square, anywhere."""
+"""World geometry: points near obstacles against plain geometry, and the error of a mesh."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lirs_validation.metrics.world_geometry import STEEP, near_obstacle
+from lirs_validation.metrics.world_geometry import mesh_error, near_obstacle
 from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
+from lirs_wct.ground import MeshGround, Terrain
+from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.world import World
 
 FLAT = HeightField(np.zeros((2, 2), np.float32), (10.0, 10.0), (-5.0, -5.0))
 CLOSE = 1e-7
@@ -83,17 +88,6 @@ def test_walls_anywhere(seed: int) -> None:
     check(near_obstacle(points, FLAT, walls, limit), to_walls(points, walls), limit)
 
 
-@given(seeds)
-@settings(max_examples=30)
-def test_either_kind_of_obstacle_is_enough(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    field = HeightField(rng.uniform(0, 1, (4, 6)).astype(np.float32), (0.4, 0.7), (-3.0, 1.0))
-    walls = WallGrid(rng.random((5, 3)) < 0.4, 0.5, Pose2(-2.0, 1.5, 0.9))
-    points = rng.uniform((-4, 0), (0, 5), (40, 2))
-    distance = np.minimum(to_steep(points, field, STEEP), to_walls(points, walls))
-    check(near_obstacle(points, field, walls, 0.2), distance, 0.2)
-
-
 def test_a_distance_that_is_just_met_is_near() -> None:
     # Every number is a sum of powers of two: nothing is rounded.
     z = np.zeros((3, 4), np.float32)
@@ -108,34 +102,6 @@ def test_a_distance_that_is_just_met_is_near() -> None:
     assert near.tolist() == [True, False, True, False, True]
 
 
-@pytest.mark.parametrize("distance", [0.0, 0.125])
-@pytest.mark.parametrize("turned", [False, True])
-def test_both_sides_of_a_face_are_alike(distance: float, turned: bool) -> None:
-    """A face between flats, in either direction; each of its triangles ends at one side."""
-    z = np.zeros((4, 5), np.float32)
-    z[:, 2:] = 8.0  # the face lies between x = 0.25 and 0.5
-    field = HeightField(z.T[::-1].copy() if turned else z, (0.25, 0.25), (0.0, 0.0))
-    across = np.array([0.25 - distance - 2**-20, 0.25 - distance, 0.5 + distance, 0.5 + distance + 2**-20])
-    solid = np.zeros((4, 4), np.bool_)
-    solid[:, 1] = True
-    points = np.column_stack((across, np.full(4, 0.4)))
-    points = points[:, ::-1].copy() if turned else points
-    assert near_obstacle(points, field, None, distance).tolist() == [False, True, True, False]
-    assert near_obstacle(
-        points, FLAT, WallGrid(solid.T.copy() if turned else solid, 0.25), distance
-    ).tolist() == [False, True, True, False]
-
-
-def test_in_the_footprint_is_near_at_no_distance() -> None:
-    z = np.array([[0, 9, 0, 0], [0, 0, 0, 0], [0, 0, 0, 0]], np.float32)  # row 0 = north
-    field = HeightField(z, (1.0, 2.0), (0.0, 0.0))
-    # The peak at (1, 4): the cell west of it has its lower face flat, the cell east its upper face too.
-    inside = np.array([(0.5, 3.5), (1.5, 3.5), (1.25, 3.75)])
-    outside = np.array([(0.5, 1.5), (2.5, 3.5), (1.5, 0.5), (3.5, 1.0), (-0.5, 3.0), (1.0, 4.5)])
-    assert near_obstacle(inside, field, None, 0.0).all()
-    assert not near_obstacle(outside, field, None, 0.0).any()
-
-
 @pytest.mark.parametrize(("north", "east"), [(0, 1), (1, 0)])
 def test_a_slope_of_just_the_limit_is_no_obstacle(north: int, east: int) -> None:
     for rise, expected in ((0.25, False), (0.25 + 2**-20, True)):
@@ -146,14 +112,17 @@ def test_a_slope_of_just_the_limit_is_no_obstacle(north: int, east: int) -> None
         assert near_obstacle(np.array([[-1.0, -3.0]]), field, None, 0.5, steep).tolist() == [expected]
 
 
-@pytest.mark.parametrize(("degrees", "expected"), [(44.5, False), (45.5, True)])
-def test_faces_above_45_degrees_are_obstacles(degrees: float, expected: bool) -> None:
-    rise = math.tan(math.radians(degrees))
-    z = np.tile(np.arange(5) * 0.3 * rise, (3, 1)).astype(np.float32)
-    field = HeightField(z, (0.3, 0.8), (2.0, -9.0))
-    assert near_obstacle(np.array([[2.5, -8.5]]), field, None, 0.1).tolist() == [expected]
-
-
-def test_no_points_are_none() -> None:
-    walls = WallGrid(np.ones((2, 2), np.bool_), 0.5)
-    assert near_obstacle(np.empty((0, 2)), FLAT, walls, 0.1).shape == (0,)
+def test_the_largest_distance_up_or_down() -> None:
+    z = np.random.default_rng(2).uniform(0, 1, (5, 8)).astype(np.float32)
+    surface = HeightField(z, (0.5, 0.25), (3.0, -7.0))
+    world = World("hill", Terrain(surface))
+    assert mesh_error(world) == pytest.approx(0.0, abs=1e-6)
+    for shift in (0.125, -0.25):
+        moved = solid_mesh(surface)
+        node = int(
+            np.argmin(np.linalg.norm(moved.vertices - (4.0, -6.5, surface.height_at(4.0, -6.5)), axis=1))
+        )
+        vertices = moved.vertices.copy()
+        vertices[node, 2] += shift
+        bent = MeshGround(surface, TriangleMesh(vertices, moved.faces))
+        assert mesh_error(replace(world, ground=bent)) == pytest.approx(abs(shift), abs=1e-6)
