@@ -46,8 +46,7 @@ from benchmarks.steps import arguments
 from lirs_envs.sensing.sensors import read_noise
 from lirs_extensions.bench.tasks import task_set
 from lirs_extensions.search.falsify.drives import read_search_limits
-from lirs_validation.logs.map_log import read_trajectory
-from lirs_validation.metrics.trajectory import read_constraints
+from lirs_validation.logs.read_log import read_constraints, read_trajectory
 from lirs_validation.record.verdict import read_limits
 from lirs_validation.sweep.tasks import read_yaml_fields
 from lirs_wct.errors import WctError

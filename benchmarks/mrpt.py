@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.slam import DATA, LOGS, RELATIONS
+from benchmarks.steps import arguments
 from lirs_validation.logs.read_log import read_constraints
 from lirs_validation.metrics.trajectory import constraint_errors, trajectory_errors
 from lirs_wct import LaserScan, Pose2, Trajectory

@@ -27,6 +27,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.steps import arguments
 from lirs_validation.logs.read_log import read_constraints, read_reference
 from lirs_validation.metrics.trajectory import RelativePoseConstraint, constraint_errors, reference_errors
 from lirs_wct.formats.carmen_log import read_carmen
