@@ -200,7 +200,7 @@ BAD = {
     "no particles": (
         {"mapper": "gmapping", "parameters": "particles=0"},
         ConfigError,
-        "particles must be above 0",
+        "particles of gmapping must be above 0",
     ),
     "seed": ({"seed": -1}, ConfigError, "seed must be at least 0, got -1"),
     "cells": ({"resolution": 1e-5}, ConfigError, "resolution must be within [0.01, 1] m, got 1e-05"),
