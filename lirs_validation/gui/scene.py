@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -26,6 +25,7 @@ from lirs_wct import HeightField, Pose3, TriangleMesh, World
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of
 from lirs_wct.export.appearance import world_parts
+from lirs_wct.geometry.heightfield import fewer_nodes
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
 
@@ -217,22 +217,19 @@ class DriveScene:
             scene.add_point_cloud(
                 "/drive/scan", moment.scan, SCAN, point_size=0.07, point_shape="circle", precision="float32"
             )
-            self._show_fan(moment)
+            ends = moment.scan[:: max(1, -(-len(moment.scan) // BEAMS))]
+            beams = np.stack((np.broadcast_to(moment.lidar, ends.shape), ends), axis=1).astype(np.float32)
+            scene.add_line_segments("/drive/fan", beams, FAN, thickness=1.0, thickness_units="screen")
             lifted = moment.truth + np.array((0.0, 0.0, DRAWN_HEIGHT))
             _add_path(scene, "/drive/truth", lifted, np.array([int(255 * v) for v in to_rgb(BLUE)]))
             on_ground = self._on_ground(moment.estimate, T.z)
             _add_path(scene, "/drive/estimate", on_ground, error_colors(moment.errors))
             self._take_map(moment.map)
-            self._follow(T.position)
+            if self.follow:  # from the user's chosen distance and direction
+                camera, turning = self._client.camera, time.monotonic() < self._turning_until
+                self._look_at(T.position, CAMERA_OFFSET if turning else camera.position - camera.look_at)
         self._show_picture(moment)
         self._verdict.content = "**" + moment.verdict.replace(": ", ":** ", 1)
-
-    def _show_fan(self, moment: Moment) -> None:
-        """Show the beams that hit something."""
-        ends = moment.scan[:: max(1, -(-len(moment.scan) // BEAMS))]
-        beams = np.stack((np.broadcast_to(moment.lidar, ends.shape), ends), axis=1).astype(np.float32)
-        scene = self._client.scene
-        scene.add_line_segments("/drive/fan", beams, FAN, thickness=1.0, thickness_units="screen")
 
     def _take_map(self, snapshot: MapSnapshot | None) -> None:
         """Show the walls of another map, and keep its picture."""
@@ -246,13 +243,11 @@ class DriveScene:
                 self._canvas = Canvas.over(bounds, SIDE)
                 self._cells = self._canvas.grid_picture(grid)
         walls = walls[:: max(1, -(-len(walls) // WALLS))]
-        self._client.scene.add_point_cloud(
-            "/drive/walls",
-            self._at_foot(walls).astype(np.float32),
-            (20, 20, 24),
-            point_size=0.06,
-            precision="float32",
-        )
+        around = [(0.0, 0.0), (FOOT, 0.0), (-FOOT, 0.0), (0.0, FOOT), (0.0, -FOOT)]
+        lowest = np.min([self._on_ground(walls + np.array(shift), 0.0)[:, 2] for shift in around], axis=0)
+        points = np.column_stack((walls, lowest)).astype(np.float32)
+        style: dict[str, Any] = {"point_size": 0.06, "precision": "float32"}
+        self._client.scene.add_point_cloud("/drive/walls", points, (20, 20, 24), **style)
 
     def _show_picture(self, moment: Moment) -> None:
         """Show the kept picture of the map with the paths."""
@@ -270,19 +265,6 @@ class DriveScene:
         if self._surface is not None:
             z = self._surface.height_at(points[:, 0], points[:, 1])
         return np.column_stack((points, np.where(np.isfinite(z), z, otherwise) + DRAWN_HEIGHT))
-
-    def _at_foot(self, points: FloatArray) -> FloatArray:
-        """Return points (n, 3) slightly above the lowest ground near them."""
-        around = [(0.0, 0.0), (FOOT, 0.0), (-FOOT, 0.0), (0.0, FOOT), (0.0, -FOOT)]
-        placed = [self._on_ground(points + np.array(shift), 0.0)[:, 2] for shift in around]
-        return np.column_stack((points, np.min(placed, axis=0)))
-
-    def _follow(self, position: FloatArray) -> None:
-        """Look at the robot from the user's chosen distance and direction."""
-        if not self.follow:
-            return
-        camera, turning = self._client.camera, time.monotonic() < self._turning_until
-        self._look_at(position, CAMERA_OFFSET if turning else camera.position - camera.look_at)
 
     def _look_at(self, position: FloatArray, away: FloatArray) -> None:
         camera = self._client.camera
@@ -344,7 +326,8 @@ def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, i
     """
     shown, count = trimesh.Scene(), 0
     for part in world_parts(world, _shown_mesh(world, most)):
-        mesh, picture = part.mesh, Image.fromarray(_at_most(part.wear.pixels(world), texture))
+        mesh, picture = part.mesh, Image.fromarray(part.wear.pixels(world)[..., ::-1])
+        picture.thumbnail((texture, texture))
         material = PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
         visual = TextureVisuals(uv=mesh.uv, material=material)
         shape = trimesh.Trimesh(
@@ -358,32 +341,12 @@ def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, i
 
 def _shown_mesh(world: World, most: int) -> TriangleMesh:
     """Return the mesh that is exported, or a coarser grid of the same surface."""
-    surface = world.surface
-    plain = isinstance(world.ground, Terrain) and not world.export_options.limited
-    if not plain and (len(world.mesh.faces) <= most or world.walls is not None or world.overhangs):
-        return world.mesh
-    rows, cols = surface.shape
-    if plain and 2 * rows * cols <= most:
-        return world.mesh
-    return solid_mesh(_thin(surface, most))
-
-
-def _thin(surface: HeightField, most: int) -> HeightField:
-    """Return the surface on fewer nodes, its border kept."""
-    rows, cols = surface.shape
-    share = min(1.0, (most / 2 / (rows * cols)) ** 0.5)
-    at = [np.linspace(0, n - 1, max(2, int(n * share))).round().astype(int) for n in (rows, cols)]
-    width, depth = surface.size
-    cell = (width / (len(at[1]) - 1), depth / (len(at[0]) - 1))
-    return replace(surface, z=np.ascontiguousarray(surface.z[np.ix_(*at)]), cell=cell)
-
-
-def _at_most(bgr: ByteArray, most: int) -> ByteArray:
-    """Return a picture as RGB, its longer side at most so many pixels."""
-    scale = min(1.0, most / max(bgr.shape[:2]))
-    if scale < 1.0:
-        bgr = np.asarray(cv2.resize(bgr, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-    return np.ascontiguousarray(bgr[..., ::-1])
+    rows, cols = world.surface.shape
+    if isinstance(world.ground, Terrain) and not world.export_options.limited:
+        fits = 2 * rows * cols <= most
+    else:
+        fits = len(world.mesh.faces) <= most or world.walls is not None or world.overhangs
+    return world.mesh if fits else solid_mesh(fewer_nodes(world.surface, int((most / 2) ** 0.5)))
 
 
 def robot_glb(robot: Robot) -> bytes:
