@@ -21,6 +21,7 @@ from lirs_wct.sources.build import build_world
 
 
 def main() -> None:
+    """Measure and print."""
     options = arguments(__doc__, world="medium", robot="husky", actors=50, quick=False)
     row = measure(options.world, options.robot, options.actors, 10 if options.quick else 60)
     Console().print(

@@ -72,6 +72,7 @@ def searches(methods: list[str], kinds: list[str], seeds: list[int], jobs: int) 
 
 
 def name_of(options: FalsifyOptions) -> str:
+    """Return the name of a search."""
     return f"{options.method.replace(':', '-')}-{options.search}-s{options.seed}"
 
 
@@ -129,6 +130,7 @@ def write_cases(rows: list[dict[str, str]], chosen: list[FalsifyOptions], out: P
 
 
 def read_rows() -> list[dict[str, str]]:
+    """Return the rows of the finished searches."""
     if not OUTCOME.exists():
         return []
     with OUTCOME.open(newline="", encoding="utf-8") as file:
@@ -136,6 +138,7 @@ def read_rows() -> list[dict[str, str]]:
 
 
 def write_rows(rows: list[dict[str, str]]) -> None:
+    """Write the rows of the finished searches, sorted."""
     with OUTCOME.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
         writer.writeheader()
@@ -156,6 +159,7 @@ def summary(rows: list[dict[str, str]]) -> Table:
 
 
 def main() -> None:
+    """Measure and print."""
     given = arguments(
         __doc__,
         methods=",".join(METHODS),

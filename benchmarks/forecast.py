@@ -58,6 +58,7 @@ def outcome(entry: dict[str, Any]) -> float:
 def runs(
     source: str, mapper: str, options: argparse.Namespace, worlds: ScenarioCache
 ) -> list[dict[str, Any]]:
+    """Return status and errors of a mapper's run with each seed."""
     found = []
     held = {"source": source, "robot": options.robot, "mapper": mapper, "seconds": options.seconds}
     for seed in read_numbers(options.seeds, "--seeds"):
@@ -112,6 +113,7 @@ def came_true(rows: list[dict[str, Any]], mapper: str) -> dict[str, list[int]]:
 
 
 def table(rows: list[dict[str, Any]], mappers: list[str]) -> Table:
+    """Return the forecasts beside the outcomes."""
     columns = ("world", "walls", "10 %", "ground", *(f"{name}: ATE / odometry [m]" for name in mappers))
     found = Table(*columns, title="hits a scan over the drivable ground, and what came of it")
     for row in sorted(rows, key=lambda row: -row["forecast"]["wall_p10"]):
@@ -129,6 +131,7 @@ def table(rows: list[dict[str, Any]], mappers: list[str]) -> Table:
 
 
 def main() -> None:
+    """Measure and print."""
     options = arguments(
         __doc__,
         "sources",

@@ -107,6 +107,7 @@ def mujoco_cast(surface: HeightField, kind: str) -> Cast:
 
 
 def triangles(surface: HeightField) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return vertices and faces of a surface."""
     rows, cols = surface.shape
     west, south, east, north = surface.bounds
     x, y = np.meshgrid(np.linspace(west, east, cols), np.linspace(south, north, rows))
@@ -196,6 +197,7 @@ def measure(quick: bool, console: Console) -> tuple[dict[str, float], list[dict[
 
 
 def main() -> None:
+    """Measure and print."""
     given = arguments(__doc__, quick=False)
     console = Console()
     figures, rows = measure(given.quick, console)

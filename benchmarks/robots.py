@@ -50,6 +50,7 @@ def cost(world: World, robot: Robot, terrain: str) -> tuple[float, float]:
 
 
 def main() -> None:
+    """Measure and print."""
     options = arguments(__doc__, "sources", sources=list(RECIPES), robot=list(ROBOTS), terrain="hfield")
     robots = [make_robot(name) for name in options.robot]
     table = Table("world", "terrain", "robot", "us a step", "legal", "RTF", title="MuJoCo's step alone")

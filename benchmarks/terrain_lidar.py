@@ -101,6 +101,7 @@ def compare(model: mujoco.MjModel, count: int, rounds: int) -> tuple[float, floa
 
 
 def main() -> None:
+    """Measure and print."""
     quick = arguments(__doc__, quick=False).quick
     ours, other, speed = compare(on_field(), 3 if quick else 10, 1)
     print(f"height field of {SAMPLES}^2: {ours:.3f} ms, mj_multiRay {other:.0f} ms: {speed:,.0f} x as fast")

@@ -89,6 +89,7 @@ def drive(name: str, task: BenchTask) -> tuple[float, float, str]:
 
 
 def main() -> None:
+    """Measure and print."""
     given = arguments(__doc__, courses=20, csv=Path)
     tasks = task_set("generated").chosen("traverse", "test")[: given.courses]
     console = Console()

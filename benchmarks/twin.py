@@ -1,6 +1,6 @@
 """Twin test: planted noise recovered, and real logs against their simulations.
 
-    python benchmarks/twin.py [LOG[,TRUTH] ...] [--planted large|small|none] [--draws 1] [-o OUT]
+    python benchmarks/twin.py [LOG[,TRUTH] ...] [--planted large|small|none] [--draws 1] [--output OUT]
 
 A Husky drives through a generated floor plan with known noise of lidar, wheels and gyro; `lirs-wct twin` is
 run on the log of that drive, and on the given logs with `--lidar lms200`. Asked are the planted figures
@@ -12,7 +12,6 @@ errors within a factor of two.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections.abc import Sequence
@@ -23,6 +22,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.steps import arguments
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.lidar.presets import LidarNoise
 from lirs_envs.sensing.imu import ImuConfig
@@ -146,14 +146,9 @@ def show_logs(console: Console, logs: Sequence[str], draws: int, out: Path) -> N
     console.print(noise, *((errors, summary(replays)) if replays else ()))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("logs", nargs="*")
-    parser.add_argument("--planted", choices=(*PLANTED, "none"), default="large")
-    parser.add_argument("--seconds", type=float, default=300.0)
-    parser.add_argument("--draws", type=int, default=1, help="0 = without mappers")
-    parser.add_argument("-o", "--output", type=Path)
-    given = parser.parse_args(arguments)
+def main() -> None:
+    """Measure and print."""
+    given = arguments(__doc__, "logs", logs=(), planted="large", seconds=300.0, draws=1, output=Path)
     console = Console(width=170)
     with tempfile.TemporaryDirectory() as made:
         if given.planted != "none":

@@ -239,7 +239,7 @@ class Tables:
     """Results of the study, which several calls may write.
 
     Attributes:
-        folder: of `verdict_drives.csv` and `verdict_sites.csv`.
+        folder: Folder of `verdict_drives.csv` and `verdict_sites.csv`.
     """
 
     folder: Path = HERE

@@ -67,15 +67,18 @@ def package(source: Path, out: Path, formats: tuple[str, ...], **options: float 
 
 
 def size_mb(out: Path, ending: str) -> float:
+    """Return the size of a written file, MB."""
     return next(out.rglob(f"*.{ending}")).stat().st_size / 1e6
 
 
 def within_error(path: Path, out: Path, share: float) -> Figures:
+    """Build a world whose mesh keeps an error."""
     world = package(path, out, ("dae", "sdf", "mjcf"), max_error=share * RELIEF)
     return {"triangles": len(world.mesh.faces), "file_mb": size_mb(out, "dae")}
 
 
 def heights_of(path: Path, options: BuildOptions) -> HeightField:
+    """Return the heights of a picture."""
     return read_terrain(find_source(path, options), options)[0].surface
 
 
@@ -123,6 +126,7 @@ def agreement(path: Path, _: Path, __: float) -> Figures:
 
 
 def large_terrain(path: Path, out: Path, samples: float) -> Figures:
+    """Build a terrain of so many samples along a side."""
     return large(path, out, int(samples) ** 2)
 
 
@@ -181,9 +185,9 @@ class Row:
     """One measurement.
 
     Attributes:
-        job: of `JOBS`.
+        job: Name in `JOBS`.
         samples: pixels along a side of the noise; 0 = the source is a file.
-        source: that file.
+        source: File; empty where samples are drawn.
         budget: the job's number: largest error as a share of the relief, or triangles.
         limits: largest value of a figure.
     """
@@ -264,6 +268,7 @@ def peak_mb() -> float:
 
 
 def measured(rows: list[Row], console: Console) -> list[Figures]:
+    """Measure the rows, each in a process of its own."""
     out: list[Figures] = []
     known: set[str] = set()
     for row in track(rows, description="worlds", console=console, transient=True):
@@ -294,6 +299,7 @@ COLUMNS = {
 
 
 def table_of(rows: list[Row], figures: list[Figures]) -> Table:
+    """Return the figures of the rows."""
     table = Table("job", "source", "budget", *(title for title, _ in COLUMNS.values()), "beside")
     for row, found in zip(rows, figures, strict=True):
         source = f"{row.samples}^2" if row.samples else "/".join(Path(row.source).with_suffix("").parts[-2:])
@@ -305,6 +311,7 @@ def table_of(rows: list[Row], figures: list[Figures]) -> Table:
 
 
 def cell(row: Row, found: Figures, key: str, form: str) -> str:
+    """Return a figure with its limit, as text."""
     if key not in found:
         return ""
     text = form.format(found[key])
@@ -315,6 +322,7 @@ def cell(row: Row, found: Figures, key: str, form: str) -> str:
 
 
 def main() -> None:
+    """Measure and print."""
     args = arguments(__doc__, quick=False, only="", data=BESIDE, one=str, compile=str)
     if args.compile:
         compiled(Row(**json.loads(args.compile)))
