@@ -23,7 +23,7 @@ class Ground(ABC):
         kind: type of the ground.
         surface: heights from above.
         no_ground: (rows, cols) whether a node of the surface has no ground; None = every node has.
-        sample_spacing: of a terrain's source, meters, where the surface was resampled.
+        sample_spacing: Spacing of the source's samples, meters; None = the surface's cell.
         walls: walls of a laser map.
         truth: input map of these walls; None = not known.
         solid: mesh of a mesh ground.
@@ -46,13 +46,7 @@ class Ground(ABC):
 
 @dataclass(frozen=True)
 class Terrain(Ground):
-    """Ground given by its heights: from a picture, or from an open mesh seen from above.
-
-    Attributes:
-        surface: heights.
-        no_ground: (rows, cols) whether a node of the surface has no ground; None = every node has.
-        sample_spacing: of the source, meters, where the surface was resampled; None = the surface's cell.
-    """
+    """Ground given by its heights: of a picture, or of an open mesh from above."""
 
     kind: ClassVar[Literal["terrain"]] = "terrain"
     surface: HeightField
@@ -66,13 +60,7 @@ class Terrain(Ground):
 
 @dataclass(frozen=True)
 class LaserMap(Ground):
-    """Walls on a level floor.
-
-    Attributes:
-        surface: the floor.
-        walls: wall cells on the floor.
-        truth: the input map of the walls; None = not known.
-    """
+    """Walls on a level floor."""
 
     kind: ClassVar[Literal["map"]] = "map"
     surface: HeightField
@@ -89,12 +77,6 @@ class MeshGround(Ground):
     """A mesh and its heights from above.
 
     Contact with an open mesh is on the front of its faces.
-
-    Attributes:
-        surface: heights of the mesh's highest points.
-        solid: the mesh itself.
-        overhangs: whether the mesh has more than one surface on a vertical line.
-        no_ground: (rows, cols) whether a node of the surface has no ground; None = every node has.
     """
 
     kind: ClassVar[Literal["mesh"]] = "mesh"

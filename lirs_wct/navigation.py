@@ -57,27 +57,25 @@ def traversable_by(
         )
     grid = OccupancyGrid(np.zeros(shape, np.float32), resolution, Pose2(west, south))
     gradient = _gradient(surface, grid)
-    found = np.logical_or.reduce([np.zeros(shape, np.bool_), *_obstacles(ground, grid).values()])
+    obstacles = np.logical_or.reduce([np.zeros(shape, np.bool_), *_obstacles(ground, grid).values()])
     for clearance, max_slope in limits:
-        distance = distance_to(found | (gradient > math.tan(max_slope)), resolution)
+        distance = distance_to(obstacles | (gradient > math.tan(max_slope)), resolution)
         yield OccupancyGrid.from_mask(distance <= clearance, resolution, grid.origin)
 
 
 def _obstacles(ground: Ground, grid: OccupancyGrid) -> dict[str, BoolArray]:
     """Return the blocked cells of a grid by cause, steep ground left out."""
-    surface, walls, truth, no_ground = ground.surface, ground.walls, ground.truth, ground.no_ground
-    found: dict[str, BoolArray] = {}
+    surface, truth, no_ground = ground.surface, ground.truth, ground.no_ground
+    obstacles: dict[str, BoolArray] = {}
     if no_ground is not None:
-        found["a place without ground"] = _nodes_cells(surface, no_ground, grid) | _without_ground(
-            surface, no_ground, grid
-        )
-    if walls is not None:
-        found[WALLS] = _wall_cells(walls, grid)
+        gaps = _nodes_cells(surface, no_ground, grid) | _without_ground(surface, no_ground, grid)
+        obstacles["a place without ground"] = gaps
+    if ground.walls is not None:
+        obstacles[WALLS] = _wall_cells(ground.walls, grid)
     if truth is not None:
-        found["a cell that the map does not show as free"] = ~_lookup(
-            truth.free, truth.resolution, truth.origin, grid
-        )
-    return found
+        free = _lookup(truth.free, truth.resolution, truth.origin, grid)
+        obstacles["a cell that the map does not show as free"] = ~free
+    return obstacles
 
 
 def _gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Array:
@@ -86,8 +84,16 @@ def _gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Array:
     if surface.relief == 0:
         return largest
     if min(surface.cell) > COARSE_CELL:
-        return _triangle_gradient(surface, grid)
-    fine = surface if max(surface.cell) <= grid.resolution else _resample(surface, grid.resolution)
+        shift = (grid.origin.x - surface.origin[0], grid.origin.y - surface.origin[1])
+        steepness: Float32Array = _triangle_gradients(
+            surface.z, surface.cell, shift, grid.resolution, *grid.shape
+        )
+        return steepness
+    fine = surface
+    if max(surface.cell) > grid.resolution:
+        west, south, east, north = surface.bounds
+        n_rows, n_cols = (math.ceil(side / grid.resolution) + 1 for side in (north - south, east - west))
+        fine = sample_surface(surface, surface.bounds, (n_rows, n_cols))
     every = [max(1, int(BASELINE / 2 / c) // THINNED_REACH) for c in fine.cell]
     high, low = _thin(fine, every, cv2.dilate), _thin(fine, every, cv2.erode)
     # A thinned node holds the extreme of its neighbors up to `spread` meters away.
@@ -138,32 +144,23 @@ def _node_rows_cols(surface: HeightField, grid: OccupancyGrid) -> tuple[IntArray
     (west, south), (n_rows, n_cols) = surface.origin, surface.shape
     x = west + np.arange(n_cols) * surface.cell[0]
     y = south + np.arange(n_rows)[::-1] * surface.cell[1]
-    cols = _clipped_cells(np.stack((x, np.full(n_cols, south)), axis=-1), grid)[:, 1]
-    rows = _clipped_cells(np.stack((np.full(n_rows, west), y), axis=-1), grid)[:, 0]
-    return rows, cols
+    cols = grid.cells(np.stack((x, np.full(n_cols, south)), axis=-1))[:, 1]
+    rows = grid.cells(np.stack((np.full(n_rows, west), y), axis=-1))[:, 0]
+    return np.clip(rows, 0, grid.shape[0] - 1), np.clip(cols, 0, grid.shape[1] - 1)
 
 
 def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyGrid) -> BoolArray:
-    """Mark the grid's cells whose nearest node has no ground.
-
-    Nodes may be farther apart than cells.
-    """
-    at = _centers(grid)
-    col = np.rint((at[..., 0] - surface.origin[0]) / surface.cell[0]).astype(np.int64)
-    row = (
-        surface.z.shape[0] - 1 - np.rint((at[..., 1] - surface.origin[1]) / surface.cell[1]).astype(np.int64)
+    """Mark the cells whose nearest node has no ground; nodes may be farther apart than cells."""
+    col, row = (
+        np.rint((start + (np.arange(n) + 0.5) * grid.resolution - first) / step).astype(np.int64)
+        for start, n, first, step in zip(
+            (grid.origin.x, grid.origin.y), grid.shape[::-1], surface.origin, surface.cell, strict=True
+        )
     )
-    found: BoolArray = no_ground[
-        np.clip(row, 0, no_ground.shape[0] - 1), np.clip(col, 0, no_ground.shape[1] - 1)
-    ]
-    return found
-
-
-def _triangle_gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Array:
-    """Return the gradient of the triangle at each cell's center, meters a meter."""
-    shift = (grid.origin.x - surface.origin[0], grid.origin.y - surface.origin[1])
-    found: Float32Array = _triangle_gradients(surface.z, surface.cell, shift, grid.resolution, *grid.shape)
-    return found
+    row = surface.shape[0] - 1 - row
+    last_row, last_col = no_ground.shape[0] - 1, no_ground.shape[1] - 1
+    marked: BoolArray = no_ground[np.ix_(np.clip(row, 0, last_row), np.clip(col, 0, last_col))]
+    return marked
 
 
 @njit
@@ -189,13 +186,6 @@ def _triangle_gradients(
     return found
 
 
-def _resample(surface: HeightField, spacing: float) -> HeightField:
-    """Return the same surface with nodes at most `spacing` apart."""
-    west, south, east, north = surface.bounds
-    shape = math.ceil((north - south) / spacing) + 1, math.ceil((east - west) / spacing) + 1
-    return sample_surface(surface, surface.bounds, shape)
-
-
 def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
     """Mark the grid's cells that touch a wall or hole.
 
@@ -204,14 +194,10 @@ def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
     barred = ~walls.floor
     local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
     marked = _lookup(barred, walls.resolution, walls.origin, grid)
-    rows, cols = _clipped_cells(walls.origin.apply(local), grid).T
+    cells = grid.cells(walls.origin.apply(local))
+    rows, cols = np.clip(cells, 0, np.array(grid.shape) - 1).T
     marked[rows, cols] = True
     return marked
-
-
-def _centers(grid: OccupancyGrid) -> FloatArray:
-    rows, cols = grid.shape
-    return grid.centers(np.moveaxis(np.indices((rows, cols)), 0, -1))
 
 
 def overlaid(mask: BoolArray, of: OccupancyGrid, grid: OccupancyGrid) -> BoolArray:
@@ -244,11 +230,6 @@ def _values_at(
             if 0 <= at_row < mask.shape[0] and 0 <= at_col < mask.shape[1]:
                 found[row, col] = mask[at_row, at_col]
     return found
-
-
-def _clipped_cells(points: FloatArray, grid: OccupancyGrid) -> IntArray:
-    cells: IntArray = np.clip(grid.cells(points), 0, np.array(grid.shape) - 1)
-    return cells
 
 
 def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:

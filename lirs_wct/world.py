@@ -22,7 +22,7 @@ from lirs_wct.formats.world_json import (
     read_world,
     write_world,
 )
-from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2, Pose3
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -92,17 +92,17 @@ class World(ShownAsPicture):
         """Distance between the source's height samples, meters; None of a laser map or a mesh."""
         return self.ground.sample_spacing or (max(self.surface.cell) if self.kind == "terrain" else None)
 
-    @property
-    def walls(self) -> WallGrid | None:
-        """Walls of a laser map."""
-        return self.ground.walls
-
     def enclose(self) -> World:
         """Return a laser map's world with a wall along the border of the map; other worlds unchanged."""
         if not isinstance(self.ground, LaserMap):
             return self
         walls = self.ground.walls.enclose()
         return self if walls is self.ground.walls else replace(self, ground=replace(self.ground, walls=walls))
+
+    @property
+    def walls(self) -> WallGrid | None:
+        """Walls of a laser map."""
+        return self.ground.walls
 
     @property
     def truth(self) -> OccupancyGrid | None:
@@ -124,6 +124,13 @@ class World(ShownAsPicture):
         """(rows, cols) whether a node of the surface has no ground; None = every node has."""
         return self.ground.no_ground
 
+    @property
+    def starts_on_ground(self) -> tuple[Pose3, ...]:
+        """Spawn poses, upright at the height of the ground."""
+        return tuple(
+            Pose3.from_pose2(pose, float(self.surface.height_at(pose.x, pose.y))) for pose in self.spawn_poses
+        )
+
     @cached_property
     def mesh(self) -> TriangleMesh:
         """The whole world as one closed solid: surface or floor with walls, skirt, base.
@@ -137,11 +144,7 @@ class World(ShownAsPicture):
 
     @cached_property
     def file_mesh(self) -> TriangleMesh:
-        """The world's mesh for mesh files; a terrain without a budget gets the default one.
-
-        Raises:
-            ConfigError: as `mesh`.
-        """
+        """The world's mesh for mesh files; a terrain without a budget gets the default one."""
         options = self.file_options
         return self.mesh if options == self.export_options else self._within(options)
 
@@ -185,11 +188,7 @@ class World(ShownAsPicture):
     ) -> tuple[str, str | None]:
         """Return the cause why a robot cannot stand at a position, and the nearest free `x,y`.
 
-        Args:
-            place: x and y in the world, meters.
-            clearance: as in `traversable`.
-            max_slope: as in `traversable`.
-            resolution: as in `traversable`.
+        The position is in meters; see `traversable`.
         """
         free = self.traversable(clearance=clearance, max_slope=max_slope, resolution=resolution)
         cause = cause_of_refusal(self.ground, free, place, clearance=clearance, max_slope=max_slope)

@@ -137,13 +137,11 @@ def bodies(mesh: TriangleMesh) -> Iterator[TriangleMesh]:
     edges = scipy.sparse.coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(n, n))
     _, label = scipy.sparse.csgraph.connected_components(edges, directed=False)
     for piece in np.unique(label[a]):
-        faces = mesh.faces[label[a] == piece]
-        used, renumbered = np.unique(faces, return_inverse=True)
-        yield TriangleMesh(mesh.vertices[used], renumbered.reshape(-1, 3).astype(np.int32))
+        yield mesh.part(label[a] == piece)
 
 
 def shell_parts(body: TriangleMesh) -> Iterator[FloatArray]:
-    """Yield the (6, 3) corners of each shell part of a closed body with outward faces."""
+    """Yield the (6, 3) corners of each shell part of a closed body."""
     normals = body.face_normals
     corner = _corner_normals(body, normals)
     size = float(np.ptp(body.bounds, axis=0).max())

@@ -1,15 +1,15 @@
-"""Appearance of a world: its mesh in parts of one texture each, with UV and normals."""
+"""Appearance of a world: its mesh in parts of one texture each."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
+from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.formats.picture import read_picture, write_image
 from lirs_wct.formats.world_json import texture_path
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -60,31 +60,20 @@ class Wear:
         return path
 
 
-@dataclass(frozen=True)
-class Part:
-    """Triangles of one texture.
-
-    Attributes:
-        wear: texture of the triangles.
-        mesh: triangles with texture coordinates and normals.
-    """
+class Part(NamedTuple):
+    """Triangles of one texture, with texture coordinates and normals."""
 
     wear: Wear
     mesh: TriangleMesh
 
 
 def ground_wear(world: World) -> Wear:
-    """Return the texture of the ground; a drawn one is draped, except for a floor of slabs."""
+    """Return the texture of the ground; a drawn one is draped, unless it is a floor."""
     options = world.export_options
     if options.texture is not None:
         return Wear(GROUND, options.texture, options.drape, options.texture_size)
     drawn_once = world.walls is None
     return Wear(GROUND, None, drawn_once, None if drawn_once else FLOOR_SPAN)
-
-
-def wall_wear(world: World, walls: WallGrid) -> Wear:
-    """Return the texture of walls; the picture has their height."""
-    return Wear(WALLS, world.export_options.wall_texture, False, walls.height)
 
 
 def world_parts(world: World, mesh: TriangleMesh | None = None) -> tuple[Part, ...]:
@@ -99,8 +88,8 @@ def world_parts(world: World, mesh: TriangleMesh | None = None) -> tuple[Part, .
     """
     mesh, wear = world.mesh if mesh is None else mesh, ground_wear(world)
     if world.walls is None:
-        lay = partial(draped_uv, bounds=world.surface.bounds, margin=HALF_PIXEL)
-        return (Part(wear, lay(mesh) if wear.draped else cube_uv(mesh, wear.span)),)
+        laid = draped_uv(mesh, world.surface.bounds, HALF_PIXEL) if wear.draped else cube_uv(mesh, wear.span)
+        return (Part(wear, laid),)
     return _map_parts(world, world.walls, mesh, wear)
 
 
@@ -115,7 +104,7 @@ def world_extent(world: World) -> tuple[FloatArray, FloatArray]:
 
 
 def pad_to_square(picture: ByteArray, size: tuple[float, float]) -> ByteArray:
-    """Extend a picture to a square whose side is the longer of width and depth, meters.
+    """Extend a picture of width x depth meters to a square of the longer side.
 
     The given picture fills the lower-left corner; the rest repeats its border.
     """
@@ -133,12 +122,14 @@ def _map_parts(world: World, walls: WallGrid, mesh: TriangleMesh, wear: Wear) ->
     upright = mesh.vertices[mesh.faces][..., 2].max(axis=1) > 0
     in_map = _move(mesh, walls.origin.inverse())
     span = wear.span or max(bounds)
-    floor = _only(in_map, ~upright)
+    floor = in_map.part(~upright)
     laid = draped_uv(floor, bounds, HALF_PIXEL) if wear.draped else cube_uv(floor, span)
     parts = [Part(wear, laid)]
     if upright.any():
-        parts.append(Part(wall_wear(world, walls), wall_uv(_only(in_map, upright), walls.height)))
-    return tuple(replace(part, mesh=_move(part.mesh, walls.origin)) for part in parts if len(part.mesh.faces))
+        # The picture has the height of the walls.
+        paint = Wear(WALLS, world.export_options.wall_texture, False, walls.height)
+        parts.append(Part(paint, wall_uv(in_map.part(upright), walls.height)))
+    return tuple(Part(wear, _move(mesh, walls.origin)) for wear, mesh in parts if len(mesh.faces))
 
 
 def _move(mesh: TriangleMesh, T: Pose2) -> TriangleMesh:
@@ -147,11 +138,6 @@ def _move(mesh: TriangleMesh, T: Pose2) -> TriangleMesh:
     if normals is not None:
         normals = np.column_stack((replace(T, x=0.0, y=0.0).apply(normals[:, :2]), normals[:, 2]))
     return replace(mesh, vertices=vertices, normals=normals)
-
-
-def _only(mesh: TriangleMesh, chosen: BoolArray) -> TriangleMesh:
-    used, faces = np.unique(mesh.faces[chosen], return_inverse=True)
-    return TriangleMesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32))
 
 
 def _colors(path: Path) -> ByteArray:

@@ -1,4 +1,4 @@
-"""Writer and conversion of mesh files (STL, COLLADA, OBJ, PLY, GLB, USD), upright in every consumer."""
+"""Writer and conversion of mesh files, upright in every consumer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ BULK = 500_000
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write a mesh in the format of the file's suffix; a GLB has y up, its convention.
+    """Write a mesh in the format of the file's suffix; a GLB has y up.
 
     Raises:
         ConfigError: the suffix is not supported.
@@ -75,22 +75,15 @@ def write_parts(path: Path, parts: Sequence[MeshPart], progress: Progress = no_p
     for part in parts:
         if part.texture is not None and any(c.isspace() for c in part.texture):
             raise ConfigError(f"path of a texture must not hold spaces, got {part.texture!r}")
-    count = sum(len(part.mesh.faces) for part in parts)
-    with atomic_write(path) as temporary:
-        passed = _count_progress(count, path.name, progress)
-        stream_collada(temporary, parts, brief=count > BULK, passed=passed)
-
-
-def _count_progress(total: int, step: str, progress: Progress) -> Callable[[int], None]:
-    """Return a function that adds a number of triangles and reports the progress."""
-    done = 0
+    total, done = sum(len(part.mesh.faces) for part in parts), 0
 
     def passed(count: int) -> None:
         nonlocal done
         done += count
-        progress(step, done / max(total, 1))
+        progress(path.name, done / max(total, 1))
 
-    return passed
+    with atomic_write(path) as temporary:
+        stream_collada(temporary, parts, brief=total > BULK, passed=passed)
 
 
 def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleMesh:
@@ -108,32 +101,21 @@ def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleM
         ConfigError: the target's suffix is not supported.
         OutputError: a file cannot be written, or the texture would replace another picture.
     """
-    shape = _rotate(reader.read_upright(source), rotate_x)
-    found = textured.read_textured(source)
-    lost = _lost(found, target)
-    if found.mesh.uv is not None and target.suffix.lower() in textured.TEXTURED:
-        if found.picture is None:
-            warnings.warn(f"{source}: its texture coordinates are kept, no texture was found", stacklevel=2)
-        _write_textured(target, _rotate(reader.upright(source, found.mesh), rotate_x), found.picture)
-    else:
+    shape, whole = reader.read_upright(source).rotated_x(rotate_x), textured.read_textured(source)
+    keeps_texture, lost = target.suffix.lower() in textured.TEXTURED, []
+    if whole.mesh.uv is None or not keeps_texture:
         write_mesh(target, shape)
+    else:
+        if whole.picture is None:
+            warnings.warn(f"{source}: its texture coordinates are kept, no texture was found", stacklevel=2)
+        _write_textured(target, reader.upright(source, whole.mesh).rotated_x(rotate_x), whole.picture)
+    if whole.mesh.uv is not None and not keeps_texture:
+        lost.append("texture and texture coordinates" if whole.picture else "texture coordinates")
+    if whole.vertex_colors:
+        lost.append("the colors of vertices or faces")
     if lost:
         warnings.warn(f"{target}: {' and '.join(lost)} of {source} are left out", stacklevel=2)
     return shape
-
-
-def _rotate(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
-    return mesh.rotated_x(degrees) if degrees else mesh
-
-
-def _lost(found: textured.TexturedMesh, target: Path) -> list[str]:
-    """Return the names of the attributes that the target's format cannot store."""
-    lost = []
-    if found.mesh.uv is not None and target.suffix.lower() not in textured.TEXTURED:
-        lost.append("texture and texture coordinates" if found.picture else "texture coordinates")
-    if found.vertex_colors:
-        lost.append("the colors of vertices or faces")
-    return lost
 
 
 def _write_textured(path: Path, mesh: TriangleMesh, picture: Image.Image | None) -> None:
@@ -208,10 +190,10 @@ def write_usd(path: Path, world: World, parts: list[MeshPart]) -> None:
     for part in parts:
         _add_part(stage, part)
     geom.Xform.Define(stage, "/World/starts")
-    for k, pose in enumerate(world.spawn_poses):
+    for k, start in enumerate(world.starts_on_ground):
         frame = geom.XformCommonAPI(geom.Xform.Define(stage, f"/World/starts/start{k or ''}"))
-        frame.SetTranslate((pose.x, pose.y, float(world.surface.height_at(pose.x, pose.y))))
-        frame.SetRotate((0.0, 0.0, float(np.degrees(pose.yaw))))
+        frame.SetTranslate((start.x, start.y, start.z))
+        frame.SetRotate((0.0, 0.0, float(np.degrees(start.yaw))))
     stage.GetRootLayer().Save()
 
 

@@ -273,9 +273,10 @@ def write_mjcf(world: World, folder: str | Path) -> Path:
     low, high = world_extent(world)
     if contact.hfields:
         low[2] -= BASE
+    center, extent = (low + high) / 2, 0.8 * float(np.linalg.norm(high - low))
     root = ElementTree.Element("mujoco", model=world.name)
     _add(root, "compiler", angle="radian")
-    _add_settings(root, low, high)
+    _add_settings(root, center, extent)
     assets, body = _add(root, "asset"), _add(root, "worldbody")
     _add(assets, "texture", name="sky", type="skybox", builtin="gradient", width=64, height=64, **SKY)
     _copy_contact_geoms(assets, body, contact)
@@ -285,7 +286,7 @@ def write_mjcf(world: World, folder: str | Path) -> Path:
         _add_meshes(assets, body, world, path.parent)
     _add_starts(body, world)
     _add_cameras(body, world, low, high)
-    _add_sun(body, low, high, shadow=not contact.hfields)
+    _add_sun(body, center - extent * np.array(SUN), shadow=not contact.hfields)
     ElementTree.indent(root)
     with atomic_write(path) as temporary:
         temporary.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
@@ -305,14 +306,9 @@ def _text(numbers: Numbers) -> str:
     return " ".join([repr(number) for number in np.ravel(numbers).tolist()])
 
 
-def _extent(low: FloatArray, high: FloatArray) -> float:
-    return 0.8 * float(np.linalg.norm(high - low))
-
-
-def _add_settings(root: Element, low: FloatArray, high: FloatArray) -> None:
+def _add_settings(root: Element, center: FloatArray, extent: float) -> None:
     """Add extent, near plane, and the viewer's direction and light."""
-    extent = _extent(low, high)
-    _add(root, "statistic", center=(low + high) / 2, extent=extent)
+    _add(root, "statistic", center=center, extent=extent)
     visual = _add(root, "visual")
     azimuth, elevation = math.degrees(AZIMUTH), math.degrees(ELEVATION)
     _add(visual, "global", azimuth=azimuth, elevation=elevation, offwidth=1920, offheight=1080)
@@ -343,7 +339,7 @@ def _dress_field(assets: Element, body: Element, world: World, folder: Path) -> 
     # The border shows the center of the outermost pixels; otherwise it would mix in the opposite ones.
     rows, cols = wear.pixels(world).shape[:2]
     repeat = (1 - 1 / cols, 1 - 1 / rows) if wear.draped else (1.0, 1.0)
-    _add_material(assets, wear.name, _picture_on_field(world, wear, folder), texrepeat=repeat)
+    _add_material(assets, wear.name, _picture(world, wear, folder, laid=True), texrepeat=repeat)
     heights = f"{world.name}-{_checksum(*_hfield(world.surface))}.hfield"
     write_hfield(folder / heights, world.surface)
     for hfield in assets.iter("hfield"):
@@ -357,7 +353,7 @@ def _add_meshes(assets: Element, body: Element, world: World, folder: Path) -> N
     """Write the world's own textured mesh; add it as visible geoms without contact."""
     for part in world_parts(world, world.file_mesh):
         wear = part.wear.name
-        _add_material(assets, wear, _as_png(world, part.wear, folder))
+        _add_material(assets, wear, _picture(world, part.wear, folder))
         tiles = list(split_tiles(part.mesh, aim=MUJOCO_FACES // 2))
         # A tile is open: it may have no volume for an inertia. MuJoCo before 3.3 rejects these worlds.
         inertia = {"inertia": "shell"} if len(tiles) > 1 else {}
@@ -395,32 +391,30 @@ def _add_starts(body: Element, world: World) -> None:
 
     A keyframe would not work: it stores joint positions, and a world has no joint.
     """
-    for k, pose in enumerate(world.spawn_poses):
-        position = (pose.x, pose.y, float(world.surface.height_at(pose.x, pose.y)))
-        quat = (math.cos(pose.yaw / 2), 0.0, 0.0, math.sin(pose.yaw / 2))
-        _add(body, "site", name=f"start{k or ''}", pos=position, quat=quat, group=START_GROUP)
+    for k, start in enumerate(world.starts_on_ground):
+        name = f"start{k or ''}"
+        _add(body, "site", name=name, pos=start.position, quat=start.quaternion, group=START_GROUP)
 
 
 def _add_cameras(body: Element, world: World, low: FloatArray, high: FloatArray) -> None:
     """Add a camera that sees the whole world, and one above the first start pose."""
     viewpoints = {"overview": overview(low, high, FOVY)}
     if world.spawn_poses:
-        pose = world.spawn_poses[0]
-        eye = float(world.surface.height_at(pose.x, pose.y)) + EYE
-        viewpoints["start"] = Viewpoint((pose.x, pose.y, eye), pose.yaw, DOWN)
+        start = world.starts_on_ground[0]
+        viewpoints["start"] = Viewpoint((start.x, start.y, start.z + EYE), world.spawn_poses[0].yaw, DOWN)
     for name, viewpoint in viewpoints.items():
         _, right, up = viewpoint.axes
         _add(body, "camera", name=name, pos=viewpoint.position, xyaxes=(*right, *up), fovy=math.degrees(FOVY))
 
 
-def _add_sun(body: Element, low: FloatArray, high: FloatArray, *, shadow: bool) -> None:
+def _add_sun(body: Element, position: FloatArray, *, shadow: bool) -> None:
     """Add the light; its shadow speckles a height field, whose drawn texture is shaded already."""
     _add(
         body,
         "light",
         name="sun",
         directional="true",
-        pos=(low + high) / 2 - _extent(low, high) * np.array(SUN),
+        pos=position,
         dir=SUN,
         diffuse=(0.7, 0.7, 0.66),
         specular=(0.1, 0.1, 0.1),
@@ -428,30 +422,21 @@ def _add_sun(body: Element, low: FloatArray, high: FloatArray, *, shadow: bool) 
     )
 
 
-def _picture_on_field(world: World, wear: Wear, folder: Path) -> Path:
-    """Return the PNG that covers the whole height field, row 0 = north.
+def _picture(world: World, wear: Wear, folder: Path, *, laid: bool = False) -> Path:
+    """Return the picture of a part as a PNG, MuJoCo's only format, within OpenGL's size limit.
 
-    MuJoCo repeats a picture from the center, so that most pictures are tiled beforehand.
+    MuJoCo repeats a picture from the center of a height field; such a picture is laid out beforehand: it
+    covers the whole field, row 0 = north.
     """
-    if wear.draped:
-        return _as_png(world, wear, folder)
-    size, texture = world.surface.size, wear.write(world, folder)
-    span = wear.span or max(size)
-    if texture.suffix == ".png" and size == (span, span):
-        return texture
-    laid = texture.with_name(f"{texture.stem}-ground.png")
-    write_image(folder / laid, spread(wear.pixels(world), size, span))
-    return laid
-
-
-def _as_png(world: World, wear: Wear, folder: Path) -> Path:
-    """Return the part's picture as a PNG, MuJoCo's only format, within OpenGL's size limit."""
     texture, pixels = wear.write(world, folder), wear.pixels(world)
-    scale = DRAPED_PIXELS / max(pixels.shape[:2])
-    if texture.suffix == ".png" and scale >= 1:
-        return texture
-    if scale < 1:
+    size, scale = world.surface.size, DRAPED_PIXELS / max(pixels.shape[:2])
+    span = wear.span or max(size)
+    if laid and not wear.draped:
+        fits, pixels = size == (span, span), spread(pixels, size, span)
+    elif not (fits := scale >= 1):
         pixels = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    if fits and texture.suffix == ".png":
+        return texture
     png = texture.with_name(f"{texture.stem}-ground.png")
     write_image(folder / png, pixels)
     return png

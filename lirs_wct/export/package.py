@@ -17,8 +17,6 @@ from lirs_wct.export.mjcf import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats import gazebo, map_server, picture, world_json
 from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj, write_stl, write_triangles
-from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.pose import Pose3
 from lirs_wct.geometry.viewpoint import overview
 from lirs_wct.meshing.solid import solid_triangles
 from lirs_wct.progress import Progress, Steps, no_progress
@@ -84,10 +82,7 @@ def write_package(
 
 
 def _check_place(world: World, folder: Path, overwrite: bool) -> None:
-    """Raise OutputError for a folder with other files, or with another source's world.
-
-    With `overwrite`, another source's world is legal.
-    """
+    """Refuse a folder with other files, or, without `overwrite`, with another source's world."""
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     if not (folder / "world.json").is_file():
@@ -119,60 +114,45 @@ def _check(world: World, formats: Collection[str], terrain: str) -> None:
 
 
 def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: Steps) -> None:
-    kinds = [kind for kind in ("stl", "dae", "obj", "glb", "usd") if kind in formats]
-    if kinds == ["stl"] and _streams(world):
-        progress = steps.begin("meshes")
-        write_triangles(_mesh_path(world, folder, "stl"), *solid_triangles(world.surface), progress)
+    files = {
+        kind: folder / "meshes" / f"{world.name}.{kind}"
+        for kind in ("stl", "dae", "obj", "glb", "usd")
+        if kind in formats
+    }
+    options = world.file_options
+    is_full_grid = world.kind == "terrain" and not options.limited and options.rotate_x == 0
+    if set(files) == {"stl"} and is_full_grid and world.surface.z.size > MAX_MESH_NODES:
+        write_triangles(files["stl"], *solid_triangles(world.surface), steps.begin("meshes"))
         return
-    if not kinds:
-        return
-    settings = world.export_options
-    steps.begin("triangles")
-    mesh = _turn(world.file_mesh, settings.rotate_x)
-    if "stl" in kinds:
-        progress = steps.begin(f"{world.name}.stl")
-        write_stl(_mesh_path(world, folder, "stl"), mesh, progress)
-    if kinds == ["stl"]:
+    if files:
+        steps.begin("triangles")
+    if "stl" in files:
+        mesh = world.file_mesh.rotated_x(options.rotate_x)
+        write_stl(files["stl"], mesh, steps.begin(files["stl"].name))
+    if not set(files) - {"stl"}:
         return
     parts = _write_textures(world, folder)
-    if "dae" in kinds:
-        progress = steps.begin(f"{world.name}.dae")
-        write_parts(_mesh_path(world, folder, "dae"), parts, progress=progress)
-    if "obj" in kinds:
-        steps.begin(f"{world.name}.obj")
-        write_obj(_mesh_path(world, folder, "obj"), [(p.name, p.mesh, p.texture) for p in parts])
-    if "glb" in kinds:
-        steps.begin(f"{world.name}.glb")
-        files = [folder / str(part.texture).removeprefix("../") for part in parts]
-        pictured = [(p.name, p.mesh, Image.open(file)) for p, file in zip(parts, files, strict=True)]
-        write_glb(_mesh_path(world, folder, "glb"), pictured)
-    if "usd" in kinds:
-        steps.begin(f"{world.name}.usd")
-        write_usd(_mesh_path(world, folder, "usd"), world, parts)
+    if "dae" in files:
+        write_parts(files["dae"], parts, steps.begin(files["dae"].name))
+    if "obj" in files:
+        steps.begin(files["obj"].name)
+        write_obj(files["obj"], [(p.name, p.mesh, p.texture) for p in parts])
+    if "glb" in files:
+        steps.begin(files["glb"].name)
+        pictures = [Image.open(folder / str(part.texture).removeprefix("../")) for part in parts]
+        write_glb(files["glb"], [(p.name, p.mesh, i) for p, i in zip(parts, pictures, strict=True)])
+    if "usd" in files:
+        steps.begin(files["usd"].name)
+        write_usd(files["usd"], world, parts)
 
 
 def _write_textures(world: World, folder: Path) -> list[MeshPart]:
     """Write the textures and return the parts of the mesh files."""
-    degrees = world.export_options.rotate_x
-    return [
-        MeshPart(part.wear.name, _turn(part.mesh, degrees), f"../{part.wear.write(world, folder).as_posix()}")
-        for part in world_parts(world, world.file_mesh)
-    ]
-
-
-def _streams(world: World) -> bool:
-    """Whether the mesh is the full grid of a large surface, whose STL is streamed."""
-    settings = world.file_options
-    plain = world.kind == "terrain" and not settings.limited and settings.rotate_x == 0
-    return plain and world.surface.z.size > MAX_MESH_NODES
-
-
-def _mesh_path(world: World, folder: Path, kind: str) -> Path:
-    return folder / "meshes" / f"{world.name}.{kind}"
-
-
-def _turn(mesh: TriangleMesh, degrees: float) -> TriangleMesh:
-    return mesh if degrees == 0 else mesh.rotated_x(degrees)
+    parts = []
+    for wear, mesh in world_parts(world, world.file_mesh):
+        texture = f"../{wear.write(world, folder).as_posix()}"
+        parts.append(MeshPart(wear.name, mesh.rotated_x(world.export_options.rotate_x), texture))
+    return parts
 
 
 def _write_model(world: World, folder: Path, formats: Collection[str], terrain: GazeboTerrain) -> None:
@@ -183,7 +163,7 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
         model = gazebo.heightmap_sdf(name, world.surface, heights.as_posix(), _heightmap_layer(world, folder))
     else:
         model = gazebo.model_sdf(name, f"meshes/{name}.{'dae' if 'dae' in formats else 'stl'}")
-    view, starts = overview(*world_extent(world), GAZEBO_FOVY), _starts(world)
+    view, starts = overview(*world_extent(world), GAZEBO_FOVY), world.starts_on_ground
     classic = gazebo.world_sdf(name, view=view, place=world.place, starts=starts)
     albedo = None
     if terrain == "solid" and "dae" in formats and world.walls is None:  # a laser map has two textures
@@ -195,13 +175,6 @@ def _write_model(world: World, folder: Path, formats: Collection[str], terrain: 
         (f"{name}.sdf", gazebo.gz_world_sdf(classic, model, starts=starts, albedo=albedo)),
     ):
         (folder / file).write_text(text, encoding="utf-8")
-
-
-def _starts(world: World) -> list[Pose3]:
-    """Return the start poses on the ground."""
-    return [
-        Pose3.from_pose2(pose, float(world.surface.height_at(pose.x, pose.y))) for pose in world.spawn_poses
-    ]
 
 
 def _heightmap_layer(world: World, folder: Path) -> gazebo.Layer:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import FloatArray, Int32Array, njit
+from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, njit
 from lirs_wct.errors import ConfigError
 
 
@@ -85,8 +85,15 @@ class TriangleMesh:
         written = self.vertices.astype(np.float32).astype(np.float64)
         return weld(TriangleMesh(written, self.faces)).is_watertight
 
+    def part(self, chosen: BoolArray) -> TriangleMesh:
+        """Return the chosen faces (m,) with their vertices, without attributes."""
+        used, faces = np.unique(self.faces[chosen], return_inverse=True)
+        return TriangleMesh(self.vertices[used], faces.reshape(-1, 3).astype(np.int32))
+
     def rotated_x(self, degrees: float) -> TriangleMesh:
         """Rotate the mesh and its normals about the x axis, from y towards z."""
+        if degrees == 0:
+            return self
         c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
         turn = np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
         normals = None if self.normals is None else self.normals @ turn
