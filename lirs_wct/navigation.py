@@ -118,7 +118,7 @@ def _gradient(surface: HeightField, grid: OccupancyGrid) -> Float32Array:
 def _thin(
     surface: HeightField, every: list[int], extreme: Callable[[Float32Array, NDArray[np.uint8]], Any]
 ) -> HeightField:
-    """Return every n-th column and row of nodes; each holds the extreme of those up to the next ones."""
+    """Return every n-th column and row of nodes, each the extreme of its neighbors."""
     n, m = every
     if n == m == 1:
         return surface
@@ -140,7 +140,7 @@ def _nodes_cells(surface: HeightField, chosen: BoolArray, grid: OccupancyGrid) -
 
 
 def _node_rows_cols(surface: HeightField, grid: OccupancyGrid) -> tuple[IntArray, IntArray]:
-    """Return the row of cells of each row of nodes, and the column of cells of each column."""
+    """Return the rows and columns of cells of the rows and columns of nodes."""
     (west, south), (n_rows, n_cols) = surface.origin, surface.shape
     x = west + np.arange(n_cols) * surface.cell[0]
     y = south + np.arange(n_rows)[::-1] * surface.cell[1]
@@ -278,7 +278,7 @@ def cause_of_refusal(
 
 
 def nearest_place(free: OccupancyGrid, place: tuple[float, float]) -> str | None:
-    """Return the free cell nearest to a position as `x,y`; None if no cell is free."""
+    """Return the nearest free cell as `x,y`; None if no cell is free."""
     cells = np.argwhere(free.free)
     if len(cells) == 0:
         return None
@@ -362,7 +362,7 @@ def spawn_poses(free: OccupancyGrid, count: int = 8, *, corridors: bool = False)
 
 
 def _inner(area: BoolArray) -> BoolArray:
-    """Return the part of an area away from the ends of its extent; all of it if that is empty."""
+    """Return the part of an area away from its ends, or all of it."""
     inner = area.copy()
     for axis in (0, 1):
         filled = np.flatnonzero(area.any(axis=1 - axis))
@@ -386,7 +386,7 @@ def _farthest(points: FloatArray, bonus: FloatArray, first: int, count: int) -> 
 
 
 def _facing(free: OccupancyGrid | None, point: FloatArray, target: FloatArray) -> Pose2:
-    """Return the pose at a point that faces a target, or the longest view if the target is hidden."""
+    """Return the pose that faces a target, or the longest view if it is hidden."""
     dx, dy = (target - point).tolist()
     yaw = math.atan2(dy, dx) if math.hypot(dx, dy) > 1e-9 else 0.0
     if free is not None and min(MIN_VIEW, math.hypot(dx, dy)) > _view(free, point, yaw, MIN_VIEW):
@@ -462,7 +462,7 @@ def _extents(labels: IntArray, stats: IntArray) -> Float32Array:
 
 
 def _label_at_origin(free: OccupancyGrid, labels: IntArray, mask: BoolArray) -> int:
-    """Return the label of the free cell nearest to the frame's origin; 0 if none is near."""
+    """Return the label of the free cell near the frame's origin; 0 if none is."""
     row, col = free.cells((0.0, 0.0)).tolist()
     reach = round(ORIGIN_REACH / free.resolution)
     r0, c0 = max(0, row - reach), max(0, col - reach)

@@ -93,7 +93,7 @@ class World(ShownAsPicture):
         return self.ground.sample_spacing or (max(self.surface.cell) if self.kind == "terrain" else None)
 
     def enclose(self) -> World:
-        """Return a laser map's world with a wall along the border of the map; other worlds unchanged."""
+        """Return the world with a wall along the border of a laser map."""
         if not isinstance(self.ground, LaserMap):
             return self
         walls = self.ground.walls.enclose()
@@ -165,7 +165,7 @@ class World(ShownAsPicture):
         return mesh
 
     def traversable(self, *, clearance: float, max_slope: float, resolution: float = 0.1) -> OccupancyGrid:
-        """Return a grid whose free cells are legal positions of a robot's center; others are occupied.
+        """Return a grid whose free cells are legal positions of a robot's center.
 
         Args:
             clearance: distance that the center keeps from steep ground, walls and the border, meters.
@@ -186,7 +186,7 @@ class World(ShownAsPicture):
     def refusal(
         self, place: tuple[float, float], *, clearance: float, max_slope: float, resolution: float = 0.1
     ) -> tuple[str, str | None]:
-        """Return the cause why a robot cannot stand at a position, and the nearest free `x,y`.
+        """Return why a robot cannot stand at a position, and the nearest free `x,y`.
 
         The position is in meters; see `traversable`.
         """
@@ -199,7 +199,7 @@ class World(ShownAsPicture):
         return spawn_poses(self.driven(free), count, corridors=self.walls is not None)
 
     def driven(self, free: OccupancyGrid) -> OccupancyGrid:
-        """Return the free cells that robots are meant to drive; of a laser map, the mapped area."""
+        """Return the free cells to be driven; of a laser map, the mapped area."""
         if self.walls is None:
             return free
         inside = overlaid(self._mapped_area.free, self._mapped_area, free)

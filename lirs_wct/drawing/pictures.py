@@ -73,7 +73,7 @@ MOST_ROWS = 1600
 
 
 def view_figure(world: World) -> Drawing:
-    """Draw a world from above with start poses, and at an angle, without OpenGL or pyplot."""
+    """Draw a world from above with start poses, and at an angle."""
     canvas, block = Canvas.over(world.surface.bounds), block_picture(world)
     ratios = [cols / rows for rows, cols in (canvas.shape, block.shape[:2])]
     stacked = ratios[0] > MAX_ASPECT
@@ -155,7 +155,7 @@ def _starts(axes: Axes, world: World, width: float) -> None:
 
 
 def _exaggeration(world: World) -> float:
-    """Return the factor of heights, 1 to 3, that makes the relief a tenth of the width."""
+    """Return the factor of heights, 1 to 3, for a relief of a tenth of the width."""
     relief = world.surface.relief
     if world.walls is not None or world.solid is not None or relief <= 0:
         return 1.0
@@ -259,7 +259,7 @@ def grid_figure(grid: OccupancyGrid) -> Drawing:
 
 @figure_of.register
 def scan_figure(scan: LaserScan) -> Drawing:
-    """Draw the points of a scan and the field of view up to the farthest point."""
+    """Draw the points of a scan, and its field of view."""
     figure = new_figure(EDGE, EDGE)
     axes = figure.subplots()
     hits = scan.hits

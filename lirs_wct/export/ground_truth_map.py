@@ -57,7 +57,7 @@ def ground_truth_map(world: World, height: float = ROBOT_HEIGHT) -> OccupancyGri
 
 
 def tall_faces(surface: HeightField, height: float) -> BoolArray:
-    """Return (rows, cols) whether a node is on a tall steep face; row 0 = south.
+    """Return (rows, cols) whether nodes are on tall steep faces; row 0 = south.
 
     Connected faces of over 45 deg are tall if together they rise by at least `height` meters.
     """
@@ -83,7 +83,7 @@ def _of_walls(walls: WallGrid, truth: OccupancyGrid | None, height: float) -> Oc
 
 
 def _under_roofs(solid: TriangleMesh, surface: HeightField, height: float) -> tuple[HeightField, BoolArray]:
-    """Return the lowest ground of a mesh with overhangs, and the nodes below a low ceiling."""
+    """Return the lowest ground below overhangs, and the nodes below a low ceiling."""
     up = solid.face_normals[:, 2]
     ground = _lowest(solid, up > 1e-9, surface)
     lost = np.isnan(ground)
@@ -96,7 +96,7 @@ def _under_roofs(solid: TriangleMesh, surface: HeightField, height: float) -> tu
 
 
 def _lowest(solid: TriangleMesh, chosen: BoolArray, surface: HeightField) -> FloatArray:
-    """Return (rows, cols) heights of the lowest chosen face at each node; row 0 = south.
+    """Return (rows, cols) heights of the lowest chosen faces; row 0 = south.
 
     NaN where no chosen face is.
     """

@@ -194,7 +194,7 @@ def _add_boxes(
 
 
 def _add_parts(spec: mujoco.MjSpec, world: World, contact_geometry: ContactGeometry) -> None:
-    """Add each convex part as a mesh; MuJoCo's contact uses its hull, which equals the part."""
+    """Add each convex part as a mesh, which equals its hull."""
     for k, corners in enumerate(contact_parts(world, contact_geometry)):
         name = f"ground{k}"
         spec.add_mesh(name=name, uservert=corners.ravel())

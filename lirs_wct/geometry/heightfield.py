@@ -170,7 +170,7 @@ def _sample_columns(values: Float32Array, n: int) -> Float32Array:
 
 
 def nearest_values(values: NDArray[Number], missing: BoolArray) -> NDArray[Number]:
-    """Return a copy of a grid whose missing values are those of the nearest other node."""
+    """Return a grid whose missing values are those of the nearest node."""
     nearest = scipy.ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
     filled: NDArray[Number] = values[tuple(nearest)]
     return filled

@@ -122,7 +122,7 @@ _SLACK = 1e-9
 
 
 def rasterize_heights(mesh: TriangleMesh, grid: Grid, shape: tuple[int, int]) -> FloatArray:
-    """Return (rows, cols) heights of the mesh's highest point at each node, row 0 = south.
+    """Return (rows, cols) heights of the highest point at nodes, row 0 = south.
 
     Exact: each triangle is evaluated at the nodes that it covers. NaN without a triangle.
     """
@@ -232,7 +232,7 @@ def _squares(mesh: TriangleMesh, aim: int) -> tuple[Int32Array, int]:
 
 @njit
 def _renumber(faces: Int32Array, chosen: Int32Array, seen: Int32Array) -> tuple[Int32Array, Int32Array]:
-    """Number the vertices of the chosen faces in order; `seen` is all -1 before and after."""
+    """Number the vertices of faces in order; `seen` is -1 before and after."""
     out = np.empty((len(chosen), 3), np.int32)
     used = np.empty(3 * len(chosen), np.int32)
     n = 0

@@ -1,4 +1,4 @@
-"""The walls of a laser map: cells extruded from the floor, and their cover by few rectangles."""
+"""The walls of a laser map: extruded cells, and their cover by rectangles."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class WallGrid:
         return ~self.solid if self.hole is None else ~(self.solid | self.hole)
 
     def enclose(self) -> WallGrid:
-        """Return the walls with a ring of wall cells around the grid; itself if its border is all wall."""
+        """Return the walls with wall cells around the grid, if its border is open."""
         if all(side.all() for side in (self.solid[0], self.solid[-1], self.solid[:, 0], self.solid[:, -1])):
             return self
         x, y = self.origin.apply((-self.resolution, -self.resolution)).tolist()

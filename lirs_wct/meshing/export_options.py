@@ -111,7 +111,7 @@ class ExportOptions(RotationOptions):
         return bool(self.max_error) or self.max_triangles is not None
 
     def with_default(self, surface: HeightField) -> ExportOptions:
-        """Return the options with the default budget of a terrain's mesh files if none is set.
+        """Return the options with the default budget of a terrain if none is set.
 
         The share of the longer side, 50 micrometers of 50 m, keeps flat ground at two triangles.
         """

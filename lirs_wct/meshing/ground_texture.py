@@ -42,7 +42,7 @@ def checked_texture(path: Path | None, max_pixels: int) -> Path | None:
 
 
 def ground_texture(surface: HeightField, walls: WallGrid | None = None) -> ByteArray:
-    """Return a (rows, cols, 3) BGR top view of the whole surface, row 0 = north.
+    """Return a (rows, cols, 3) BGR top view of the surface, row 0 = north.
 
     The longer side has 1024 px.
     """

@@ -1,4 +1,4 @@
-"""Closed solids: of a height field with skirt and flat base, of a laser map with walls, floor and slab.
+"""Closed solids of a height field (skirt, flat base) and of a laser map (walls, floor, slab).
 
 The plan of a laser map is cut into rectangles of wall, floor and hole. Every corner of a rectangle becomes a
 vertex of all rectangles that it touches, so that no edge ends in the middle of another. Two walls, or two
@@ -42,7 +42,7 @@ def solid_mesh(surface: HeightField) -> TriangleMesh:
 
 
 def solid_triangles(surface: HeightField) -> tuple[int, Iterator[FloatArray]]:
-    """Return the number of triangles of `solid_mesh`, and an iterator of their corners (n, 3, 3).
+    """Return the number of triangles of `solid_mesh`, and their corners (n, 3, 3).
 
     It yields a few rows at a time, for surfaces whose mesh would fill the memory.
     """
@@ -68,12 +68,12 @@ def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[FloatArray]:
 
 
 def base_height(surface: HeightField) -> float:
-    """Return z of the base, meters: below the lowest point by a tenth of the relief."""
+    """Return z of the base, meters: a tenth of the relief below the ground."""
     return float(surface.z.min()) - max(MIN_THICKNESS, surface.relief / 10)
 
 
 def node_axes(surface: HeightField) -> tuple[FloatArray, FloatArray]:
-    """Return x (cols,), west to east, and y (rows,), north to south, of the nodes, meters."""
+    """Return x (cols,) eastward and y (rows,) southward of the nodes, meters."""
     rows, cols = surface.shape
     west, south, east, north = surface.bounds
     # linspace: the border lies exactly on the bounds.
@@ -139,7 +139,7 @@ GAP = 0.001
 
 
 def wall_mesh(walls: WallGrid) -> TriangleMesh:
-    """Return walls, floor and slab as one watertight solid in the world frame; z = 0 is the floor."""
+    """Return walls, floor and slab as one watertight solid; z = 0 is the floor."""
     boxes = [merged_rectangles(walls.solid), merged_rectangles(walls.floor)]
     # One layout: otherwise numba would compile the kernel again for Fortran order.
     rectangles = np.ascontiguousarray(np.concatenate(boxes))
@@ -269,7 +269,7 @@ def _code(point: IntArray, level: int, cols: int) -> Any:
 
 @njit
 def _beside(p: IntArray, q: IntArray, kind: CellKinds) -> Any:
-    """Return the kind of cell on the outer (right) side of p -> q; `kind` is padded by a cell."""
+    """Return the kind of cell right of p -> q; `kind` is padded by a cell."""
     if q[1] != p[1]:
         return kind[p[0], p[1] + 1] if q[1] > p[1] else kind[p[0] + 1, p[1]]
     return kind[p[0] + 1, p[1] + 1] if q[0] > p[0] else kind[p[0], p[1]]

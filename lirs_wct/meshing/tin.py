@@ -103,7 +103,7 @@ def _border_edge(tin: Tin, t: int) -> int:
 
 @kernel
 def _dig(tin: Tin, t: int, k: int) -> tuple[int, int]:
-    """Find the hole around the newest point and its rim, counter-clockwise, without edge k of t.
+    """Find the hole around the newest point, and its rim without edge k of t.
 
     Returns:
         Numbers of triangles of the hole and of edges of the rim.
@@ -152,7 +152,7 @@ def _fill(tin: Tin, edges: int) -> None:
 
 @kernel
 def _after(e: int) -> int:
-    """Return the next half-edge in the triangle: 0, 1, 2 become 1, 2, 0 (two bits each)."""
+    """Return the next half-edge in the triangle: 0, 1, 2 become 1, 2, 0."""
     t = e & -STRIDE
     return t + (0b00_10_01 >> 2 * (e - t) & 3)
 
@@ -170,7 +170,7 @@ def _in_circle(point: Int32Array, a: int, b: int, c: int, row: int, col: int) ->
 
 @kernel
 def refine(tin: Tin, z: Float32Array, cols: int, max_error: float, max_faces: int) -> int:
-    """Insert pixels until no error exceeds the budget or the closed solid reaches its face limit.
+    """Insert pixels until the budget or the limit of the solid's faces is reached.
 
     Args:
         tin: triangulation, changed in place; a new one has two triangles on four points.
@@ -195,7 +195,7 @@ def refine(tin: Tin, z: Float32Array, cols: int, max_error: float, max_faces: in
 
 @kernel
 def _insert_pixel(tin: Tin, z: Float32Array, cols: int, t: int, budget: int) -> None:
-    """Insert the pixel that triangle t needs and search the new triangles, and t if it remains."""
+    """Insert the pixel that triangle t needs, and search the changed triangles."""
     pixel = tin.link[STRIDE * t + WORST]
     kept = True
     take(tin, t)
@@ -234,7 +234,7 @@ def _locate(tin: Tin, t: int, row: int, col: int) -> int:
 
 @kernel
 def _search(tin: Tin, z: Float32Array, cols: int, t: int, budget: int) -> None:
-    """Find the pixel that a triangle needs next and queue the triangle if an error exceeds the budget."""
+    """Find the pixel that a triangle needs next, and queue the triangle."""
     point, link, e = tin.point, tin.link, STRIDE * t
     a, b, c = link[e], link[e + 1], link[e + 2]
     error, pixel = worst_pixel(
@@ -334,7 +334,7 @@ def worst_pixel(
 
 @njit(fastmath=True, _nrt=False)
 def _largest(z: Float32Array, first: int, count: int, start: float, step: float) -> int:
-    """Return the largest difference of a row's pixels from a line of slope `step` per pixel."""
+    """Return the largest difference of a row's pixels from a line."""
     largest = 0
     for k in range(count):
         # Unsigned: the compiler omits the test for negative indices and vectorizes.

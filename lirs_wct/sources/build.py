@@ -1,4 +1,4 @@
-"""Build a world of any source: load or read its ground, find spawn poses, check the result."""
+"""Build a world of any source: read its ground, find spawn poses, check the result."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _load_world(source: Source, options: BuildOptions) -> World:
 
 
 def _with_spawn_poses(world: World) -> World:
-    """Return the world with spawn poses for the largest robot that fits; a requested start comes first.
+    """Return the world with spawn poses for the largest robot that fits.
 
     On a terrain of kilometers the search covers only the center or the neighborhood of the requested start,
     because it has a resolution of decimeters.
@@ -175,7 +175,7 @@ LEVEL_GAP = 20.0
 
 
 def warn_of_result(source: Source, options: BuildOptions, world: World) -> None:
-    """Warn of each figure of a world that is unusual or differs from an option; nothing is refused."""
+    """Warn of each unusual figure of a world, and of options without effect."""
     lines, size = list(unusual_figures(world, source.kind)), world.surface.size
     if options.window is not None and min(size) < WINDOW_SHARE * options.window[2]:
         x, y, side = options.window

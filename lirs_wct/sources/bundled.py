@@ -106,7 +106,7 @@ def _unit(z: FloatArray) -> FloatArray:
 
 
 def _with_obstacles(hills: FloatArray, recipe: Recipe, rng: np.random.Generator) -> FloatArray:
-    """Set flat-topped solids on the hills, each at least 1 m above the ground that it covers."""
+    """Set flat-topped solids on the hills, at least 1 m above their ground."""
     z = hills.copy()
     keep_out = np.zeros((PIXELS, PIXELS), np.uint8)
     cell = SIZE / (PIXELS - 1)
@@ -160,7 +160,7 @@ def _keep_distance(
 
 
 def _outline(rng: np.random.Generator) -> FloatArray:
-    """Return the (n, 2) outline of a random box, wall or pillar about its center, meters."""
+    """Return the (n, 2) outline of a random box, wall or pillar, meters."""
     kind = rng.choice(("box", "wall", "pillar"), p=(0.45, 0.35, 0.2))
     if kind == "pillar":
         angle = np.linspace(0, math.tau, 24, endpoint=False)

@@ -1,4 +1,4 @@
-"""The frame of a world: local origin of a far source, and window cut out of a surface or map."""
+"""The frame of a world: local origin of a far source, and cut-out window."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Reading(NamedTuple):
 
 
 def local_origin(path: Path, low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
-    """Return the coordinates of the world's origin: 0, 0 of a source near there; warn of others.
+    """Return the coordinates of the world's origin; warn unless they are 0, 0.
 
     The digits of float32 would not suffice for coordinates of a country.
 
@@ -80,7 +80,7 @@ def driven_window(surface: HeightField, start: Pose2 | None) -> Window | None:
 
 
 def cut_terrain(ground: Ground, window: Window, *, level: bool = True) -> tuple[Terrain, float]:
-    """Return a square of a ground, and the height by which it was lowered to z = 0, meters.
+    """Return a square of a ground, and the height subtracted from it, meters.
 
     The terrain names the spacing of the samples where the square is resampled.
     """
@@ -135,7 +135,7 @@ def _span(low: float, high: float, cell: float, count: int) -> tuple[int, int]:
 
 
 def leveled(surface: HeightField) -> tuple[HeightField, float]:
-    """Return a surface with its lowest point at z = 0, and the subtracted height, meters."""
+    """Return a surface lowered to z = 0, and the subtracted height, meters."""
     lowest = surface.z.min()
     return replace(surface, z=surface.z - lowest), float(lowest)
 

@@ -46,7 +46,7 @@ MAX_METERS = 1000.0
 
 
 def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
-    """Read a mesh: heights from above, and the mesh itself if it is closed or has overhangs.
+    """Read a mesh as heights from above, and itself if closed or with overhangs.
 
     The mesh keeps its own frame, meters and z up; far from its origin, its center becomes the world's. An
     open mesh without overhangs, or one cut by a window, becomes its heights from above.
@@ -168,7 +168,7 @@ def _has_openings(mesh: TriangleMesh, grid: Grid, top: FloatArray) -> bool:
 
 
 def _has_thin_walls(mesh: TriangleMesh, grid: Grid, top: FloatArray) -> bool:
-    """Whether an open mesh has walls of a single face, which no node sees from above."""
+    """Whether an open mesh has walls of a single face, hidden from above."""
     west, south, *spacing = grid
     columns, rows = np.rint((mesh.vertices[:, :2] - (west, south)) / spacing).astype(int).T
     inside = (columns >= 0) & (columns < top.shape[1]) & (rows >= 0) & (rows < top.shape[0])

@@ -1,4 +1,4 @@
-"""Reader of elevation rasters, gray pictures and bundled worlds as terrain, with filters before meshing."""
+"""Reader of elevation rasters, gray pictures and bundled worlds as terrain."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def read_terrain(source: Source, options: BuildOptions) -> Reading:
 
 
 def _bundled_raster(path: Path, options: BuildOptions) -> tuple[Raster, str, BuildOptions]:
-    """Return a bundled world's picture, the origin of its meters, and the options with these meters."""
+    """Return a bundled world's picture, the origin of its meters, and its options."""
     bundled = bundled_picture(path.name)
     rows, cols = bundled.pixels.shape
     check_size(path, cols, rows, options.max_pixels)
@@ -135,7 +135,7 @@ def _scale_text(info: RasterInfo, options: BuildOptions) -> str:
 
 
 def looks_like_map(pixels: NDArray[Any]) -> bool:
-    """Return whether a picture has the few grays of an occupancy map as map_saver writes it.
+    """Return whether a picture has the few grays of an occupancy map.
 
     The five most common grays cover 85 % of the pixels, and two of occupied, unknown and free are among them.
     """
@@ -152,7 +152,7 @@ def looks_like_map(pixels: NDArray[Any]) -> bool:
 
 
 def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightField, float | None]:
-    """Return the terrain, and the file's height of z = 0; None if its heights are rescaled.
+    """Return the terrain, and the file's height of z = 0 unless rescaled.
 
     Raises:
         ConfigError: `zero` is given, and the heights are rescaled.
@@ -207,7 +207,7 @@ def _crop(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | No
 
 
 def _extent(shape: tuple[int, ...], info: RasterInfo, options: BuildOptions) -> tuple[float, float]:
-    """Return width and depth of the ground, meters; n pixels are nodes of n - 1 cells.
+    """Return width and depth of the ground, meters, between the outermost pixels.
 
     Raises:
         ConfigError: size and resolution are both given.
@@ -274,7 +274,7 @@ def _report_missing(
     codes: tuple[float, ...],
     kept: Rectangle,
 ) -> None:
-    """Warn of the number of pixels without a height; refuse more than half of the kept ones."""
+    """Warn of pixels without a height; refuse more than half of the kept ones."""
     if missing[kept].mean() > 0.5:
         raise SourceError(
             f"{path}: {int(missing[kept].sum())} of {missing[kept].size} pixels have no height (NaN or "
@@ -319,7 +319,7 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
 
 
 def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: float) -> None:
-    """Warn of a border of the lowest value next to a cliff, likely undeclared "no data".
+    """Warn of a border of the lowest value next to a cliff, likely no data.
 
     Args:
         path: path of the raster.

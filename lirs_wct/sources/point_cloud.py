@@ -157,7 +157,7 @@ def _grid(path: Path, xyz: FloatArray, options: BuildOptions) -> NodeGrid:
 
 
 def _far_nodes(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
-    """Warn of nodes without a point; return the nodes too far from points to be ground.
+    """Warn of nodes without a point; return those too far from any.
 
     Raises:
         SourceError: too many nodes have no point.

@@ -44,7 +44,7 @@ class NodeGrid:
 
     @staticmethod
     def over(xy: FloatArray, spacing: float) -> NodeGrid:
-        """Return the grid that starts at the smallest coordinates of points (n, 2) and covers all."""
+        """Return the grid over all points (n, 2), from their smallest coordinates."""
         (west, south), (east, north) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
         rows, cols = (
             max(2, int(np.ceil(side / spacing - 1e-9)) + 1) for side in (north - south, east - west)
@@ -122,7 +122,7 @@ MAX_SLOPE = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class Smrf(Checked):
-    """Parameters of SMRF, by default the paper's values for all of its test sites (section 4.2).
+    """Parameters of SMRF, by default the paper's values for all sites (section 4.2).
 
     Attributes:
         slope: steepest ground, rise over run.
@@ -142,7 +142,7 @@ class Smrf(Checked):
 
 
 def ground_points(xyz: FloatArray, options: Smrf) -> tuple[BoolArray, float]:
-    """Return which of the points (n, 3) are on the ground, and the share of mountains in the area.
+    """Return the mask (n,) of ground points, and the share of mountains.
 
     The grid of lowest points is opened by growing disks. A cell that an opening lowers by more than the slope
     allows is an object. The other cells, with filled gaps, are the provisional ground; the points near it are
@@ -188,7 +188,7 @@ def _mean_slope(surface: FloatArray, window: float, cell: float) -> FloatArray:
 
 
 def _objects(surface: FloatArray, slope: float | FloatArray, window: float, cell: float) -> BoolArray:
-    """Return (rows, cols) whether an opening by a disk of up to `window` lowers a cell too much."""
+    """Return (rows, cols) whether openings by disks up to `window` lower cells too much."""
     last = surface.astype(np.float32)
     found = np.zeros(surface.shape, np.bool_)
     for radius in range(1, max(1, round(window / cell)) + 1):

@@ -325,7 +325,7 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
 
 
 def _yaml_beside(path: Path) -> Path | None:
-    """Return the ROS map's YAML of the same name next to a picture, if it names the picture."""
+    """Return the ROS map's YAML beside a picture, if it names the picture."""
     for beside in filter(Path.is_file, map(path.with_suffix, suffixes.MAPS)):
         with suppress(SourceError):  # a YAML other than of a map
             if map_server.read_metadata(beside).image.resolve() == path.resolve():
@@ -339,7 +339,7 @@ def is_log(path: Path) -> bool:
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a ROS bag: a file, or a folder with a bag's files."""
+    """Return whether a path is a ROS bag: a file, or a folder of them."""
     if path.is_dir():
         return not (path / "world.json").exists() and any(suffixes.is_bag_file(p) for p in path.iterdir())
     return suffixes.is_bag_file(path)
