@@ -57,6 +57,16 @@ HEADLINE_LETTERS = 150
 """Characters of a line of the headline."""
 
 
+MAP_WIDTH, SIDE_WIDTH = 6.4, 4.0
+"""Widths of the map, and of metrics and plots beside it, inches."""
+VERDICT_LETTERS = 110
+"""Characters in a line of the verdict."""
+EMPTY_SLOTS = 2
+"""Plot slots under the metrics of a log without errors to plot."""
+ROW_HEIGHT, MIN_PLOT, PLOT_GAP = 0.21, 1.2, 0.8
+"""Heights of a row of the metrics, of the smallest plot, and above a plot, inches."""
+
+
 def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, built: ElevationMap) -> None:
     """Show the mapper's elevation map and its difference from the true surface."""
     map_axes(axes[0], canvas, height_picture(canvas, world, built))
@@ -123,7 +133,7 @@ def overview_figure(
         estimate: estimated poses, world frame (moved by the true start pose).
         true_pose: map made with the true poses, world frame.
         built: the mapper's map, world frame (moved by the true start pose); None without a map.
-        aligned: the same after the trajectory's alignment; None without a map.
+        aligned: the mapper's map after the trajectory's alignment; None without a map.
         elevation: elevation map of the clouds at the mapper's poses, world frame; None of a planar mapper.
     """
     canvas = Canvas.over(shown_bounds(world, truth, true_pose), round(PANEL * PAGE_DPI))
@@ -180,15 +190,10 @@ def _headline(record: RunRecord) -> str:
 def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:
     map_axes(axes, canvas, shaded_heights(world, canvas))
     axes.set_anchor("N")
-    axes.plot(*truth.xy.T, color=BLUE, linewidth=2.6, solid_capstyle="round", zorder=4)
-    axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=1.1, zorder=5)
     title(axes, "Terrain and paths" if world.walls is None else "Input map and paths")
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=BLUE, linewidth=2.6, label="true"),
-        Line2D([], [], color=VERMILLION, linewidth=1.1, label="estimated"),
-        *path_ends(axes, truth),
-    ]
-    legend(axes, handles)
+    (true,) = axes.plot(*truth.xy.T, color=BLUE, linewidth=2.6, zorder=4, label="true")
+    (estimated,) = axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=1.1, zorder=5, label="estimated")
+    legend(axes, [true, estimated, *path_ends(axes, truth)])
 
 
 def _draw_built_map(
@@ -230,16 +235,6 @@ def _rtf(axes: Axes, rtf: Mapping[str, Any]) -> None:
     legend(axes, [Line2D([], [], color=GREEN, linewidth=1.2, label=f"mean {mean:.1f}, std {std:.1f}")])
 
 
-MAP_WIDTH, SIDE_WIDTH = 6.4, 4.0
-"""Widths of the map, and of metrics and plots beside it, inches."""
-VERDICT_LETTERS = 110
-"""Characters in a line of the verdict."""
-EMPTY_SLOTS = 2
-"""Plot slots under the metrics of a log without errors to plot."""
-ROW_HEIGHT, MIN_PLOT, PLOT_GAP = 0.21, 1.2, 0.8
-"""Heights of a row of the metrics, of the smallest plot, and above a plot, inches."""
-
-
 def map_overview(
     record: MapRecord,
     grid: OccupancyGrid,
@@ -261,7 +256,11 @@ def map_overview(
     verdict = textwrap.fill(str(record.verdict), VERDICT_LETTERS)
     text = f"{Path(c.log).name}: mapped by {c.mapper}, seed {c.seed}\n{verdict}"
     figure, halves = page_of_panels(text, (tall,), (MAP_WIDTH, SIDE_WIDTH))
-    _map(figure.add_subplot(halves[0]), canvas, grid, estimate, _reference_in_map(reference, accuracy))
+    if accuracy.reference is None or not len(accuracy.reference.stamps):
+        reference = None
+    elif reference is not None:
+        reference = reference.moved(accuracy.reference.T_map_reference)
+    _map(figure.add_subplot(halves[0]), canvas, grid, estimate, reference)
     slots = len(plots) or EMPTY_SLOTS
     heights = (listed, *[(tall - listed) / slots - PLOT_GAP] * slots)
     cells = halves[1].subgridspec(
@@ -289,27 +288,17 @@ def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatA
     return plots
 
 
-def _reference_in_map(reference: Trajectory | None, accuracy: Accuracy) -> Trajectory | None:
-    """Return the reference in the map frame; None if it was not compared."""
-    if reference is None or accuracy.reference is None or not len(accuracy.reference.stamps):
-        return None
-    return reference.moved(accuracy.reference.T_map_reference)
-
-
 def _map(
     axes: Axes, canvas: Canvas, grid: OccupancyGrid, estimate: Trajectory, reference: Trajectory | None
 ) -> None:
     map_axes(axes, canvas, canvas.grid_picture(grid))
     axes.set_anchor("N")
+    title(axes, "Map and path")
     handles = []
     if reference is not None:
-        axes.plot(*reference.xy.T, color=BLUE, linewidth=2.0, alpha=0.6, zorder=3)
-        handles.append(Line2D([], [], color=BLUE, linewidth=2.0, alpha=0.6, label="reference"))
-    axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=0.8, zorder=4)
-    handles.append(Line2D([], [], color=VERMILLION, linewidth=0.8, label="path"))
-    handles += path_ends(axes, estimate)
-    title(axes, "Map and path")
-    legend(axes, handles)
+        handles += axes.plot(*reference.xy.T, color=BLUE, linewidth=2.0, alpha=0.6, label="reference")
+    handles += axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=0.8, zorder=4, label="path")
+    legend(axes, [*handles, *path_ends(axes, estimate)])
 
 
 def _errors(axes: Axes, name: str, unit: str, seconds: FloatArray, errors: FloatArray) -> None:

@@ -85,7 +85,9 @@ def view_figure(world: World) -> Drawing:
     else:
         heights = [max(heights)]
     letters = int(LETTERS * (sum(widths) + len(widths) * SPACE_LEFT))
-    text = f"{world_title(world)}; {'below' if stacked else 'right'}: {_seen_from(world)}"
+    text = f"{world_title(world)}; {'below' if stacked else 'right'}: from the south-south-west"
+    if (stretch := _exaggeration(world)) != 1:
+        text += f", heights stretched {stretch:g} times"
     page, grid = page_of_panels(textwrap.fill(text, letters), heights, [*widths, BAR], DPI)
     above = page.add_subplot(grid[0, 0], anchor="N")
     map_axes(above, canvas, shaded_heights(world, canvas))
@@ -106,26 +108,19 @@ def world_title(world: World) -> str:
     return extent if world.walls is not None else f"{extent}, relief {length(world.surface.relief)}"
 
 
-def _seen_from(world: World) -> str:
-    exaggeration = _exaggeration(world)
-    stretched = "" if exaggeration == 1 else f", heights stretched {exaggeration:g} times"
-    return f"from the south-south-west{stretched}"
-
-
 def block_picture(world: World, width: int = 1100) -> FloatArray:
     """Return a (rows, cols, 4) oblique view of the world as a block, transparent outside.
 
-    A mesh is drawn with its overhangs and in its own proportions, a laser map with its walls.
+    A mesh is drawn with its overhangs and in its own proportions, a laser map with its walls, a terrain on a
+    grid of pixel resolution with exaggerated heights.
     """
     if world.walls is not None:
         return mesh_view(world.mesh, world.walls.height, tilt=MAP_TILT, width=width)
-    return mesh_view(world.solid or _block(world), width=width)
-
-
-def _block(world: World) -> TriangleMesh:
-    """Return the terrain as a solid with exaggerated heights, on a grid of pixel resolution."""
+    if world.solid is not None:
+        return mesh_view(world.solid, width=width)
     surface = fewer_nodes(world.surface, BLOCK_NODES)
-    return solid_mesh(replace(surface, z=surface.z * np.float32(_exaggeration(world))))
+    surface = replace(surface, z=surface.z * np.float32(_exaggeration(world)))
+    return mesh_view(solid_mesh(surface), width=width)
 
 
 def _starts(axes: Axes, world: World, width: float) -> None:
@@ -195,26 +190,17 @@ def mesh_view(
     normals = np.dstack((-across, -up, np.ones_like(nearest))) @ axes
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     z = (low + unit * np.arange(rows))[:, None] * axes[1, 2] + nearest * axes[2, 2]
-    colors = _relief_colors(mesh, z) if wall_height is None else _map_colors(z, normals, wall_height)
+    if wall_height is None:
+        (_, _, bottom), (_, _, top) = mesh.bounds
+        colors = height_colors()((z - bottom) / max(top - bottom, 1e-9))[..., :3]
+    else:
+        side = np.where(normals[..., 2] > 0.5, z > wall_height / 2, 2)
+        colors = np.array((FLOOR, WALL_TOP, WALL_SIDE))[side]
     light = 0.5 + 0.55 * np.clip(np.nan_to_num(normals) @ LIGHT, 0, 1)
     picture = np.dstack((colors * light[..., None], np.ones_like(nearest)))
     picture[np.isnan(nearest)] = 0.0
     shown: FloatArray = np.clip(picture[::-1], 0, 1)
     return shown
-
-
-def _relief_colors(mesh: TriangleMesh, z: FloatArray) -> FloatArray:
-    """Return (rows, cols, 3) colors of heights."""
-    (_, _, low), (_, _, high) = mesh.bounds
-    colors: FloatArray = height_colors()((z - low) / max(high - low, 1e-9))[..., :3]
-    return colors
-
-
-def _map_colors(z: FloatArray, normals: FloatArray, wall_height: float) -> FloatArray:
-    """Return (rows, cols, 3) colors of floor, tops and sides of walls."""
-    side = np.where(normals[..., 2] > 0.5, z > wall_height / 2, 2)
-    colors: FloatArray = np.array((FLOOR, WALL_TOP, WALL_SIDE))[side]
-    return colors
 
 
 EDGE = 6.0

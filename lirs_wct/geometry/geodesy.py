@@ -79,7 +79,7 @@ class CoordinateSystem:
         """Return (2, 2) ground meters (rows east, north) per unit of x and y.
 
         Raises:
-            ConfigError: as `to_geographic`, or the place is a pole or beyond.
+            ConfigError: latitudes are unknown, or the place is a pole or beyond.
         """
         step = 1e-4 if self.form == "geographic" else 10.0 / self.unit
         at = np.array(((x + step, y), (x - step, y), (x, y + step), (x, y - step), (x, y)))
@@ -180,7 +180,7 @@ class Georeference:
     """Coordinates and ground meters of a raster's pixels.
 
     Attributes:
-        system: of the coordinates.
+        system: Coordinate reference system.
         affine: map from column and row of a pixel's middle (whole numbers) to coordinates.
         steps: meters eastward and northward on the ground, at the raster's middle, from one column to the
             next, and from one row to the next: ((east, north), (east, north)).
@@ -268,9 +268,9 @@ class Place:
     """The place of the world's frame on the earth.
 
     Attributes:
-        system: of the coordinates.
+        system: Coordinate reference system.
         affine: map from x and y of the world, meters, to coordinates.
-        height: of z = 0 above the data's datum, meters; None where heights are not those of the file.
+        height: Height of z = 0 above the datum, meters; None where heights are not the file's own.
     """
 
     system: CoordinateSystem
@@ -295,7 +295,7 @@ class Place:
         """Return the direction of the world's x axis at its origin, degrees north of east.
 
         Raises:
-            ConfigError: as `to_geographic`.
+            ConfigError: the system is unknown, here or to PROJ.
         """
         latitude, longitude = self.to_geographic(np.array((0.0, 10.0)), np.zeros(2))
         east, north = meters_per_degree(float(latitude[0]))

@@ -50,7 +50,7 @@ def overview(low: ArrayLike, high: ArrayLike, fovy: float, aspect: float = 4 / 3
         low: (3,) lowest corner, meters.
         high: (3,) highest corner.
         fovy: the picture's angle from its lower to its upper edge, radians.
-        aspect: its width over its height.
+        aspect: Width of the picture over its height.
     """
     ends = np.array((low, high), np.float64)
     corners = np.array([ends[list(which), range(3)] for which in product((0, 1), repeat=3)])

@@ -95,7 +95,7 @@ def _check_plan(path: Path, xyz: FloatArray) -> None:
     """Refuse a cloud without area in plan.
 
     Raises:
-        SourceError: its points lie on a line or a vertical sheet.
+        SourceError: the points lie on a line or a vertical sheet.
     """
     # Sides of a uniform rectangle of these variances: a single stray point hardly changes them.
     narrow, wide = np.sqrt(12 * np.linalg.eigvalsh(np.cov(xyz[:, :2].T)).clip(0)).tolist()

@@ -4,7 +4,6 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -93,15 +92,6 @@ def test_walls_of_a_map_stand_out_in_the_oblique_view() -> None:
     assert (floor | walls).mean() > 0.97  # the rest is outlines
 
 
-@pytest.mark.parametrize("kind", [pytest.param("terrain", marks=pytest.mark.slow), "map"])
-def test_a_world_becomes_a_picture(kind: str, tmp_path: Path) -> None:
-    world = room() if kind == "map" else World("hill", Terrain(hill()), spawn_poses=(Pose2(5, 5, 1),))
-    view_figure(world).savefig(tmp_path / "view.png")
-    image = cv2.imread(str(tmp_path / "view.png"))
-    assert 1500 < image.shape[1] < 1950
-    assert 0.05 < (image.min(axis=2) < 240).mean() < 0.95
-
-
 def boxes_apart(figure: Drawing) -> None:
     """No two texts above a panel lie on one another, and none leaves the picture."""
     figure.draw_without_rendering()
@@ -123,14 +113,6 @@ def ring(height: float = 1.0) -> TriangleMesh:
     shape = trimesh.creation.annulus(1.0, 2.0, 1.5)
     shape.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0)))
     return TriangleMesh(np.array(shape.vertices) * (1, 1, height), np.array(shape.faces, np.int32))
-
-
-def test_a_mesh_is_seen_with_its_holes() -> None:
-    image = mesh_view(ring(), width=300)
-    middle = image[image.shape[0] // 2 - 8 : image.shape[0] // 2, 140:150, 3]
-    assert image[..., 3].mean() > 0.4
-    assert (middle == 0).any()
-    assert not (image[:, 5, 3] == 1).all()
 
 
 @pytest.mark.parametrize("height", [0.3, 1.0, 40.0])

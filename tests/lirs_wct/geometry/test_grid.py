@@ -55,20 +55,6 @@ def test_a_cell_holds_its_lower_edges() -> None:
     assert grid.cells(points).tolist() == [[0, 0], [0, 1], [1, 0], [1, 0], [0, -1]]
 
 
-@given(st.floats(0.001, 0.999))
-def test_log_odds_and_probability_are_one_and_the_same(p: float) -> None:
-    grid = OccupancyGrid.from_probability([[p]], 1.0)
-    assert grid.log_odds[0, 0] == pytest.approx(math.log(p / (1 - p)), abs=1e-5)
-    assert grid.probability[0, 0] == pytest.approx(p, abs=1e-6)
-    assert (grid.log_odds.dtype, grid.probability.dtype) == (np.float32, np.float32)
-
-
-def test_certainty_is_clipped_to_a_millionth() -> None:
-    log_odds = OccupancyGrid.from_probability([[0.0, 1.0, 1e-6, 1 - 1e-6]], 1.0).log_odds[0]
-    limit = math.log((1 - 1e-6) / 1e-6)
-    np.testing.assert_allclose(log_odds, (-limit, limit, -limit, limit), rtol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("p", "occupied", "free"),
     [(0.651, True, False), (0.649, False, False), (0.251, False, False), (0.249, False, True)],
@@ -107,16 +93,6 @@ def test_what_is_no_grid_is_refused(log_odds: np.ndarray, resolution: float) -> 
     assert OccupancyGrid(np.zeros((1, 1), np.float32), 1e-9).shape == (1, 1)
 
 
-@pytest.mark.parametrize("threshold", [0.65, 0.25])
-def test_a_probability_of_just_a_threshold_is_neither_occupied_nor_free(threshold: float) -> None:
-    middle = np.float32(math.log(threshold / (1 - threshold)))
-    near = middle + np.spacing(middle) * np.arange(-9, 10, dtype=np.float32)
-    grid = OccupancyGrid(near[None], 1.0)
-    just = grid.probability == np.float32(threshold)
-    assert just.any()
-    assert not (grid.occupied | grid.free)[just].any()
-
-
 def test_a_mask_is_what_certain_probabilities_are() -> None:
     mask = np.random.default_rng(3).random((5, 7)) < 0.4
     grid = OccupancyGrid.from_mask(mask, 0.5, Pose2(1, 2, 0.3))
@@ -142,19 +118,6 @@ def test_a_point_is_free_where_its_cell_is_and_nowhere_outside(
     place = origin.apply(((col - 1 + along) * resolution, (row - 1 + across) * resolution))
     inside = 1 <= row <= 3 and 1 <= col <= 5
     assert grid.free_at(*place.tolist()) == (inside and bool(p[row - 1, col - 1] < 0.25))
-
-
-@pytest.mark.parametrize(("p", "free"), [(0.2499, True), (0.2501, False)])
-def test_a_point_is_free_below_the_threshold_of_ros(p: float, free: bool) -> None:
-    assert OccupancyGrid.from_probability([[p]], 1.0).free_at(0.5, 0.5) is free
-
-
-def test_a_mask_becomes_certain_walls_and_certain_free_cells() -> None:
-    mask = np.array([[True, False, False], [False, False, True]])
-    grid = OccupancyGrid.from_mask(mask, 0.5, Pose2(1.0, 2.0))
-    assert grid.occupied.tolist() == mask.tolist()
-    assert grid.free.tolist() == (~mask).tolist()
-    assert (grid.resolution, grid.origin) == (0.5, Pose2(1.0, 2.0))
 
 
 @given(st.integers(2, 9), st.integers(2, 9), st.integers(0, 12), st.integers(0, 12))

@@ -7,7 +7,7 @@ import pytest
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.scan import Imu, LaserScan
+from lirs_wct.geometry.scan import LaserScan
 
 
 def scan(ranges: list[float]) -> LaserScan:
@@ -29,7 +29,3 @@ def test_hits_lie_within_the_sensors_range_its_ends_included() -> None:
 def test_ranges_are_a_vector_of_float32(ranges: np.ndarray) -> None:
     with pytest.raises(ConfigError, match="ranges must be a vector of float32"):
         LaserScan(ranges, 0.0, 0.1, 0.1, 9.0, 0.0)
-
-
-def test_an_imu_at_rest_feels_gravity() -> None:
-    assert Imu() == Imu(0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81), 0.0)

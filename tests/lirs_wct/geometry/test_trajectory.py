@@ -1,7 +1,6 @@
 """Trajectories: arrays hold poses one by one; one pose costs the same, however long the trajectory is."""
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -9,29 +8,6 @@ from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
-
-
-def turning(n: int) -> Trajectory:
-    half = np.linspace(-1.5, 1.5, n)
-    nothing = np.zeros(n)
-    quaternions = np.stack((np.cos(half), nothing, nothing, np.sin(half)), axis=-1)
-    return Trajectory(
-        np.arange(n, dtype=np.float64), np.random.default_rng(0).normal(size=(n, 3)), quaternions
-    )
-
-
-def test_one_pose_of_a_long_trajectory_costs_no_more_than_of_a_short_one() -> None:
-    """All poses one after the other would else cost the square of a log's length."""
-
-    def seconds(track: Trajectory) -> float:
-        times = []
-        for _ in range(20):
-            start = time.perf_counter()
-            track.pose2(7)
-            times.append(time.perf_counter() - start)
-        return min(times)
-
-    assert seconds(turning(500_000)) < 20 * seconds(turning(10))
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -109,9 +85,3 @@ def test_what_is_no_trajectory_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match="a trajectory"):
         Trajectory(np.array(stamps), np.zeros(positions), np.zeros(quaternions))
-
-
-def test_its_text_states_poses_time_and_length() -> None:
-    poses = [Pose2(0.0), Pose2(1.0), Pose2(3.0), Pose2(3.5)]
-    assert repr(Trajectory.from_poses([2.0, 3.0, 5.0, 9.0], poses)) == "Trajectory(4 poses, 7 s, 3.5 m)"
-    assert repr(Trajectory.from_poses([], [])) == "Trajectory(0 poses, 0 s, 0 m)"

@@ -121,24 +121,6 @@ def test_the_default_budget_holds_between_pixels_of_real_pictures(shared_data: P
     assert error_between(surface, mesh, (0.125, 0.5, 0.875)) <= budget
 
 
-@pytest.mark.slow
-@pytest.mark.shared
-@pytest.mark.parametrize(
-    "name", ["PX4-SITL_gazebo-classic__terrain.png", "pydelatin__fuji.png", "*geotiff_example.tif"]
-)
-@pytest.mark.parametrize("share", [5e-4, 2e-2])
-def test_the_budget_holds_on_real_pictures(shared_data: Path, name: str, share: float) -> None:
-    (path,) = (shared_data / "height").glob(name)
-    surface = read_heights(path, grayscale=True)
-    points, faces = triangulate(surface, max_error=share * surface.relief)
-    rows, cols = surface.shape
-    north_up = TriangleMesh(
-        np.column_stack((points[:, 1], rows - 1.0 - points[:, 0], surface.z[tuple(points.T)])), faces
-    )
-    off = rasterize_heights(north_up, (0, 0, 1, 1), (rows, cols))[::-1] - surface.z
-    assert np.abs(off).max() <= share * surface.relief
-
-
 def test_faces_look_up_and_cover_the_rectangle_once() -> None:
     surface = hills(60, 80)
     points, faces = triangulate(surface, max_error=0.02 * surface.relief)
@@ -178,14 +160,6 @@ def test_never_more_triangles_than_asked(most: int) -> None:
     assert mesh.is_watertight
 
 
-def test_more_triangles_less_error() -> None:
-    surface = hills(60, 80)
-    worst = [
-        np.abs(errors(surface, *triangulate(surface, max_triangles=n))).max() for n in (50, 200, 800, 3200)
-    ]
-    assert all(a > 1.3 * b for a, b in itertools.pairwise(worst))
-
-
 def test_the_worst_pixel_goes_in_next() -> None:
     """Greedy to one bin of the queue: 1/128 of the error."""
     surface = hills(30, 40, blur=1.0)
@@ -205,13 +179,6 @@ def test_long_thin_pictures() -> None:
     assert len(faces) < 40
     assert np.abs(errors(surface, points, faces)).max() <= 1.0
     assert simplified_solid(surface, max_error=1.0).is_watertight
-
-
-def test_a_plane_needs_two_triangles() -> None:
-    x = np.linspace(0, 3, 50, dtype=np.float32)
-    plane = HeightField.centered(x + x[:40, None], (1, 1))
-    assert len(triangulate(plane, max_error=1e-9)[1]) == 2
-    assert len(simplified_solid(plane, max_triangles=1000).faces) == 14
 
 
 def test_flat_and_almost_flat_ground_needs_few_triangles() -> None:
@@ -240,14 +207,6 @@ def test_the_budget_holds_in_float32() -> None:
     assert mesh_error(world, read) <= 1.0
 
 
-def test_a_single_pixel_is_not_missed() -> None:
-    z = np.zeros((300, 200), np.float32)
-    z[123, 77] = 1
-    points, faces = triangulate(HeightField.centered(z, (1, 1)), max_error=0.1)
-    assert (points == (123, 77)).all(axis=1).any()
-    assert np.abs(errors(HeightField.centered(z, (1, 1)), points, faces)).max() <= 0.1
-
-
 def test_budgets_are_checked() -> None:
     surface = hills(5, 5)
     for budgets in ({}, {"max_error": 1.0, "max_triangles": 20}):
@@ -257,15 +216,3 @@ def test_budgets_are_checked() -> None:
         triangulate(surface, max_error=0.0)
     with pytest.raises(ConfigError, match="max triangles must be at least 14"):
         triangulate(surface, max_triangles=13)
-
-
-@pytest.mark.parametrize("share", [2e-3, 5e-4])
-def test_as_few_as_the_best_peer(share: float) -> None:
-    pydelatin = pytest.importorskip("pydelatin")
-    surface = hills(257, 257, blur=6.0)
-    z = surface.z / surface.z.max()
-    peer = pydelatin.Delatin(z, max_error=share).triangles
-    ground = HeightField.centered(z, (1, 1))
-    # pydelatin's budget holds at pixels alone: with as many faces, ours is met there too.
-    most = int(1.05 * len(peer)) + 3 * 4 * 257
-    assert np.abs(errors(ground, *triangulate(ground, max_triangles=most))).max() <= share

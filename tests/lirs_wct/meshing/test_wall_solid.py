@@ -14,9 +14,6 @@ from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.solid import SLAB, wall_mesh
 
-masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9))
-
-
 kinds = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(0, 2))
 
 
@@ -116,15 +113,6 @@ def fans(mesh: trimesh.Trimesh) -> int:
     return len(trimesh.graph.connected_components(np.array(links), nodes=corners.ravel(), min_len=1))
 
 
-def test_corners_that_touch_are_a_millimeter_apart() -> None:
-    solid = np.array(((1, 0), (0, 1)), np.bool_)
-    mesh = wall_mesh(WallGrid(solid, 0.05))
-    exact = np.round(mesh.vertices[:, :2] / 0.025) * 0.025
-    moved = np.abs(mesh.vertices[:, :2] - exact).max(axis=1)
-    assert moved.max() == pytest.approx(0.001)
-    assert (moved > 1e-9).sum() == 1
-
-
 @pytest.mark.parametrize(
     ("shape", "wall", "faces"),
     [
@@ -142,13 +130,3 @@ def test_large_cells_are_few_triangles(
     solid[south:north, west:east] = True
     mesh = wall_mesh(WallGrid(solid, 0.5))
     assert len(mesh.faces) == faces
-
-
-def test_a_wall_in_the_middle_of_a_floor() -> None:
-    """One wall of 1 x 2 cells in 5 x 6 cells of floor: four rectangles of floor, which share its corners."""
-    solid = np.zeros((5, 6), np.bool_)
-    solid[2, 2:4] = True
-    mesh = wall_mesh(WallGrid(solid, 0.5, Pose2(1, 2, 0.3), 2.0))
-    corners = len(np.unique(mesh.vertices.round(9)[:, :2], axis=0))
-    assert corners <= 4 + 4 + 8 + 5  # of the map, of the wall, where cuts meet the border, middles of fans
-    assert len(mesh.faces) < 60

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.sources.build import build_world
+from lirs_wct.errors import ConfigError
 from lirs_wct.sources.bundled import PIXELS, RECIPES, SIZE, BundledPicture, bundled_picture
-from lirs_wct.sources.picture import read_terrain
-from lirs_wct.sources.source import BuildOptions, find_source
 
 CELL = SIZE / (PIXELS - 1)
 CLAIMS = {"simple": (4.0, 0.5, 1), "medium": (10.0, 2.0, 2), "advanced": (18.0, 5.0, 4)}
@@ -63,22 +60,3 @@ def test_the_same_picture_every_time(name: str) -> None:
 def test_an_unknown_name_lists_the_legal_ones() -> None:
     with pytest.raises(ConfigError, match="advanced, medium, simple"):
         bundled_picture("hard")
-
-
-def test_a_bundled_picture_is_not_sent_through_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(*_: object) -> None:
-        raise AssertionError("encoded or decoded")
-
-    for name in ("imwrite", "imencode", "imdecode"):
-        monkeypatch.setattr(cv2, name, refused)
-    options = BuildOptions()
-    ground, scale, place = read_terrain(find_source("simple", options), options)
-    picture = bundled_picture("simple")
-    assert (scale, place) == ("as bundled", None)
-    assert ground.surface.size == (SIZE, SIZE)
-    np.testing.assert_allclose(ground.surface.z, picture.pixels / 65535 * picture.height, atol=1e-6)
-
-
-def test_a_bundled_picture_may_be_too_large() -> None:
-    with pytest.raises(SourceError, match=r"^simple: image is 1025x1025 px = 1050625 pixels, at most 1000"):
-        build_world("simple", BuildOptions(max_pixels=1000))

@@ -73,18 +73,6 @@ def test_the_floor_lies_under_the_whole_turned_map() -> None:
     assert upright.bounds == (1.0, 2.0, 3.0, 3.0)
 
 
-def test_a_cleaned_map_lies_where_it_was() -> None:
-    p = np.full((4, 6), 0.1)
-    p[1, 2] = p[3, 4:] = 0.9
-    grid = OccupancyGrid.from_probability(p, 0.25, Pose2(-3.0, 8.0, 0.5))
-    cleaned = without_small_walls(grid, 2)
-    assert np.argwhere(cleaned.occupied).tolist() == [[3, 4], [3, 5]]
-    assert cleaned.free[1, 2]
-    assert (cleaned.resolution, cleaned.origin) == (0.25, grid.origin)
-    assert without_small_walls(grid, 1) is grid
-    np.testing.assert_allclose(cleaned.probability[p < 0.5], grid.probability[p < 0.5], atol=1e-6)
-
-
 @pytest.mark.parametrize("origin", [None, Pose2(-4, 3)])
 def test_a_map_becomes_ground(tmp_path: Path, origin: Pose2 | None) -> None:
     pixels = np.full((40, 60), 254, np.uint8)

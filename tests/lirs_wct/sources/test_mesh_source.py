@@ -1,7 +1,6 @@
 """A mesh file becomes a world: its heights from above, its own triangles in the files."""
 
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -141,19 +140,6 @@ def test_openings_of_a_closed_mesh_are_noticed(
     outlines: list[list[tuple[float, float]]], overhangs: bool, tmp_path: Path
 ) -> None:
     assert built(prisms(tmp_path / "mesh.obj", *outlines))[0].overhangs == overhangs
-
-
-def test_walls_of_single_faces_stop_rays(tmp_path: Path) -> None:
-    open_house(tmp_path / "house.obj", roof=False)
-    with pytest.warns(UserWarning, match="is not closed, contact is one-sided"):
-        world = build_world(tmp_path / "house.obj")
-    out = write_package(world, tmp_path, formats=("mjcf",))
-    model = mujoco.MjModel.from_xml_path(str(out / "house.xml"))
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    start, along = np.array((2.0, 0.0, 1.0)), np.array((0.0, 1.0, 0.0))
-    hit = mujoco.mj_ray(model, data, start, along, None, 1, -1, np.zeros(1, np.int32))
-    assert hit == pytest.approx(2.0, abs=0.11)
 
 
 def test_an_open_house_is_built_for_every_consumer(tmp_path: Path) -> None:
@@ -305,16 +291,6 @@ def test_what_is_no_terrain_is_refused(tmp_path: Path) -> None:
         build_world(tmp_path / "none.obj")
 
 
-@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply"])
-def test_likely_millimeters_are_told(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"steps{suffix}"
-    trimesh.creation.box((2000, 800, 150)).export(path)
-    (line,) = built(path)[1]
-    assert re.search(r"steps\..*: is 2000 x 800 x 150 m, .* give --scale 0\.001", line)
-    world, told = built(path, scale=(1e-3,) * 3)
-    assert (world.surface.size, told) == (pytest.approx((2, 0.8)), [])
-
-
 @pytest.mark.parametrize("name", ["large.dae", "large.glb", "ours.stl", "ours.obj", "small.stl"])
 def test_files_that_are_in_meters_are_not(name: str, tmp_path: Path) -> None:
     side = 900 if name == "small.stl" else 3000
@@ -324,15 +300,6 @@ def test_files_that_are_in_meters_are_not(name: str, tmp_path: Path) -> None:
         box.export(tmp_path / name)
     world, told = built(tmp_path / name)
     assert (world.surface.size, told) == (pytest.approx((side, side)), [])
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize(
-    ("name", "told"),
-    [("unitree_mujoco__terrain.STL", True), ("map2gazebo__map.stl", False), ("mujoco__pyramid.stl", False)],
-)
-def test_real_millimeters(name: str, told: bool, shared_data: Path) -> None:
-    assert any("--scale 0.001" in line for line in built(shared_data / "stl" / name)[1]) == told
 
 
 @pytest.mark.shared

@@ -68,17 +68,6 @@ def test_a_square_that_only_touches_lies_outside(x: float, y: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "west", "south"), [(6.5, -3.0, 10.0, -7.0), (43.5, -3.0, 39.5, -7.0), (25, 5.75, 21.0, 1.75)]
-)
-def test_a_square_that_overlaps_keeps_two_nodes_at_least(
-    x: float, y: float, west: float, south: float
-) -> None:
-    part = cut_surface(SURFACE, (x, y, 8.0))
-    assert part.origin == (west, south)
-    assert min(part.shape) == 2
-
-
-@pytest.mark.parametrize(
     ("window", "bounds"),
     [
         ((25.0, -3.0, 7.9), (21.05, -6.95, 28.95, 0.95)),

@@ -1,5 +1,7 @@
 """Pictures become height fields: what the file says is kept, what it lacks is the documented default."""
 
+from __future__ import annotations
+
 import struct
 import tracemalloc
 import warnings
@@ -14,9 +16,10 @@ from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.geometry.heightfield import resample
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import BundledPicture
-from lirs_wct.sources.picture import read_terrain
+from lirs_wct.sources.picture import apply_filters, read_terrain
 from lirs_wct.sources.source import BuildOptions, find_source
 from tests.kit import read_heights as read, refused
 
@@ -116,13 +119,6 @@ def test_the_size_is_judged_by_the_header(tmp_path: Path, size: tuple[int, int])
         read(path)
 
 
-def test_max_pixels(tmp_path: Path) -> None:
-    path = png(tmp_path / "a.png", RAMP)
-    with pytest.raises(SourceError, match="image is 4x3 px = 12 pixels, at most 11 are allowed"):
-        read(path, max_pixels=11)
-    assert read(path, max_pixels=12).shape == (3, 4)
-
-
 def test_missing_empty_and_folder(tmp_path: Path) -> None:
     (tmp_path / "empty.png").touch()
     for name, reason in (("no.png", "No such file"), ("empty.png", "is empty"), ("", "Is a directory")):
@@ -186,19 +182,6 @@ def test_colors_become_gray_by_their_luma(tmp_path: Path, dtype: type[np.generic
     luma = rgb @ np.array((0.299, 0.587, 0.114))  # ITU-R BT.601
     surface = read(png(tmp_path / "a.png", rgb[..., ::-1]), grayscale=True, height=float(np.ptp(luma)))
     np.testing.assert_allclose(surface.z, luma - luma.min(), rtol=1e-4, atol=1e-3)
-
-
-@pytest.mark.parametrize(("span", "gray"), [(514, True), (515, False)])
-def test_two_levels_of_255_are_rounding(tmp_path: Path, span: int, gray: bool) -> None:
-    """At 16 bits two levels of 255 are 514."""
-    pixels = np.full((4, 5, 3), 30000, np.uint16)
-    pixels[2, 3] = (30000, 30000 + span, 30000 + span // 2)
-    path = png(tmp_path / "a.png", pixels)
-    if gray:
-        read(path)
-        return
-    with pytest.raises(SourceError, match="is in color"):
-        read(path)
 
 
 FOOT, SURVEY = 0.3048, 1200 / 3937
@@ -340,14 +323,6 @@ def test_deterrace_needs_levels(tmp_path: Path) -> None:
         read(tiff(tmp_path / "c.tif", RAMP.astype(np.float32)), deterrace=True)
 
 
-def test_heights_of_a_few_millimeters_are_scaled_like_any_other(tmp_path: Path) -> None:
-    path = tiff(tmp_path / "a.tif", (RAMP / 4096).astype(np.float32))
-    np.testing.assert_allclose(read(path, height=2.0).z, RAMP / 11 * 2, rtol=1e-5)
-    own = tiff(tmp_path / "b.tif", (RAMP / 4096).astype(np.float32), scale=(1.0, 1.0, 0.0))
-    np.testing.assert_allclose(read(own).z, RAMP / 4096, rtol=1e-5)
-    np.testing.assert_allclose(read(own, height=2.0).z, RAMP / 11 * 2, rtol=1e-5)
-
-
 def test_smoothed_heights_start_at_zero_too(tmp_path: Path) -> None:
     """A smoothed pit is less deep: its bottom is the lowest point all the same."""
     heights = np.full((21, 25), 40, np.float32)
@@ -380,3 +355,108 @@ def test_bands_of_floats_are_no_colors(tmp_path: Path) -> None:
         read(wrong)
     assert read(wrong, grayscale=True).shape == (9, 8)
     assert read(png(tmp_path / "same.tif", np.repeat(bands[..., :1], 3, axis=2))).shape == (9, 8)
+
+
+SLOPE = np.tile(np.arange(40, dtype=np.float32), (30, 1))
+
+
+def noise(rows: int = 60, cols: int = 80) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 65535, (rows, cols), np.uint16)
+
+
+def filtered(values: np.ndarray, **options: Any) -> np.ndarray:
+    return apply_filters(values, BuildOptions(**options))
+
+
+def test_median_takes_single_wrong_pixels_away() -> None:
+    holed = SLOPE.copy()
+    holed[10, 10] = 500
+    np.testing.assert_allclose(filtered(holed, denoise="median")[3:-3, 3:-3], SLOPE[3:-3, 3:-3], atol=1)
+
+
+def test_bilateral_keeps_edges_and_smooths_noise() -> None:
+    step = np.zeros((40, 40), np.float32)
+    step[:, 20:] = 100
+    noisy = step + np.random.default_rng(1).normal(0, 1, step.shape).astype(np.float32)
+    clean = filtered(noisy, denoise="bilateral")
+    assert (clean - step).std() < 0.5
+    assert (clean[:, 20] - clean[:, 19]).min() > 95
+
+
+def test_smoothing_and_sharpness_pull_against_each_other() -> None:
+    rough = noise().astype(np.float32)
+    assert filtered(rough, smoothing=2.0).std() < rough.std() / 4
+    assert filtered(rough, sharpness=1.0).std() > 1.5 * rough.std()
+    np.testing.assert_allclose(filtered(SLOPE, sharpness=2.0)[:, 9:-9], SLOPE[:, 9:-9], atol=1e-4)
+
+
+PLANE = SLOPE + np.arange(30, dtype=np.float32)[:, None]
+
+
+@pytest.mark.parametrize("size", [(79, 59), (41, 30), (400, 31)])
+def test_enlarged_keeps_a_plane_to_its_corners(size: tuple[int, int]) -> None:
+    expected = np.linspace(0, 39, size[0]) + np.linspace(0, 29, size[1])[:, None]
+    np.testing.assert_allclose(resample(PLANE, *size), expected, atol=1e-4)
+    np.testing.assert_array_equal(resample(PLANE, 40, 30), PLANE)
+
+
+def test_shrunk_folds_nothing_fine_into_the_coarse() -> None:
+    small = resample(PLANE, 14, 30)
+    # The blur is level beyond the border: a plane bends there and nowhere else.
+    np.testing.assert_allclose(small[5, 2:-2], PLANE[5, ::3][2:-2], atol=1e-2)
+    stripes = np.tile(np.float32([0, 1]), (30, 60))
+    assert np.ptp(resample(stripes, 20, 30)[:, 2:-2]) < 0.2
+    assert resample(PLANE, 2, 2).shape == (2, 2)
+
+
+def test_resize_keeps_the_meters(tmp_path: Path) -> None:
+    surface = read(png(tmp_path / "a.png", noise()), resolution=0.5, resize=(20, 30))
+    assert surface.shape == (30, 20)
+    assert surface.size == pytest.approx((79 * 0.5, 59 * 0.5))
+    assert surface.relief == pytest.approx(6)
+
+
+def test_deterrace_knows_8_bits_stored_as_16(tmp_path: Path) -> None:
+    levels = np.tile((np.arange(200) // 20), (50, 1)).astype(np.uint16)
+    first, *others = (
+        read(png(tmp_path / "a.png", levels * factor), deterrace=True, height=9.0).z
+        for factor in (1, 257, 256)
+    )
+    # Ten stairs of one level become a ramp: no step is left of more than a tenth of a level.
+    assert np.abs(np.diff(first[25])).max() < 0.1 * 1.2
+    for z in others:
+        np.testing.assert_allclose(z, first, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"denoise": "median"},
+        {"denoise": "bilateral"},
+        {"smoothing": 3.0},
+        {"smoothing": 2.0, "sharpness": 1.0},
+    ],
+)
+def test_filters_keep_shape_size_and_relief(tmp_path: Path, options: dict[str, object]) -> None:
+    path = png(tmp_path / "a.png", noise())
+    surface = read(path, **options)
+    assert surface.cell == read(path).cell
+    assert (surface.z.min(), surface.z.max()) == (0, 6)
+    assert np.abs(surface.z - read(path).z).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"max_error": 0.1, "max_triangles": 100}, "max-error, max-triangles"),
+        ({"denoise": "magic"}, "denoise must be median or bilateral, got 'magic'"),
+        ({"crop": (-1, 0, 5, 5)}, "crop needs"),
+        ({"resize": (1, 5)}, "resize needs"),
+        ({"smoothing": 0.0}, "smoothing must be"),
+        ({"scale": (1.0, -1.0, 1.0)}, "scale must be"),
+        ({"rotate_x": float("nan")}, "x rotation must be finite"),
+    ],
+)
+def test_illegal_options_are_refused(options: dict[str, object], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        BuildOptions(**options)  # type: ignore[arg-type]
