@@ -191,7 +191,7 @@ READERS = (
     *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "drive_files", "world_json")),
     "lirs_wct/formats/meshes/reader.py",
     *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "picture", "frame")),
-    *(f"lirs_wct/{name}.py" for name in ("geometry/walls", "meshing/solid")),
+    *(f"lirs_wct/{name}.py" for name in ("meshing/solid",)),
 )
 GROUPS = {
     "metrics": (63, ("lirs_validation/metrics/*.py",)),

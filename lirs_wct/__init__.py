@@ -28,9 +28,9 @@ if TYPE_CHECKING:
         Trajectory,
         wrap_angle,
     )
+    from lirs_wct.geometry.grid import WallGrid
     from lirs_wct.geometry.heightfield import HeightField
     from lirs_wct.geometry.mesh import TriangleMesh
-    from lirs_wct.geometry.walls import WallGrid
     from lirs_wct.sources.build import build_world
     from lirs_wct.sources.source import BuildOptions
     from lirs_wct.world import World
@@ -52,7 +52,7 @@ _HOMES = {
     "SourceError": "errors",
     "Trajectory": "geometry.pose",
     "TriangleMesh": "geometry.mesh",
-    "WallGrid": "geometry.walls",
+    "WallGrid": "geometry.grid",
     "WctError": "errors",
     "World": "world",
     "build_world": "sources.build",

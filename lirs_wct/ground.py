@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from lirs_wct.arrays import BoolArray
+from lirs_wct.geometry import WallGrid
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.simplify import simplified_solid
 from lirs_wct.meshing.solid import solid_mesh, wall_mesh

@@ -22,11 +22,10 @@ from lirs_wct.formats.world_json import (
     read_world,
     write_world,
 )
-from lirs_wct.geometry import OccupancyGrid, Pose2, Pose3
+from lirs_wct.geometry import OccupancyGrid, Pose2, Pose3, WallGrid
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.navigation import (

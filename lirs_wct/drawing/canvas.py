@@ -23,10 +23,9 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.geometry import OccupancyGrid, Trajectory
+from lirs_wct.geometry import OccupancyGrid, Trajectory, WallGrid
 from lirs_wct.geometry.grid import mask_at
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.ground_texture import SUN, lambert
 from lirs_wct.world import World
 

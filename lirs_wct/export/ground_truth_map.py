@@ -10,10 +10,9 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.contact.grid import steep_nodes
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry import OccupancyGrid, Pose2, WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.world import World
 
 ROBOT_HEIGHT = 0.3

@@ -29,10 +29,11 @@ from lirs_wct.export.appearance import Wear, ground_wear, world_extent, world_pa
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.writers import write_obj
 from lirs_wct.formats.picture import write_image
+from lirs_wct.geometry import WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import MUJOCO_FACES, TriangleMesh, split_tiles
 from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, Viewpoint, overview
-from lirs_wct.geometry.walls import WallGrid, merged_rectangles
+from lirs_wct.meshing.solid import merged_rectangles
 from lirs_wct.world import World
 
 TERRAIN_GROUP = 3

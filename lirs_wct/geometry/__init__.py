@@ -3,7 +3,7 @@
 The values that a mapper takes and returns are imported from here.
 """
 
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory, wrap_angle
 from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan, PointCloud
 
@@ -16,5 +16,6 @@ __all__ = [
     "Pose2",
     "Pose3",
     "Trajectory",
+    "WallGrid",
     "wrap_angle",
 ]

@@ -11,9 +11,9 @@ import scipy  # its modules load on first use
 from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.picture import read_picture
+from lirs_wct.geometry import WallGrid
 from lirs_wct.geometry.grid import mask_at
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.walls import WallGrid
 
 TEXTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 """Texture formats that both Gazebo and the MuJoCo viewer support."""

@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.navigation import mapped_area, spawn_poses
 from lirs_wct.sources.build import build_world

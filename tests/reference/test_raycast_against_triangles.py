@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 
 from lirs_envs.lidar.ray_casting import RayCaster
+from lirs_wct.geometry.grid import WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 from tests.reference.triangle_rays import triangle_ranges, triangles_of, wall_ranges
 
 Array = NDArray[np.float64]

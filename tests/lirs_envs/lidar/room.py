@@ -6,9 +6,9 @@ import numpy as np
 
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.arrays import FloatArray
+from lirs_wct.geometry.grid import WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 
 
 def room() -> RayCaster:

@@ -13,12 +13,11 @@ from lirs_validation.drawing import overview_figure, shown_bounds
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.drawing.canvas import Canvas, Drawing, bounds_of, shaded_heights, shaded_surface
 from lirs_wct.drawing.pictures import block_picture, mesh_view, view_figure
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, camera_axes
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World
 

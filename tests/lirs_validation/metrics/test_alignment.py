@@ -20,10 +20,9 @@ from lirs_validation.metrics.alignment import (
     wrap_angles,
 )
 from lirs_validation.metrics.map import map_scores
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2, Trajectory, wrap_angle
-from lirs_wct.geometry.walls import WallGrid
 
 # Whole eighths: many stamps coincide and lie halfway, and nothing is rounded.
 stamps = st.lists(st.integers(-40, 40), unique=True, max_size=12).map(lambda k: np.array(sorted(k)) / 8)

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lirs_validation.metrics.world_geometry import mesh_error, near_obstacle
+from lirs_wct.geometry.grid import WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import MeshGround, Terrain
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World

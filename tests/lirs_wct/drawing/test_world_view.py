@@ -10,11 +10,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from lirs_wct.drawing.canvas import Drawing
 from lirs_wct.drawing.pictures import view_figure
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, MeshGround, Terrain
 from lirs_wct.world import World
 

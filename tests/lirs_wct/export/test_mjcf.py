@@ -13,9 +13,9 @@ from lirs_wct import BuildOptions, build_world
 from lirs_wct.contact.grid import contact_grid
 from lirs_wct.export.mjcf import spread, world_spec, write_mjcf
 from lirs_wct.export.package import write_package
+from lirs_wct.geometry.grid import WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.meshing.uv import cube_uv
 from lirs_wct.world import World

@@ -8,8 +8,9 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.geometry.grid import WallGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid, merged_rectangles
+from lirs_wct.meshing.solid import merged_rectangles
 
 WALLS = np.array([[True, False, False], [False, False, True]])
 HOLES = np.array([[False, True, False], [False, False, False]])

@@ -10,8 +10,8 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lirs_wct.formats.meshes.writers import write_stl
+from lirs_wct.geometry.grid import WallGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.walls import WallGrid
 from lirs_wct.meshing.solid import SLAB, wall_mesh
 
 kinds = hnp.arrays(np.int8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.integers(0, 2))
