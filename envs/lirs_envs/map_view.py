@@ -15,7 +15,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import RADIUS
 from lirs_wct import LaserScan, Pose2, Pose3, World
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
-from lirs_wct.meshing.ground_texture import ground_texture
+from lirs_wct.meshing.texture import ground_texture
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,7 +26,7 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry import OccupancyGrid, Trajectory, WallGrid
 from lirs_wct.geometry.grid import mask_at
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.meshing.ground_texture import SUN, lambert
+from lirs_wct.meshing.texture import SUN, lambert
 from lirs_wct.world import World
 
 DPI, PAGE_DPI, SCREEN_DPI = 150, 100, 72

@@ -49,7 +49,7 @@ from lirs_wct.drawing.canvas import (
 from lirs_wct.geometry import LaserScan, OccupancyGrid, Trajectory
 from lirs_wct.geometry.heightfield import HeightField, fewer_nodes
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
-from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, camera_axes
+from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, camera_axes
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.world import World
 

@@ -15,8 +15,15 @@ from lirs_wct.formats.world_json import texture_path
 from lirs_wct.geometry import WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.meshing.ground_texture import FLOOR_SPAN, floor_texture, ground_texture, wall_texture
-from lirs_wct.meshing.uv import cube_uv, draped_uv, wall_uv
+from lirs_wct.meshing.texture import (
+    FLOOR_SPAN,
+    cube_uv,
+    draped_uv,
+    floor_texture,
+    ground_texture,
+    wall_texture,
+    wall_uv,
+)
 from lirs_wct.world import World
 
 GROUND, WALLS = "ground", "walls"

@@ -19,7 +19,7 @@ from lirs_wct.formats.meshes import reader, textured
 from lirs_wct.formats.meshes.writers import MeshPart, stream_collada, write_glb, write_obj, write_stl
 from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.uv import cube_uv
+from lirs_wct.meshing.texture import cube_uv
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.world import World
 

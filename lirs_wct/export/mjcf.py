@@ -32,7 +32,7 @@ from lirs_wct.formats.picture import write_image
 from lirs_wct.geometry import WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import MUJOCO_FACES, TriangleMesh, split_tiles
-from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, Viewpoint, overview
+from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, Viewpoint, overview
 from lirs_wct.meshing.solid import merged_rectangles
 from lirs_wct.world import World
 

@@ -17,7 +17,7 @@ from lirs_wct.export.mjcf import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats import gazebo, map_server, picture, world_json
 from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj, write_stl, write_triangles
-from lirs_wct.geometry.viewpoint import overview
+from lirs_wct.geometry.pose import overview
 from lirs_wct.meshing.solid import solid_triangles
 from lirs_wct.progress import Progress, Steps, no_progress
 from lirs_wct.world import World

@@ -18,8 +18,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.formats.picture import write_image
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField, resample
-from lirs_wct.geometry.pose import Pose3
-from lirs_wct.geometry.viewpoint import Viewpoint
+from lirs_wct.geometry.pose import Pose3, Viewpoint
 
 VERSION = "1.6"
 GRAVITY = 9.80665

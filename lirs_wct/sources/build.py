@@ -15,7 +15,7 @@ from lirs_wct.formats.elevation import MAX_RELIEF, MIN_RELIEF
 from lirs_wct.geometry.heightfield import fewer_nodes
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
-from lirs_wct.meshing.ground_texture import checked_texture
+from lirs_wct.meshing.texture import checked_texture
 from lirs_wct.navigation import FOOTPRINTS
 from lirs_wct.sources.frame import Reading, cut_terrain
 from lirs_wct.sources.laser_map import read_laser_map

@@ -12,7 +12,7 @@ from lirs_wct.formats.meshes.writers import MeshPart
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.uv import cube_uv
+from lirs_wct.meshing.texture import cube_uv
 from lirs_wct.progress import Steps, track
 from lirs_wct.world import World
 

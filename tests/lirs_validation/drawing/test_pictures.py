@@ -16,8 +16,7 @@ from lirs_wct.drawing.pictures import block_picture, mesh_view, view_figure
 from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.pose import Pose2, Trajectory
-from lirs_wct.geometry.viewpoint import AZIMUTH, ELEVATION, camera_axes
+from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, Pose2, Trajectory, camera_axes
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World
 

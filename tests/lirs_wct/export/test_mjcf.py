@@ -17,7 +17,7 @@ from lirs_wct.geometry.grid import WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
-from lirs_wct.meshing.uv import cube_uv
+from lirs_wct.meshing.texture import cube_uv
 from lirs_wct.world import World
 
 

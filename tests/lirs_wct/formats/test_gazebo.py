@@ -20,8 +20,7 @@ from lirs_wct.formats.gazebo import (
     write_heightmap,
 )
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.geometry.pose import Pose2, Pose3
-from lirs_wct.geometry.viewpoint import overview
+from lirs_wct.geometry.pose import Pose2, Pose3, overview
 
 
 def test_model_is_seen_and_felt_as_the_same_mesh() -> None:

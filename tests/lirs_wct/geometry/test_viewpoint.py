@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 from hypothesis import given, strategies as st
 
-from lirs_wct.geometry.viewpoint import overview
+from lirs_wct.geometry.pose import overview
 
 lengths = st.floats(0.01, 1e4)
 

@@ -15,7 +15,7 @@ from lirs_wct.formats.meshes.writers import MeshPart, write_obj
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.uv import cube_uv
+from lirs_wct.meshing.texture import cube_uv
 from tests.kit import hills
 
 CLOSE = 6e-3
