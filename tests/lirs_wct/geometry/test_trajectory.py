@@ -1,13 +1,16 @@
-"""Trajectories: arrays hold poses one by one; one pose costs the same, however long the trajectory is."""
+"""Trajectories and views: arrays of poses, frames, and cameras that see everything."""
+
+from __future__ import annotations
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
+from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory, overview
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -85,3 +88,21 @@ def test_what_is_no_trajectory_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match="a trajectory"):
         Trajectory(np.array(stamps), np.zeros(positions), np.zeros(quaternions))
+
+
+lengths = st.floats(0.01, 1e4)
+
+
+@given(st.tuples(lengths, lengths, lengths), st.floats(-100, 100), st.floats(0.2, 1.5), st.floats(0.5, 2.5))
+def test_every_corner_is_in_the_picture(
+    size: tuple[float, float, float], shift: float, fovy: float, aspect: float
+) -> None:
+    low = np.array((shift, -2 * shift, 3.0))
+    view = overview(low, low + size, fovy, aspect)
+    corners = np.array(list(product(*zip(low, low + size, strict=True))))
+    ahead, right, up = view.axes @ (corners - view.position).T
+    assert (ahead > 0).all()
+    half = math.tan(fovy / 2)
+    across, high = np.abs(right) / (ahead * half * aspect), np.abs(up) / (ahead * half)
+    assert 0.7 < max(across.max(), high.max()) <= 1.0
+    np.testing.assert_allclose(np.cross(view.axes[1], view.axes[0]), view.axes[2], atol=1e-12)

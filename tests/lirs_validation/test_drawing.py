@@ -1,13 +1,17 @@
-"""Pictures: north is up, light comes from the north-west, all panels show the same square meters."""
+"""Pictures of runs, logs and worlds: north is up, panels show the same meters, no text lies on another."""
+
+from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
+from lirs_validation import map_log, validate
 from lirs_validation.config import RunConfig
 from lirs_validation.drawing import overview_figure, shown_bounds
 from lirs_validation.record.run_record import RunRecord
@@ -210,3 +214,28 @@ def test_what_is_off_stands_out() -> None:
     assert off > 100
     assert missing > 100
     assert found["Built map, aligned"] == [0, 0]
+
+
+def rows_apart(figure: Drawing) -> None:
+    """No two names, and no two values, of a list of metrics lie on one another."""
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        for side in ("left", "right"):
+            boxes = [t.get_window_extent() for t in axes.texts if t.get_ha() == side]
+            assert all(upper.y0 >= lower.y1 - 1 for upper, lower in pairwise(boxes))
+
+
+def test_a_run_on_a_laser_map(room: str) -> None:
+    figure = validate(room, seconds=0.5).overview()
+    boxes_apart(figure)
+    rows_apart(figure)
+
+
+def test_a_log_with_plots_of_its_errors(finished_run: Path) -> None:
+    mapped = map_log(
+        finished_run / "scans.clf.gz", mapper="hector", second="none", reference=finished_run / "truth.tum"
+    )
+    figure = mapped.overview()
+    assert len(figure.axes) == 3
+    boxes_apart(figure)
+    rows_apart(figure)
