@@ -265,13 +265,13 @@ def read_manifest(folder: Path) -> dict[str, set[str]]:
 
     A write that was broken off leaves those of its old and new files.
     """
-    found: dict[str, set[str]] = {}
+    digests: dict[str, set[str]] = {}
     with suppress(OSError, UnicodeDecodeError):
         for line in (folder / MANIFEST).read_text(encoding="utf-8").splitlines():
             value, _, name = line.partition("  ")
             if not Path(name).anchor and ".." not in Path(name).parts:  # others lie outside the folder
-                found.setdefault(name, set()).add(value)
-    return found
+                digests.setdefault(name, set()).add(value)
+    return digests
 
 
 def digest(path: Path) -> str:
@@ -397,23 +397,23 @@ def referenced_file(owner: Path, name: str) -> Path:
     package = next(
         (at for at in (folder, *folder.parents) if any((at / n).is_file() for n in _PACKAGE)), None
     )
-    root, base, given = package or folder, folder, name.strip()
-    if given.startswith("model://") and package is not None:
+    root, base, rest = package or folder, folder, name.strip()
+    if rest.startswith("model://") and package is not None:
         root = base = package.parent
-        given = unquote(given.removeprefix("model://"))
-    elif given.startswith("file://"):
-        given = unquote(urlsplit(given).path)
-    if given.startswith(("/vsi", "\\\\", "<")) or "\0" in given or _SCHEME.match(given):
+        rest = unquote(rest.removeprefix("model://"))
+    elif rest.startswith("file://"):
+        rest = unquote(urlsplit(rest).path)
+    if rest.startswith(("/vsi", "\\\\", "<")) or "\0" in rest or _SCHEME.match(rest):
         raise SourceError(f"{owner}: names {_short(name)}; only files in {root} are read")
     try:
-        found = (base / given).resolve()
+        target = (base / rest).resolve()
     except (OSError, RuntimeError) as error:  # too long, or a loop of links
         raise SourceError(f"{owner}: names {_short(name)}, which is no legal path") from error
-    if not found.is_relative_to(root):
+    if not target.is_relative_to(root):
         raise SourceError(
             f"{owner}: names {_short(name)}, which is outside {root}; only files in it are read"
         )
-    return found
+    return target
 
 
 def _short(name: str) -> str:

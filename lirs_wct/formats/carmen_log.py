@@ -76,11 +76,11 @@ def read_carmen(path: Path, *, fov: float | None = None, range_max: float | None
             parameters[name] = float(value)
     odometry, track = odometry_of(scans, odoms)
     try:
-        found = scans_of(laser, scans, parameters, repaired, fov, range_max)
+        decoded = scans_of(laser, scans, parameters, repaired, fov, range_max)
     except ConfigError as error:
         raise SourceError(f"{path}: {error}") from error
     return LaserLog(
-        tuple(found),
+        tuple(decoded),
         tuple(odometry),
         track,
         stamps,
@@ -89,7 +89,7 @@ def read_carmen(path: Path, *, fov: float | None = None, range_max: float | None
         repaired=dict(repaired),
         laser=laser,
         topics=(LogTopic(laser, (), np.array([m.stamp for m in read]), np.empty(0)),),
-        left_out=len(lines[laser]) - len(found),
+        left_out=len(lines[laser]) - len(decoded),
     )
 
 
@@ -140,7 +140,7 @@ def read_lines(path: Path) -> Lines:
 
 def messages_of(name: str, lines: Sequence[tuple[int, str]], skipped: Counter[str]) -> list[Message]:
     """Parse the lines of one message name; count unusable lines by reason."""
-    parse, found = PARSERS[name], []
+    parse, messages = PARSERS[name], []
     for number, line in lines:
         try:
             message = parse(line.split(), number)
@@ -149,10 +149,10 @@ def messages_of(name: str, lines: Sequence[tuple[int, str]], skipped: Counter[st
             continue
         poses = [pose for pose in (message.base, message.laser) if pose is not None]
         if all(map(math.isfinite, (message.stamp, *(v for p in poses for v in (p.x, p.y, p.yaw))))):
-            found.append(message)
+            messages.append(message)
         else:
             skipped[f"{name} whose stamp or pose is not finite"] += 1
-    return found
+    return messages
 
 
 def _odom(tokens: list[str], line: int) -> Message:
@@ -254,15 +254,15 @@ def scans_of(
     """
     n = len(messages[0].ranges)
     ranges = np.stack([m.ranges for m in messages])
-    found = no_return(ranges)
-    limit = range_max or found
+    smallest_code = no_return(ranges)
+    limit = range_max or smallest_code
     if range_max is None and limit < NO_RETURN:
         codes = int(((ranges >= limit) & (ranges < NO_RETURN)).sum())
         repaired[f"readings of {limit:.2f} m or more, a code for no return"] = codes
     mount = _mount(name, messages, parameters, repaired)
     field = None if fov is None else _config(n, fov)
     decoded = _decode_ranges(ranges)
-    code = usual_reading(decoded[decoded >= max(found, limit)])
+    code = usual_reading(decoded[decoded >= max(smallest_code, limit)])
     scans = []
     for message, meant in zip(messages, decoded, strict=True):
         config = field or message.config or _usual_config(name, n, parameters)

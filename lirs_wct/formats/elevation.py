@@ -133,27 +133,27 @@ def _world_file(path: Path) -> Affine | None:
 def _read_by_gdal(path: Path, max_pixels: int, sized: bool) -> tuple[NDArray[Any], RasterInfo]:
     """Read a raster and its metadata through GDAL."""
     try:
-        found = limited.read_gdal(path, max_pixels)
+        raster = limited.read_gdal(path, max_pixels)
     except SourceError as error:
         raise SourceError(f"{error}{HINTS.get(path.suffix.lower(), '')}") from error
-    picture.check_size(path, found.width, found.height, max_pixels)
-    pixels = picture.without_alpha(path, picture.pixels_of(path, found))
+    picture.check_size(path, raster.width, raster.height, max_pixels)
+    pixels = picture.without_alpha(path, picture.pixels_of(path, raster))
     if pixels.dtype.kind == "c":
         raise SourceError(f"{path}: holds complex numbers, heights must be integers or real numbers")
-    return pixels, _info(path, found, pixels, sized)
+    return pixels, _info(path, raster, pixels, sized)
 
 
-def _info(path: Path, found: limited.GdalRaster | None, pixels: NDArray[Any], sized: bool) -> RasterInfo:
+def _info(path: Path, raster: limited.GdalRaster | None, pixels: NDArray[Any], sized: bool) -> RasterInfo:
     """Return georeference and value conversion of a raster from GDAL's metadata, or a world file.
 
     Values of a raster without extent have no unit of height.
     """
-    info = RasterInfo() if found is None else RasterInfo(None, found.nodata, found.scale, found.offset)
-    affine = middle_of_pixels(found.transform) if found and found.transform else _world_file(path)
+    info = RasterInfo() if raster is None else RasterInfo(None, raster.nodata, raster.scale, raster.offset)
+    affine = middle_of_pixels(raster.transform) if raster and raster.transform else _world_file(path)
     if affine is None:
         return info
-    system, unit = system_of_wkt(found.wkt) if found and found.wkt else (None, None)
-    unit = _named_unit(path, found.unit if found else "") or unit
+    system, unit = system_of_wkt(raster.wkt) if raster and raster.wkt else (None, None)
+    unit = _named_unit(path, raster.unit if raster else "") or unit
     info = replace(info, unit=height_unit(path, system or CoordinateSystem(), unit))
     return replace(info, georeference=_georeference(path, system, affine, pixels, info, sized))
 

@@ -63,10 +63,10 @@ def read_limited(
         late = monotonic() - began >= WAIT * seconds or ending.endswith("SIGXCPU")
         reason = f"takes more than {seconds} s" if late else ending
         raise SourceError(f"{path}: cannot be read: its reader {reason}")
-    found, arrays = answer
-    if "error" in found:
-        raise SourceError(f"{path}: {found['error'].replace(str(path.resolve()), path.name)}")
-    return found, arrays
+    values, arrays = answer
+    if "error" in values:
+        raise SourceError(f"{path}: {values['error'].replace(str(path.resolve()), path.name)}")
+    return values, arrays
 
 
 def _receive(process: subprocess.Popen[bytes]) -> tuple[dict[str, Any], list[NDArray[Any]]] | None:
@@ -77,13 +77,13 @@ def _receive(process: subprocess.Popen[bytes]) -> tuple[dict[str, Any], list[NDA
         line = pipe.readline()
         if not line.endswith(b"\n"):
             return None
-        found: dict[str, Any] = json.loads(line)
-        for kind, shape in found.pop("arrays"):
+        values: dict[str, Any] = json.loads(line)
+        for kind, shape in values.pop("arrays"):
             array: NDArray[Any] = np.empty(shape, kind)
             if pipe.readinto(array.reshape(-1).view(np.uint8).data) != array.nbytes:  # type: ignore[attr-defined]
                 return None
             arrays.append(array)
-    return found, arrays
+    return values, arrays
 
 
 REFERRING = b"<VRTDataset"
@@ -129,6 +129,6 @@ def read_gdal(path: Path, max_pixels: int) -> GdalRaster:
     """
     if REFERRING in first_bytes(path, 1024):
         raise SourceError(f"{path}: is a VRT, which refers to other files: gdal_translate makes a TIFF of it")
-    found, arrays = read_limited("raster", path, max_pixels)
-    found["transform"] = found["transform"] and tuple(found["transform"])
-    return GdalRaster(**found, pixels=arrays[0] if arrays else None)
+    values, arrays = read_limited("raster", path, max_pixels)
+    values["transform"] = values["transform"] and tuple(values["transform"])
+    return GdalRaster(**values, pixels=arrays[0] if arrays else None)

@@ -213,11 +213,11 @@ def map_entries(path: Path, content: bytes) -> dict[str, Entry]:
         text = content.decode("utf-16" if wide else "utf-8")
     except UnicodeDecodeError:  # yaml-cpp refuses no byte; umlauts of Windows are the usual case
         text = content.decode("cp1252", errors="replace")
-    found = load_yaml(text, typed=False)
-    if not isinstance(found, list) or not all(isinstance(pair, tuple) for pair in found):
+    pairs = load_yaml(text, typed=False)
+    if not isinstance(pairs, list) or not all(isinstance(pair, tuple) for pair in pairs):
         raise ValueError("line 1 is not `key: value`")
     entry: dict[str, Entry] = {}
-    for key, value in found:
+    for key, value in pairs:
         if key not in KEYS:
             continue
         if not all(isinstance(item, str) for item in value):

@@ -55,9 +55,9 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
     """
     full: float | None
     if first_bytes(path).startswith(TIFF) or _is_huge(path):
-        found = read_gdal(path, max_pixels)
-        check_size(path, found.width, found.height, max_pixels)
-        pixels, full = pixels_of(path, found), found.white
+        raster = read_gdal(path, max_pixels)
+        check_size(path, raster.width, raster.height, max_pixels)
+        pixels, full = pixels_of(path, raster), raster.white
     else:
         with _open_picture(path) as picture:
             check_size(path, *picture.size, max_pixels)
@@ -114,9 +114,9 @@ def _decode(path: Path, picture: ImageFile.ImageFile, *, oriented: bool) -> tupl
     bands, shape = len(picture.getbands()), (picture.height, picture.width)
     clear = picture.info.get("transparency")
     if picture.format == "PNG" and bands > 1 and ";16" in str(arguments):  # Pillow would keep 8 bits
-        found = read_gdal(path, picture.width * picture.height)
-        assert found.pixels is not None
-        return _with_alpha(found.pixels, clear), found.white
+        raster = read_gdal(path, picture.width * picture.height)
+        assert raster.pixels is not None
+        return _with_alpha(raster.pixels, clear), raster.white
     if codec not in ("ppm", "ppm_plain") or not isinstance(arguments, tuple):
         pixels = _to_array(ImageOps.exif_transpose(picture) if oriented else picture)
         return _with_alpha(pixels, clear if picture.mode.startswith("I") else None), None
@@ -150,14 +150,14 @@ def _to_array(picture: Image.Image) -> NDArray[Any]:
     return np.asarray(picture.convert("RGB"))[..., ::-1]
 
 
-def pixels_of(path: Path, found: GdalRaster) -> NDArray[Any]:
+def pixels_of(path: Path, raster: GdalRaster) -> NDArray[Any]:
     """Return the pixels of a raster; warn of pages and bands that are left out."""
-    assert found.pixels is not None
-    if found.pages > 1:
-        warnings.warn(f"{path}: has {found.pages} pages, the first is taken", stacklevel=4)
-    if found.bands > 1 and found.pixels.ndim == 2:
-        warnings.warn(f"{path}: has {found.bands} bands, the first is taken", stacklevel=4)
-    return found.pixels
+    assert raster.pixels is not None
+    if raster.pages > 1:
+        warnings.warn(f"{path}: has {raster.pages} pages, the first is taken", stacklevel=4)
+    if raster.bands > 1 and raster.pixels.ndim == 2:
+        warnings.warn(f"{path}: has {raster.bands} bands, the first is taken", stacklevel=4)
+    return raster.pixels
 
 
 def without_alpha(path: Path, pixels: NDArray[Any]) -> NDArray[Any]:

@@ -60,20 +60,20 @@ def read_points(path: Path) -> PointFile:
         raise SourceError(f"{path}: no such file")
     try:
         if path.suffix.lower() == ".ply":
-            found = PointFile(read_ply(path.read_bytes()).whole.vertices)
+            cloud = PointFile(read_ply(path.read_bytes()).whole.vertices)
         else:
-            found = _read_limited(path)
+            cloud = _read_limited(path)
     except SourceError:
         raise
     except Exception as error:  # every reader raises different errors
         raise SourceError(f"{path}: cannot be read as a point cloud: {reason_of(error)}") from error
-    kept = np.isfinite(found.xyz).all(axis=1)
+    kept = np.isfinite(cloud.xyz).all(axis=1)
     if kept.sum() < 3:
         raise SourceError(f"{path}: holds {int(kept.sum())} points, a ground needs at least 3")
-    if not (np.abs(found.xyz[kept]) <= MAX_COORDINATE).all():
+    if not (np.abs(cloud.xyz[kept]) <= MAX_COORDINATE).all():
         raise SourceError(f"{path}: has points farther than {MAX_COORDINATE:g} units")
-    ground = None if found.ground is None else found.ground[kept]
-    return replace(found, xyz=found.xyz[kept], ground=ground)
+    ground = None if cloud.ground is None else cloud.ground[kept]
+    return replace(cloud, xyz=cloud.xyz[kept], ground=ground)
 
 
 def _read_limited(path: Path) -> PointFile:
@@ -86,7 +86,7 @@ def _read_limited(path: Path) -> PointFile:
     for package in ("laspy", "lazrs") if las else ("pypcd4",):
         if find_spec(package) is None:
             raise SourceError(f"{path}: needs the package {package}: {EXTRA}")
-    found, (xyz, *ground) = read_limited("las" if las else "pcd", path)
-    wkt, vertical = found.get("wkt"), METERS.get(found.get("keys", {}).get(VERTICAL_UNITS, 0))
+    values, (xyz, *ground) = read_limited("las" if las else "pcd", path)
+    wkt, vertical = values.get("wkt"), METERS.get(values.get("keys", {}).get(VERTICAL_UNITS, 0))
     system, unit = system_of_wkt(wkt) if wkt else (CoordinateSystem(), None)
     return PointFile(xyz, ground[0] if ground and ground[0].any() else None, system, vertical or unit)

@@ -82,14 +82,14 @@ class RangeDecoder:
     """
 
     def __init__(
-        self, ranges: Sequence[Float32Array], limits: tuple[float, float], given: float | None
+        self, ranges: Sequence[Float32Array], limits: tuple[float, float], range_max: float | None
     ) -> None:
         """Find the codes.
 
         Args:
             ranges: (n,) meters of each scan, as recorded.
             limits: Shortest and largest range that the messages state, meters.
-            given: Range from which on readings are no return, meters; None = found by the readings.
+            range_max: Range from which on readings are no return, meters; None = as the readings show.
 
         Raises:
             ValueError: most readings are beyond reason.
@@ -104,10 +104,10 @@ class RangeDecoder:
             raise ValueError(f"ranges up to {far.max():,.0f} m: {unit}? LaserScan has meters")
         far = far[far > FARTHEST]
         self.codes: list[str] = []
-        self._codes = [(given, math.inf)] if given else []
+        self._codes = [(range_max, math.inf)] if range_max else []
         range_min, stated = limits
         legal = 0 < stated <= FARTHEST
-        limit = given or self._find_codes(sample, stated if legal else FARTHEST, range_min)
+        limit = range_max or self._find_codes(sample, stated if legal else FARTHEST, range_min)
         known = real[~self._means_none(real) & (real <= min(limit, FARTHEST))]
         largest = float(np.percentile(known, LARGEST_PERCENTILE)) if known.size else 0.0
         self.farthest = stated if legal else largest
@@ -116,7 +116,7 @@ class RangeDecoder:
         if far.size:
             self.codes.append(f"readings beyond {FARTHEST:g} m are left out")
         if limit < (1 - MAX_DISTANCE_SHARE) * self.farthest:
-            self.farthest = given or largest
+            self.farthest = range_max or largest
 
     def decode(self, ranges: Float32Array) -> Float32Array:
         """Return (n,) ranges of a scan, meters."""

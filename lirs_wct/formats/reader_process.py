@@ -107,8 +107,8 @@ def _pixels(dataset: Any) -> NDArray[Any]:
     if kinds[:1] == ["palette"]:
         table = dataset.colormap(1)
         colors = np.array([table.get(k, (0, 0, 0, 255)) for k in range(max(table) + 1)], np.uint8)
-        found: NDArray[Any] = colors[dataset.read(1)][..., [2, 1, 0, 3]]
-        return found if (colors[:, 3] < 255).any() else found[..., :3]
+        picture: NDArray[Any] = colors[dataset.read(1)][..., [2, 1, 0, 3]]
+        return picture if (colors[:, 3] < 255).any() else picture[..., :3]
     if kinds[:3] == ["red", "green", "blue"]:
         order = [3, 2, 1, *([4] if kinds[3:4] == ["alpha"] else [])]
         return np.ascontiguousarray(np.moveaxis(dataset.read(order), 0, 2))
@@ -188,19 +188,19 @@ def main(kind: str, path: str, max_pixels: str, memory: str, seconds: str) -> No
         # Output that a library prints must not mix with the answer.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         _limit(int(memory), int(seconds))
-        found: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         arrays: list[NDArray[Any]] = []
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                found, arrays = READERS[kind](path, int(max_pixels))
+                values, arrays = READERS[kind](path, int(max_pixels))
         except MemoryError:
-            found = {"error": f"needs more than {int(memory) >> 20} MiB of memory"}
+            values = {"error": f"needs more than {int(memory) >> 20} MiB of memory"}
         except BaseException as error:  # a reader in Rust panics with an exception that is none of Python's
-            found = {"error": CODECS.sub("", reason_of(error.__cause__ or error))}
+            values = {"error": CODECS.sub("", reason_of(error.__cause__ or error))}
         arrays = [np.ascontiguousarray(array) for array in arrays]
-        found["arrays"] = [(array.dtype.str, array.shape) for array in arrays]
-        out.write(json.dumps(found).encode() + b"\n")
+        values["arrays"] = [(array.dtype.str, array.shape) for array in arrays]
+        out.write(json.dumps(values).encode() + b"\n")
         for array in arrays:
             out.write(array.data)
 

@@ -81,24 +81,24 @@ def checked_content(folder: Path) -> Iterator[None]:
         raise SourceError(f"{folder / JSON}: not a built world, or damaged: {reason_of(error)}") from error
 
 
-def texture_path(name: str, role: str, given: Path | None) -> Path:
+def texture_path(name: str, role: str, texture: Path | None) -> Path:
     """Return the path of a texture in a world's folder, of the user's file or of a generated one.
 
     The role is `texture` for the ground, or `wall_texture`.
     """
     stem = name if role == "texture" else f"{name}-walls"
-    return TEXTURES / f"{stem}{given.suffix.lower() if given else '.png'}"
+    return TEXTURES / f"{stem}{texture.suffix.lower() if texture else '.png'}"
 
 
 def keep_textures(name: str, options: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Copy the user's textures into a world's folder; return options with their new paths."""
     kept = options | {"texture": None}
     for role in TEXTURE_OPTIONS:
-        given: Path | None = options.get(role)
-        if given is not None:
-            inside = texture_path(name, role, given)
+        texture: Path | None = options.get(role)
+        if texture is not None:
+            inside = texture_path(name, role, texture)
             with atomic_write(folder / inside) as path:
-                path.write_bytes(given.read_bytes())
+                path.write_bytes(texture.read_bytes())
             kept[role] = inside.as_posix()
     return kept
 

@@ -153,11 +153,11 @@ def _clip_ears(corners: FloatArray, rings: Sequence[int]) -> IntArray:
         raise ValueError("has vertices that are not finite")
     # Ear clipping drops corners on straight edges. Neighbors have these, so that a closed surface would open.
     flat += np.random.default_rng(0).uniform(-_SHAKE, _SHAKE, flat.shape) * np.abs(flat).max()
-    found = (
+    triangles = (
         mapbox_earcut.triangulate_float64(flat, np.array(rings, np.uint32)).reshape(-1, 3).astype(np.int64)
     )
-    a, b, c = (corners[found[:, k]] for k in range(3))
-    return found[:, ::-1] if np.cross(b - a, c - a).sum(axis=0) @ normal < 0 else found
+    a, b, c = (corners[triangles[:, k]] for k in range(3))
+    return triangles[:, ::-1] if np.cross(b - a, c - a).sum(axis=0) @ normal < 0 else triangles
 
 
 def strip_triangles(n: int, *, is_fan: bool) -> IntArray:

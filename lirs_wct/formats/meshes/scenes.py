@@ -44,9 +44,9 @@ def collada_frame(path: Path) -> tuple[str, str]:
     for event, element in ElementTree.iterparse(path, ("start", "end")):
         depth += 1 if event == "start" else -1
         if (depth, event, _local(element)) == (1, "end", "asset"):
-            found = {_local(child): child for child in element}
-            up = (found["up_axis"].text or "").strip() if "up_axis" in found else "Y_UP"
-            return up[:1], found["unit"].get("meter", "1") if "unit" in found else "1"
+            asset = {_local(child): child for child in element}
+            up = (asset["up_axis"].text or "").strip() if "up_axis" in asset else "Y_UP"
+            return up[:1], asset["unit"].get("meter", "1") if "unit" in asset else "1"
     return "Y", "1"
 
 
@@ -57,14 +57,16 @@ def read_collada(data: bytes) -> Document:
         ValueError: the document is damaged, or names a node or a geometry that it lacks.
     """
     tree = _Shapes(data)
-    found = list(tree.instances())
+    instances = list(tree.instances())
     parts = [
-        place_triangles(points, faces, matrix) for name, matrix in found for points, faces in tree.shape(name)
+        place_triangles(points, faces, matrix)
+        for name, matrix in instances
+        for points, faces in tree.shape(name)
     ]
     if tree.skipped:
         named = ", ".join(dict.fromkeys(tree.skipped))
         tree.notes.append(
-            f"{len(tree.skipped)} of {len(found) + len(tree.skipped)} instances left out: {named}"
+            f"{len(tree.skipped)} of {len(instances) + len(tree.skipped)} instances left out: {named}"
         )
     looks = tree.root.find(".//instance_material") is not None
     return Document([part for part in parts if len(part.faces)], looks, notes=tree.notes)
@@ -362,12 +364,12 @@ def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
     """Return the JSON and the binary chunk."""
     if data[:8] != b"glTF\2\0\0\0":
         raise ValueError("is no GLB of version 2")
-    at, found = 12, dict[int, bytes]()
+    at, chunks = 12, dict[int, bytes]()
     while at + 8 <= len(data):
         size, kind = struct.unpack_from("<II", data, at)
-        found.setdefault(kind, data[at + 8 : at + 8 + size])
+        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
         at += 8 + size
-    return json.loads(found[_JSON]), found.get(_BINARY, b"")
+    return json.loads(chunks[_JSON]), chunks.get(_BINARY, b"")
 
 
 def _read_uri(uri: str, referenced: Callable[[str], bytes]) -> bytes:

@@ -277,14 +277,14 @@ def read_poses(path: Path, topic: str | None = None) -> Trajectory:
 def _poses(bag: Bag, topic: str | None) -> Trajectory:
     if topic is not None:
         require_topic(bag.path, "BAG:/TOPIC", topic, (*POSES, *TRANSFORMS), bag.kinds)
-    found = of_kinds(bag.kinds, POSES) if topic is None else [topic]
+    topics = of_kinds(bag.kinds, POSES) if topic is None else [topic]
     if topic is None or bag.kinds[topic] in TRANSFORMS:
-        in_map = _follow_transforms(bag, required=topic is not None or not found)
+        in_map = _follow_transforms(bag, required=topic is not None or not topics)
         if in_map is not None:
             return in_map
-    if len(found) != 1:
+    if len(topics) != 1:
         raise SourceError(f"{bag.path}: BAG:/TOPIC must say where its poses are; {list_topics(bag.kinds)}")
-    return _read_topic(bag, found[0])
+    return _read_topic(bag, topics[0])
 
 
 def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
@@ -301,22 +301,22 @@ def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
         if is_named(frames.chain(base)[-1], MAP):
             return frames.trajectory(base)
     if required:
-        held = ", ".join(sorted(frames.names)) or "none"
+        names = ", ".join(sorted(frames.names)) or "none"
         raise SourceError(
             f"{bag.path}: its transforms do not lead from {MAP} to {' or '.join(BASES)}: its frames are "
-            f"{held}; {list_topics(bag.kinds)}"
+            f"{names}; {list_topics(bag.kinds)}"
         )
     return None
 
 
 def _read_topic(bag: Bag, topic: str) -> Trajectory:
     """Return the poses of a topic by stamp; of equal stamps, the later one."""
-    found: dict[float, Pose3] = {}
+    poses: dict[float, Pose3] = {}
     for _, _, message in bag.messages((topic,)):
         if bag.kinds[topic] == PATH:
-            found = {}
+            poses = {}
         for each in message.poses if bag.kinds[topic] == PATH else (message,):
             pose = getattr(each.pose, "pose", each.pose)  # a covariance lies around some poses
-            found[seconds(each.header.stamp)] = pose_of(pose.position, pose.orientation)
-    stamps = sorted(found)
-    return Trajectory.from_poses(stamps, [found[t] for t in stamps])
+            poses[seconds(each.header.stamp)] = pose_of(pose.position, pose.orientation)
+    stamps = sorted(poses)
+    return Trajectory.from_poses(stamps, [poses[t] for t in stamps])

@@ -269,8 +269,8 @@ def _open(file: Path, stack: ExitStack, faults: list[str]) -> Reader:
         raise ValueError(
             f"its format is {version.decode('latin-1')!r}, legal is {ROS1_MAGIC.decode().strip()!r}"
         )
-    _, found, rest = head.partition(INDEX)
-    if found and not 0 < int.from_bytes(rest[:8], "little") < size:
+    _, mark, rest = head.partition(INDEX)
+    if mark and not 0 < int.from_bytes(rest[:8], "little") < size:
         raise ValueError(f"{file.name}: its end is missing; rosbag reindex {file.name} makes it readable")
     return stack.enter_context(rosbag1.Reader(file))
 
@@ -284,11 +284,11 @@ def _files(path: Path, names: Sequence[str]) -> list[Path]:
     if not path.is_dir():
         return [path]
     # A compressed file and its decompressed copy count once.
-    found = {p.name.removesuffix(ZSTD): p for p in sorted(path.iterdir(), reverse=True) if is_bag_file(p)}
-    stated = [found[name] for name in (name.removesuffix(ZSTD) for name in names) if name in found]
+    by_name = {p.name.removesuffix(ZSTD): p for p in sorted(path.iterdir(), reverse=True) if is_bag_file(p)}
+    stated = [by_name[name] for name in (name.removesuffix(ZSTD) for name in names) if name in by_name]
     if stated:
         return stated
-    kinds = ([found[name] for name in sorted(found) if name.endswith(suffix)] for suffix in BAGS)
+    kinds = ([by_name[name] for name in sorted(by_name) if name.endswith(suffix)] for suffix in BAGS)
     files = next((files for files in kinds if files), [])
     if len({PART.sub("", file.name.removesuffix(ZSTD)) for file in files}) > 1:
         raise SourceError(f"{path}: several bags: give one of {', '.join(file.name for file in files)}")
@@ -320,7 +320,7 @@ def _metadata(path: Path) -> dict[str, Any]:
     """Return what the metadata of a folder states; empty without usable metadata."""
     try:
         stated = yaml.safe_load((path / METADATA).read_text(encoding="utf-8"))
-        found = dict(stated["rosbag2_bagfile_information"])
-        return found if isinstance(found.get("relative_file_paths", []), list) else {}
+        metadata = dict(stated["rosbag2_bagfile_information"])
+        return metadata if isinstance(metadata.get("relative_file_paths", []), list) else {}
     except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError):
         return {}

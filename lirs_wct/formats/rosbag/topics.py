@@ -82,7 +82,7 @@ def _namespace(topic: str) -> str:
 
 def of_kinds(kinds: Mapping[str, str], wanted: Collection[str]) -> list[str]:
     """Return the topics of some types."""
-    return [name for name, held in kinds.items() if held in wanted]
+    return [name for name, kind in kinds.items() if kind in wanted]
 
 
 def require_topic(path: Path, flag: str, name: str, wanted: Collection[str], kinds: Mapping[str, str]) -> str:
@@ -99,5 +99,5 @@ def require_topic(path: Path, flag: str, name: str, wanted: Collection[str], kin
 
 def list_topics(kinds: Mapping[str, str]) -> str:
     """Return the list of a bag's topics for messages."""
-    found = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
-    return f"there are: {found}" if found else "it holds no message"
+    topics = ", ".join(f"{name} ({kind})" for name, kind in sorted(kinds.items()))
+    return f"there are: {topics}" if topics else "it holds no message"
