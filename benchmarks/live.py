@@ -27,8 +27,7 @@ from rich.console import Console
 from benchmarks.steps import arguments
 from lirs_extensions.live import run as live_run
 from lirs_extensions.live.dds import CONFIG, DdsNode, raw_type
-from lirs_extensions.live.graph import PUBLISHED
-from lirs_extensions.live.middleware import LOOPBACK
+from lirs_extensions.live.graph import LOOPBACK, PUBLISHED
 from lirs_extensions.live.options import LiveOptions
 from lirs_extensions.live.run import LiveRun, live
 from lirs_validation.config import CLIENT, RunConfig

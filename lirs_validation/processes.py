@@ -1,4 +1,4 @@
-"""Processes of our own, and Ctrl-C, also where compiled kernels wrap it."""
+"""Processes: our own, their cost, and Ctrl-C, also where compiled kernels wrap it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from multiprocessing import Pipe
+from pathlib import Path
 from types import FrameType
 from typing import Any
 from weakref import finalize
@@ -20,6 +22,7 @@ from weakref import finalize
 if sys.platform == "win32":
     from multiprocessing.connection import PipeConnection as Connection
 else:
+    import resource
     from multiprocessing.connection import Connection
 
 IDLE_END = 0.3
@@ -187,3 +190,78 @@ def _die_with(parent: int) -> None:
     if sys.platform != "win32" and os.getpgrp() == os.getpid():
         end_group(os.getpid())
     os._exit(1)
+
+
+_SELF = Path("/proc/self")
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Cost of processes.
+
+    Attributes:
+        cpu_seconds: Processor time of all threads.
+        peak_memory: Largest resident memory, bytes, shared memory counted in each process; None where the
+            system has no such count.
+    """
+
+    cpu_seconds: float
+    peak_memory: int | None
+
+    def __add__(self, other: Cost) -> Cost:
+        """Return the cost of two processes together; their peaks may not have come at the same time."""
+        peaks = self.peak_memory, other.peak_memory
+        peak = None if None in peaks else sum(filter(None, peaks))
+        return Cost(self.cpu_seconds + other.cpu_seconds, peak)
+
+
+class CostMeter:
+    """Meter of processor time and peak memory of this process."""
+
+    def __init__(self) -> None:
+        self._begun = time.process_time()
+        with suppress(OSError):
+            # Linux forgets the peak so far; elsewhere the peak is the process's whole life's.
+            (_SELF / "clear_refs").write_text("5", encoding="ascii")
+
+    def cost(self) -> Cost:
+        """Return the cost since the meter was created."""
+        return Cost(time.process_time() - self._begun, _peak_memory())
+
+
+def _peak_memory() -> int | None:
+    """Return the peak resident memory, bytes; None if the system has no count."""
+    with suppress(OSError):
+        lines = (_SELF / "status").read_text(encoding="utf-8").splitlines()
+        peaks = [line.split()[1] for line in lines if line.startswith("VmHWM:")]
+        if peaks:
+            return int(peaks[0]) * 1024
+    if sys.platform == "win32":
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+@contextmanager
+def compile_timer() -> Iterator[Callable[[], float]]:
+    """Measure the time of Numba's compiler in a block, to compile kernels or load them from its cache.
+
+    The yielded function returns the seconds so far.
+    """
+    from numba.core.event import TimingListener, install_listener
+
+    timer = TimingListener()
+    with install_listener("numba:compiler_lock", timer):
+        yield lambda: float(timer.duration) if timer.done else 0.0
+
+
+def load_average() -> float | None:
+    """Return the mean number of running processes in the last minute; None without a count."""
+    with suppress(AttributeError, OSError):  # Windows has none
+        return os.getloadavg()[0]
+    return None
+
+
+def is_shared(load: float | None) -> bool:
+    """Whether more processes than cores wanted to run."""
+    return load is not None and load > (os.cpu_count() or 1)

@@ -22,12 +22,13 @@ from lirs_extensions.live.graph import (
     ENCLAVE,
     SUBSCRIBED,
     LiveTopic,
+    Received,
     dds_type,
     discovery_message,
+    own_address,
     typestore,
     user_data,
 )
-from lirs_extensions.live.middleware import Received, own_address
 from lirs_extensions.live.options import Distribution, LiveOptions
 from lirs_wct.errors import ConfigError
 

@@ -16,20 +16,17 @@ from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.placement import can_stand
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation import Simulation
-from lirs_extensions.live.bridge import Bridge, ClientDriver, ClientMapper, PublishedMapper
-from lirs_extensions.live.client import Client
-from lirs_extensions.live.graph import PUBLISHED, LiveTopic
-from lirs_extensions.live.middleware import CYCLONE_LOOPBACK, Middleware
+from lirs_extensions.live.bridge import Bridge, Client, ClientDriver, ClientMapper, PublishedMapper
+from lirs_extensions.live.graph import CYCLONE_LOOPBACK, PUBLISHED, LiveTopic, Middleware
 from lirs_extensions.live.options import LiveOptions
 from lirs_validation.config import CLIENT, FRONTIER, RunConfig, run_name
-from lirs_validation.driving.choice import check_driver, make_driver, start_pose
-from lirs_validation.driving.driver import StandingDriver
-from lirs_validation.experiment.cost import compile_timer
+from lirs_validation.driving.choice import StandingDriver, check_driver, make_driver, start_pose
 from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, needs_process
 from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.experiment.run import ReadyRun, Run, drive_and_conclude, warm_up
 from lirs_validation.experiment.scenario import Scenario, build_scenario
+from lirs_validation.processes import compile_timer
 from lirs_wct import ConfigError, Pose2, unknown_name
 from lirs_wct.files import check_writable
 from lirs_wct.formats.rosbag.messages import MAP_TOPIC

@@ -11,8 +11,15 @@ from typing import Any
 import zenoh
 from zenoh import ext
 
-from lirs_extensions.live.graph import SUBSCRIBED, LiveTopic, zenoh_attachment, zenoh_key, zenoh_token
-from lirs_extensions.live.middleware import Received, own_address
+from lirs_extensions.live.graph import (
+    SUBSCRIBED,
+    LiveTopic,
+    Received,
+    own_address,
+    zenoh_attachment,
+    zenoh_key,
+    zenoh_token,
+)
 from lirs_extensions.live.options import LiveOptions
 from lirs_wct.errors import ConfigError
 

@@ -1,4 +1,4 @@
-"""The driver that a config names, set down in its world; drivers that follow no path: replay, policy."""
+"""The driver that a config names, set down in its world; drivers around another one, replay, policy."""
 
 from __future__ import annotations
 
@@ -16,9 +16,8 @@ from lirs_envs.policies import Policy, PolicyContext
 from lirs_envs.pretrained import Pretrained
 from lirs_envs.robots.robot import ROBOTS, Robot, Twist, clip, make_robot
 from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
-from lirs_validation.driving.driver import Driver, Frame, ReversingDriver
 from lirs_validation.driving.frontier_route import FrontierRoute
-from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver_config
+from lirs_validation.driving.path_driver import Driver, DriverConfig, Frame, PathDriver, driver_config
 from lirs_validation.driving.paths import area_round
 from lirs_validation.driving.routes import TourRoute, WaypointRoute, check_waypoints
 from lirs_validation.record.run_record import read_record
@@ -226,6 +225,68 @@ def no_room(source: str, world: World, robot: Robot, clearance: float) -> Config
         f"{source}: no place for {robot.name}: it needs {2 * (robot.radius + clearance):.1f} m of free "
         f"ground no steeper than {math.degrees(robot.max_slope):.0f} deg; {hint}"
     )
+
+
+class WrappedDriver:
+    """Base of drivers around another one, with its start, frame and end."""
+
+    def __init__(self, driver: Driver) -> None:
+        self._driver = driver
+
+    @property
+    def start(self) -> Pose2:
+        """Start pose of the robot."""
+        return self._driver.start
+
+    @property
+    def frame(self) -> Frame:
+        """Frame of the poses that the driver gets."""
+        return self._driver.frame
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the driver gave up."""
+        return self._driver.stuck
+
+    @property
+    def finished(self) -> str:
+        """Reason for the end of the drive; empty before the end."""
+        return self._driver.finished
+
+
+class StandingDriver(WrappedDriver):
+    """Driver that hands over to another one after some simulated seconds at rest."""
+
+    def __init__(self, driver: Driver, seconds: float) -> None:
+        super().__init__(driver)
+        self._seconds = seconds
+
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
+        """Return no motion at first, then the driver's command (see `Driver.command`)."""
+        # Half a microsecond: sums of periods are not exact.
+        if time < self._seconds - 5e-7:
+            return Twist()
+        return self._driver.command(pose, time - self._seconds, scan, odometry)
+
+
+CYCLE = 20.0
+"""Seconds of one turn of forward and backward driving."""
+BACK = Pose2(0.0, 0.0, math.pi)
+
+
+class ReversingDriver(WrappedDriver):
+    """Driver that follows the path of another one backwards for a share of the time."""
+
+    def __init__(self, driver: Driver, share: float) -> None:
+        super().__init__(driver)
+        self._share = share
+
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
+        """Return the driver's command, or the reversed one for a robot that faces backwards."""
+        if time % CYCLE < (1.0 - self._share) * CYCLE:
+            return self._driver.command(pose, time, scan, odometry)
+        wanted = self._driver.command(pose @ BACK, time, scan, odometry)
+        return Twist(-wanted.v, wanted.omega)
 
 
 class ReplayDriver:

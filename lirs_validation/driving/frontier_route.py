@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_validation.driving.driver import Frame
-from lirs_validation.driving.path_driver import DriverConfig
+from lirs_validation.driving.path_driver import DriverConfig, Frame
 from lirs_validation.driving.paths import (
     ARC,
     STRAIGHT,
@@ -343,44 +342,3 @@ def warm_up_explorer() -> None:
     route = FrontierRoute(lambda: OccupancyGrid(seen, 0.1), 0.2, 0.3, DriverConfig())
     for x in (3.0, 3.0 + STRAIGHT):
         route.path(Pose2(x, 6.0), 0.0, None)
-
-
-GOAL_ARC = 0.6
-"""Radius in which the robot turns round where there is room, meters."""
-
-
-class GoalRoute(FrontierRoute):
-    """Route to a goal if the map shows a path, else to the best frontier.
-
-    The best frontier has the shortest path to the goal through it.
-
-    Beyond a frontier the way is taken for the straight line to the goal.
-
-    Attributes:
-        goal: x, y in the map frame, meters.
-    """
-
-    goal: tuple[float, float] = (0.0, 0.0)
-    slack = math.inf
-
-    def _ahead(self, chart: ExplorationMap, pose: Pose2) -> IntArray | None:
-        """Return None: there is a goal to set off for."""
-        return None
-
-    def _to_frontier(self, chart: ExplorationMap, pose: Pose2, first: IntArray) -> IntArray | None:
-        """Return the cells (n, 2) to the goal, else to the best frontier."""
-        row, col = chart.grid.cells(self.goal).tolist()
-        inside = 0 <= row < chart.known.shape[0] and 0 <= col < chart.known.shape[1]
-        if inside and chart.room[row, col] > 0:
-            local = pose.yaw - chart.grid.origin.yaw
-            weight = penalize_behind(chart.weight, first, local, GOAL_ARC / chart.grid.resolution)
-            reach = search(weight, first[None], chart.grid.resolution)
-            if math.isfinite(reach.cost[row, col]):
-                return reach.path((row, col))
-        return super()._to_frontier(chart, pose, first)
-
-    def _best(self, chart: ExplorationMap, reach: Reach, cells: IntArray, pose: Pose2) -> tuple[int, int]:
-        """Return the cell of the frontier with the shortest way to the goal by it."""
-        beyond = np.linalg.norm(chart.grid.centers(cells) - np.array(self.goal), axis=1)
-        row, col = cells[int(np.argmin(reach.cost[cells[:, 0], cells[:, 1]] + beyond))].tolist()
-        return row, col

@@ -1,4 +1,4 @@
-"""Path driver: follows a route by pure pursuit, backs off, replans and finally gives up.
+"""Drivers, and the one that follows paths by pure pursuit, backs off, replans and finally gives up.
 
 Pure pursuit: Coulter, CMU-RI-TR-92-01, 1992.
 """
@@ -10,11 +10,48 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from lirs_envs.robots.robot import Robot, Twist
-from lirs_validation.driving.driver import Frame
 from lirs_validation.driving.paths import SPACING, Path, PursuitConfig
 from lirs_wct.arrays import FloatArray
 from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import Pose2, wrap_angle
+from lirs_wct.geometry import LaserScan, Pose2
+
+Frame = Literal["world", "map"]
+"""Frame of a driver's poses: `T_world_base`, the truth, or `T_map_base`, the mapper's latest answer."""
+
+
+class Driver(Protocol):
+    """Anything that drives a robot, one command a scan."""
+
+    @property
+    def start(self) -> Pose2:
+        """Start pose of the robot, world frame."""
+        ...
+
+    @property
+    def frame(self) -> Frame:
+        """Frame of the poses that `command` receives."""
+        ...
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the driver gave up."""
+        ...
+
+    @property
+    def finished(self) -> str:
+        """Reason why nothing is left to drive; empty while there is."""
+        ...
+
+    def command(self, pose: Pose2, time: float, scan: LaserScan, odometry: Pose2) -> Twist:
+        """Return the command for the next tick.
+
+        Args:
+            pose: Pose of the robot, in the driver's frame.
+            time: Seconds since the start.
+            scan: Latest scan.
+            odometry: `T_odom_base` at the scan.
+        """
+        ...
 
 
 class Pursuit:
@@ -50,7 +87,7 @@ class Pursuit:
         planned = self._speed[self._at]
         target = self._target(pose, c.lookahead + c.lookahead_time * planned)
         dx, dy = self._x[target] - pose.x, self._y[target] - pose.y
-        error = wrap_angle(math.atan2(dy, dx) - pose.yaw)
+        error = math.remainder(math.atan2(dy, dx) - pose.yaw, math.tau)
         # Once it turns in place it goes on until it nearly faces the target.
         self._turning = abs(error) > (0.2 if self._turning else c.turn_in_place)
         if self._turning:
@@ -214,7 +251,7 @@ class PathDriver:
 
         Go on once it is reached, or the robot cannot turn.
         """
-        error = wrap_angle((self._path.yaw or 0.0) - pose.yaw)
+        error = math.remainder((self._path.yaw or 0.0) - pose.yaw, math.tau)
         if abs(error) <= self.config.facing or time - self._moved_at > self.config.patience:
             self._replan(pose, time)
             return Twist()

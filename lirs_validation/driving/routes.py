@@ -13,8 +13,7 @@ from pathlib import Path as File
 import cv2
 import numpy as np
 
-from lirs_validation.driving.driver import Frame
-from lirs_validation.driving.path_driver import DriverConfig
+from lirs_validation.driving.path_driver import DriverConfig, Frame
 from lirs_validation.driving.paths import (
     ARC,
     COMFORTABLE,
@@ -284,10 +283,10 @@ class WaypointRoute:
     A path ends at the last one, and at each with a wanted yaw.
 
     Args:
-        waypoints: still to come, world frame.
-        free: free cells = where the robot's center may be, world frame.
-        config: how paths are driven.
-        surface: the ground, for slower driving where it is steep.
+        waypoints: Waypoints still to come, world frame.
+        free: Grid whose free cells are places for the robot's center, world frame.
+        config: Parameters of the driver.
+        surface: Heights of the ground, for slower driving where it is steep.
     """
 
     frame: Frame = "world"
@@ -355,39 +354,23 @@ def check_waypoints(
     Raises:
         SourceError: a waypoint is off the map, where the robot cannot be, or cut off from the first.
     """
-    cells = free.cells([(w.x, w.y) for w in waypoints])
-    inside = np.all((cells >= 0) & (cells < np.array(free.shape)), axis=1)
-    area = None
-    for number, (waypoint, cell, within) in enumerate(zip(waypoints, cells, inside, strict=True), start=1):
-        named = f"{path}: waypoint {number} ({waypoint.x:g}, {waypoint.y:g})"
-        if not within:
-            raise SourceError(
-                f"{named} is off the map, which is {_extent(free)}{_nearest(free, area, waypoint)}"
-            )
-        if not free.free[cell[0], cell[1]]:
-            raise SourceError(
-                f"{named} is no place for {robot}: {cause((waypoint.x, waypoint.y))}"
-                f"{_nearest(free, area, waypoint)}"
-            )
-        if area is None:
-            area = area_round(free, Pose2(waypoint.x, waypoint.y))
-        if not area[cell[0], cell[1]]:
-            raise SourceError(
-                f"{named}: no way leads there from the first waypoint for {robot}"
-                f"{_nearest(free, area, waypoint)}"
-            )
-
-
-def _nearest(free: OccupancyGrid, area: BoolArray | None, waypoint: RoutePoint) -> str:
-    """Return a hint for an error: the nearest free and reachable place."""
-    reached = free if area is None else OccupancyGrid.from_mask(~area, free.resolution, free.origin)
-    place = nearest_place(reached, (waypoint.x, waypoint.y))
-    return "" if place is None else f"; nearest place: {place}"
-
-
-def _extent(grid: OccupancyGrid) -> str:
-    """Return the extent of a grid that lies along the axes, in words."""
-    (west, south), (east, north) = grid.centers(
-        [(-0.5, -0.5), (grid.shape[0] - 0.5, grid.shape[1] - 0.5)]
-    ).tolist()
-    return f"x {west:g} to {east:g}, y {south:g} to {north:g} m"
+    reached = free
+    for number, waypoint in enumerate(waypoints, start=1):
+        place = waypoint.x, waypoint.y
+        row, col = free.cells(place).tolist()
+        if not (0 <= row < free.shape[0] and 0 <= col < free.shape[1]):
+            corners = free.centers([(-0.5, -0.5), (free.shape[0] - 0.5, free.shape[1] - 0.5)])
+            (west, south), (east, north) = corners.tolist()
+            problem = f" is off the map, which is x {west:g} to {east:g}, y {south:g} to {north:g} m"
+        elif not free.free[row, col]:
+            problem = f" is no place for {robot}: {cause(place)}"
+        elif not reached.free[row, col]:
+            problem = f": no way leads there from the first waypoint for {robot}"
+        else:
+            if number == 1:
+                area = area_round(free, Pose2(*place))
+                reached = OccupancyGrid.from_mask(~area, free.resolution, free.origin)
+            continue
+        nearest = nearest_place(reached, place)
+        hint = "" if nearest is None else f"; nearest place: {nearest}"
+        raise SourceError(f"{path}: waypoint {number} ({place[0]:g}, {place[1]:g}){problem}{hint}")

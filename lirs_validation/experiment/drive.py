@@ -15,7 +15,7 @@ import numpy as np
 from lirs_envs.robots.robot import Twist
 from lirs_envs.sensing.sensors import Observation
 from lirs_envs.simulation import Simulation
-from lirs_validation.driving.driver import Driver
+from lirs_validation.driving.path_driver import Driver
 from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTest
 from lirs_validation.metrics.consistency import LostRule
 from lirs_validation.metrics.elevation import CloudSample
@@ -202,7 +202,7 @@ class DriveLog:
     spatial: bool = False
     scans: list[LaserScan] = field(default_factory=list)
     odometry: PackedList[Pose2] = field(default_factory=_pack_as(Pose2, "x", "y", "yaw"))
-    imu: PackedList[Imu] = field(default_factory=lambda: PackedList(attrgetter("row"), Imu.from_row))
+    imu: list[Imu] = field(default_factory=list)
     clouds: CloudSample = field(default_factory=CloudSample)
     walker_beams: list[BoolArray] = field(default_factory=list)
     truth: PackedList[Pose3] = field(default_factory=_pack_as(Pose3, "x", "y", "z", "qw", "qx", "qy", "qz"))
@@ -274,7 +274,7 @@ class DriveLog:
 
     def spatial_odometry(self) -> Trajectory:
         """Return dead reckoning in space by wheels, gyro and gravity, world frame."""
-        poses = spatial_odometry(list(self.odometry), list(self.imu))
+        poses = spatial_odometry(list(self.odometry), self.imu)
         return Trajectory.from_poses(self.stamps, poses).moved(self.truth[0] @ poses[0].inverse())
 
     def trajectories(self) -> tuple[Trajectory, Trajectory, Trajectory]:

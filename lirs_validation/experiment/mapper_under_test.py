@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 import numpy as np
 
 from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
-from lirs_validation.experiment.cost import Cost, CostMeter
 from lirs_validation.experiment.loading import interpreter_of, mapper_named
-from lirs_validation.processes import ChildProcess, is_interrupt
+from lirs_validation.processes import ChildProcess, Cost, CostMeter, is_interrupt
 from lirs_wct import (
     ConfigError,
     Imu,

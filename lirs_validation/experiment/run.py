@@ -14,16 +14,16 @@ import numpy as np
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_validation.config import FRONTIER, STAND, RunConfig
-from lirs_validation.driving.choice import COMMANDS, check_driver, make_driver
-from lirs_validation.driving.driver import Driver, StandingDriver
+from lirs_validation.driving.choice import COMMANDS, StandingDriver, check_driver, make_driver
 from lirs_validation.driving.frontier_route import warm_up_explorer
-from lirs_validation.experiment.cost import CostMeter, compile_timer, is_shared, load_average
+from lirs_validation.driving.path_driver import Driver
 from lirs_validation.experiment.drive import DriveLog, drive
 from lirs_validation.experiment.evaluation import Maps, evaluate, evaluate_drive, evaluate_maps
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest, check_sensors, start_mapper
 from lirs_validation.experiment.recording import Recording, recording
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, write_elevation
+from lirs_validation.processes import CostMeter, compile_timer, is_shared, load_average
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
 from lirs_wct import BuildOptions, ConfigError, Pose2, SimulationError, World
@@ -79,7 +79,7 @@ class Run:
             commands = np.column_stack((times, [(c.v, c.omega) for c in log.commands]))
             drive_files.write_commands(temporary / COMMANDS, drive_files.Commands(log.start, commands))
             carmen_log.write_log(temporary / "scans.clf.gz", zip(log.scans, log.odometry, strict=True))
-            drive_files.write_imu(temporary / "imu.csv.gz", list(log.imu))
+            drive_files.write_imu(temporary / "imu.csv.gz", log.imu)
             lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
             (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")
             if drawn:

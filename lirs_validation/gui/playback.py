@@ -18,14 +18,15 @@ import numpy as np
 from lirs_envs.robots.robot import Robot, Twist, clip, make_robot
 from lirs_validation.analysis.results import recorded_truth, recorded_world_config
 from lirs_validation.config import MANUAL, RunConfig, run_name
-from lirs_validation.driving.driver import Driver, WrappedDriver
-from lirs_validation.experiment.cost import CostMeter
+from lirs_validation.driving.choice import WrappedDriver
+from lirs_validation.driving.path_driver import Driver
 from lirs_validation.experiment.drive import DriveLog, drive
 from lirs_validation.experiment.evaluation import evaluate_drive, evaluate_maps
 from lirs_validation.experiment.run import Run, conclude, prepare
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import Facts, with_own_picture
 from lirs_validation.metrics.alignment import rigid_alignment, rms
+from lirs_validation.processes import CostMeter
 from lirs_validation.record.run_record import SUCCEEDED, maps_clouds, read_record, succeeded
 from lirs_wct import LaserScan, MapperError, OccupancyGrid, Pose2, Pose3, SourceError, WctError, World
 from lirs_wct.arrays import Float32Array, FloatArray

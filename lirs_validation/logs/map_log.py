@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lirs_validation.experiment.cost import CostMeter, compile_timer
 from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.mapper_under_test import (
     LocalMapper,
@@ -44,6 +43,7 @@ from lirs_validation.metrics.trajectory import (
     reference_errors,
     trajectory_accuracy,
 )
+from lirs_validation.processes import CostMeter, compile_timer
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.provenance import is_stale
 from lirs_validation.record.run_record import RECORD

@@ -186,7 +186,7 @@ class CollisionTask(Task):
         """Name of its folder."""
         return run_name(self.world_config, world_name(self.world_config))
 
-    @property
+    @cached_property
     def world_config(self) -> RunConfig:
         """Config that gives the world and the name; its mapper is called `collisions`."""
         return RunConfig(mapper="collisions", **asdict(self))

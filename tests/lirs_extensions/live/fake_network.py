@@ -4,8 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_extensions.live.graph import SUBSCRIBED, TWIST, TWIST_STAMPED, LiveTopic, typestore
-from lirs_extensions.live.middleware import Received
+from lirs_extensions.live.graph import SUBSCRIBED, TWIST, TWIST_STAMPED, LiveTopic, Received, typestore
 
 STORE: Any = typestore("jazzy")
 TYPES: Any = STORE.types

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from lirs_envs.robots.robot import make_robot
-from lirs_extensions.live.client import STOPPED_AFTER, Client
-from lirs_extensions.live.graph import TWIST
-from lirs_extensions.live.middleware import Received
+from lirs_extensions.live.bridge import STOPPED_AFTER, Client
+from lirs_extensions.live.graph import TWIST, Received
 from lirs_extensions.live.options import LiveOptions
 from lirs_wct import Pose2
 from tests.lirs_extensions.live import fake_network as net

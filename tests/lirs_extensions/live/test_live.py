@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from lirs_extensions.live import run as live_run
-from lirs_extensions.live.graph import PUBLISHED
-from lirs_extensions.live.middleware import CYCLONE_LOOPBACK
+from lirs_extensions.live.graph import CYCLONE_LOOPBACK, PUBLISHED
 from lirs_extensions.live.options import LiveOptions
 from lirs_extensions.live.run import live
 from lirs_validation.config import RunConfig

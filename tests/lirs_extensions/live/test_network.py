@@ -17,8 +17,7 @@ from zenoh import ext
 
 from lirs_extensions.live import run as live_run
 from lirs_extensions.live.dds import DdsNode, raw_type, write_raw
-from lirs_extensions.live.graph import PUBLISHED, TWIST, type_hash, zenoh_key
-from lirs_extensions.live.middleware import CYCLONE_LOOPBACK
+from lirs_extensions.live.graph import CYCLONE_LOOPBACK, PUBLISHED, TWIST, type_hash, zenoh_key
 from lirs_extensions.live.options import LiveOptions
 from lirs_extensions.live.run import live
 from lirs_extensions.live.zenoh_node import ZenohNode

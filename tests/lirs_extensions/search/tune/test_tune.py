@@ -5,19 +5,20 @@ from pathlib import Path
 
 import pytest
 
+from lirs_extensions.search import tuning
 from lirs_extensions.search.options import TuneOptions
-from lirs_extensions.search.tune import search as search_module
-from lirs_extensions.search.tune.search import (
+from lirs_extensions.search.tuning import (
+    TUNABLE,
     TuneDrives,
     TuneScore,
     compare,
     conclusion,
+    default_parameters,
     ros_text,
     score_of,
     search_space,
     tune,
 )
-from lirs_extensions.search.tune.tunable import TUNABLE, default_parameters
 from lirs_validation.config import RunConfig
 from lirs_validation.map_config import MapConfig
 from lirs_validation.record.verdict import VerdictFigures
@@ -45,7 +46,7 @@ class Planted:
 @pytest.fixture
 def planted(monkeypatch: pytest.MonkeyPatch) -> Planted:
     made = Planted()
-    monkeypatch.setattr(search_module, "measure_run", made)
+    monkeypatch.setattr(tuning, "measure_run", made)
     return made
 
 
@@ -141,7 +142,7 @@ def test_the_printed_command_of_a_log_names_its_truth_and_seed(tmp_path: Path) -
     log = MapConfig(log="hall.clf", mapper="gmapping_original", reference="truth.tum", seed=4)
     made = TuneDrives(log, TuneOptions(), search_space(log.mapper, "", None), tmp_path)
     tuned = made.space.easiest.with_value("linearUpdate", 0.3)
-    command = search_module.again(made, tuned)
+    command = tuning.again(made, tuned)
     assert command.startswith("lirs-wct map hall.clf ")
     for words in (
         "--reference truth.tum",
