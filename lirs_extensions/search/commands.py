@@ -91,7 +91,7 @@ def tune(
     lirs-wct tune medium --robot husky --mapper gmapping_original --seconds 40 -o tune/
     lirs-wct tune examples/data/office.clf.gz --mapper hector_original --unseen 4 -o tune/
     """
-    from lirs_extensions.search import tuning
+    from lirs_extensions.search import tuning as search
     from lirs_extensions.search.case_search import process_pool, require_cma
 
     output, target = where.output, _tune_target(where.source, run, tuning, build)
@@ -101,7 +101,7 @@ def tune(
         require_cma()
     with process_pool(tuning.jobs) as pool:
         drives = search.TuneDrives(target, tuning, space, output, pool)
-        tuned = tuning.tune(drives, note)
+        tuned = search.tune(drives, note)
         found = search.compare(drives, tuned)
     paths = search.write_results(output, drives, tuned, found)
     table = search.parameters_table(drives, tuned).as_markdown().splitlines()
