@@ -25,7 +25,7 @@ from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import plain
-from lirs_validation.sweep.sweep import Outcome, Task, read_status
+from lirs_validation.sweep.sweep import Outcome, SweepTask, read_status
 from lirs_wct.arrays import Float32Array, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import atomic_folder
@@ -272,7 +272,7 @@ SPACING = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeTask(Task):
+class EpisodeTask(SweepTask):
     """A policy on a task.
 
     Attributes:

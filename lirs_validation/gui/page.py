@@ -1,4 +1,4 @@
-"""Parts of a page that its tabs share: messages, worker thread, controls of options, progress, stick."""
+"""Shared parts of a page's tabs: messages, worker thread, controls, progress, stick."""
 
 from __future__ import annotations
 

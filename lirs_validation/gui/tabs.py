@@ -1,4 +1,4 @@
-"""Tabs of a page: the world, live drives and finished runs; the last two have a player."""
+"""Tabs of a page: the world, live drives and finished runs."""
 
 from __future__ import annotations
 

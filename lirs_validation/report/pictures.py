@@ -1,4 +1,4 @@
-"""Pictures of a report: charts of RTF and of all metrics as SVG, paths and maps of each run.
+"""Pictures of a report: charts of metrics as SVG, and paths and maps of runs.
 
 A run's picture has the paths over the hillshade, the true-pose map and the built map. For a mapper of point
 clouds, the error of its elevation map replaces the built map.
@@ -85,7 +85,7 @@ def rtf_chart(entries: Sequence[Entry]) -> PageFigure | None:
 
 
 def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
-    """Draw RTF over time; return the figure and the number of omitted panels, None without RTF.
+    """Draw RTF over time; return figure and number of omitted panels, None without RTF.
 
     A panel for each world, robot and representation; in it the methods, each with mean and a band of one
     standard deviation (see `series_band`).
@@ -249,7 +249,7 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
 
 
 def run_figure(run: RunFolder, scenarios: ScenarioCache, runs: int) -> PageFigure:
-    """Return a run's picture, one of so many on a page; its note lists missing parts."""
+    """Return a run's picture, one of `runs`; its note lists missing parts."""
     for tile in TILES:
         try:
             picture, note = _draw_run(run, scenarios, tile)

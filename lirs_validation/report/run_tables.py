@@ -1,4 +1,4 @@
-"""Tables of runs and collision validations: one row a run or group, failures, methods, commands, a sweep."""
+"""Tables of runs, groups of runs, failures, methods, collision validations and commands."""
 
 from __future__ import annotations
 
@@ -427,7 +427,7 @@ def command_of(config: RunConfig) -> str:
 def _arguments(
     options: Options, stated: tuple[str, ...] = (), flags: tuple[str, ...] | None = None
 ) -> Iterator[str]:
-    """Yield the changed options as a command line takes them, by `--option` those without a flag."""
+    """Yield the changed options as a command line takes them."""
     for name, value in changed(options).items():
         if name not in stated:
             has_flag = None if flags is None else name in flags

@@ -95,7 +95,7 @@ class ReportTable:
         return [list(map(str, row)) for row in self.rows]
 
     def with_common_in_title(self, names: Collection[str], unnamed: Collection[str] = ()) -> ReportTable:
-        """Return the table whose columns in `names` with one value for all rows are in its title.
+        """Return the table with the columns of one value moved to its title.
 
         Args:
             names: Headings of columns of text.

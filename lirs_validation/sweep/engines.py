@@ -21,7 +21,7 @@ from typing import Any
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.experiment.loading import importable
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
-from lirs_validation.sweep.sweep import Executor, Outcome, ProgressOf, Serial, Task, outcome_of
+from lirs_validation.sweep.sweep import Executor, Outcome, ProgressOf, Serial, SweepTask, outcome_of
 from lirs_validation.sweep.workers import ONE_THREAD, Failure, WorkerPool
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_folder, remove_leftovers
@@ -45,7 +45,7 @@ _SCENARIOS = ScenarioCache()
 class TaskJob:
     """Job of a worker. A scenario that is already built saves its construction."""
 
-    task: Task
+    task: SweepTask
     out: Path
     concurrent: bool
     scenario: Scenario | None = None
@@ -75,7 +75,7 @@ class Processes:
     scenario: Scenario | None = None
     concurrent: bool = False
 
-    def run(self, tasks: Sequence[Task], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+    def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run tasks into folders of `out`."""
         names = [task.name for task in tasks]
         concurrent = self.concurrent or self.jobs > 1
@@ -122,7 +122,7 @@ class RayCluster:
     jobs: int | None = None
     seconds: float | None = None
 
-    def run(self, tasks: Sequence[Task], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+    def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run tasks into folders of `out`.
 
         Raises:
@@ -139,11 +139,11 @@ class RayCluster:
                     stacklevel=2,
                 )
 
-    def _outcomes(self, ray: Any, tasks: Sequence[Task], out: Path) -> Iterator[Outcome]:
+    def _outcomes(self, ray: Any, tasks: Sequence[SweepTask], out: Path) -> Iterator[Outcome]:
         perform = ray.remote(num_cpus=1, max_retries=RETRIES)(perform_remotely)
         room = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
         waiting, lost = deque(tasks), Counter[str]()
-        running, worlds = dict[Any, Task](), dict[Any, Any]()
+        running, worlds = dict[Any, SweepTask](), dict[Any, Any]()
         while waiting or running:
             while waiting and len(running) < room:
                 task = waiting.popleft()
@@ -203,7 +203,7 @@ def _send_world(ray: Any, config: RunConfig | None, sent: dict[Any, Any]) -> Any
 
 
 def perform_remotely(
-    task: Task, scenario: Scenario | None, seconds: float | None, here: str
+    task: SweepTask, scenario: Scenario | None, seconds: float | None, here: str
 ) -> tuple[Outcome, Files]:
     """Run a task on a machine of the cluster; return the files that it wrote."""
     with suppress(OSError):

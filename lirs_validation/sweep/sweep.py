@@ -75,7 +75,7 @@ def outcome_of(error: BaseException, task: str) -> Outcome:
     )
 
 
-class Task(ABC):
+class SweepTask(ABC):
     """Unit of a sweep. Every repetition on any machine gives the same folder.
 
     Attributes:
@@ -202,7 +202,7 @@ class Manifest:
 class Executor(Protocol):
     """Interface of an engine: run each task at least once, yield one outcome each."""
 
-    def run(self, tasks: Sequence[Task], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+    def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run tasks into folders of `out`. The caller writes the outcomes of failures."""
         ...
 
@@ -210,7 +210,7 @@ class Executor(Protocol):
 class Serial:
     """Run one task after the other in this process; real-time factors are valid."""
 
-    def run(self, tasks: Sequence[Task], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
+    def run(self, tasks: Sequence[SweepTask], out: Path, progress_of: ProgressOf) -> Iterator[Outcome]:
         """Run tasks into folders of `out`."""
         scenarios = ScenarioCache()
         for task in tasks:
@@ -238,7 +238,7 @@ class Sweep:
 
     def __init__(
         self,
-        tasks: Sequence[Task],
+        tasks: Sequence[SweepTask],
         out: Path,
         *,
         manifest: Manifest | None = None,
@@ -263,7 +263,7 @@ class Sweep:
         self.unwritten: dict[str, str] = {}
 
     @property
-    def pending(self) -> list[Task]:
+    def pending(self) -> list[SweepTask]:
         """Tasks that are still to be run, in their order."""
         return [task for task in self.tasks if task.name not in self.outcomes]
 
@@ -298,7 +298,7 @@ class Sweep:
             if not self.unwritten:
                 break
 
-    def _settle(self, task: Task, outcome: Outcome) -> Outcome:
+    def _settle(self, task: SweepTask, outcome: Outcome) -> Outcome:
         """Write the folder of a task that failed outside a run."""
         if len(self.tasks) == 1 and (outcome.bad_input or outcome.unwritable):
             raise (OutputError if outcome.unwritable else WctError)(outcome.reason)

@@ -21,7 +21,7 @@ from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.provenance import same_source, versions, world_files
 from lirs_validation.record.run_record import RECORD, RunRecord, schema_error
-from lirs_validation.sweep.sweep import Outcome, Task
+from lirs_validation.sweep.sweep import Outcome, SweepTask
 from lirs_wct import BuildOptions, unknown_name
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import SourceError, reason_of
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class RunTask(Task):
+class RunTask(SweepTask):
     """One validation run of a sweep.
 
     Attributes:
@@ -163,7 +163,7 @@ STATUS = "cell.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class CollisionTask(Task):
+class CollisionTask(SweepTask):
     """The collision validation of a robot in a world.
 
     Attributes:
@@ -289,7 +289,7 @@ WALL_LIMIT = 120.0
 """Wall seconds after which a hopelessly slow drive of the paper's suite is stopped and extrapolated."""
 
 
-def make_paper_suite(**options: Any) -> tuple[Task, ...]:
+def make_paper_suite(**options: Any) -> tuple[SweepTask, ...]:
     """Return the tasks of the paper's Sections V and III-D, world by world.
 
     Args:
@@ -310,10 +310,10 @@ def make_paper_suite(**options: Any) -> tuple[Task, ...]:
     return tuple(sorted(tasks, key=lambda each: tuple(TABLES).index(each.world_config.source)))
 
 
-SUITES: Mapping[str, Callable[..., tuple[Task, ...]]] = {"paper": make_paper_suite}
+SUITES: Mapping[str, Callable[..., tuple[SweepTask, ...]]] = {"paper": make_paper_suite}
 
 
-def make_suite(name: str, **options: Any) -> tuple[Task, ...]:
+def make_suite(name: str, **options: Any) -> tuple[SweepTask, ...]:
     """Return the tasks of a suite (see `make_paper_suite`).
 
     Raises:

@@ -31,7 +31,7 @@ from lirs_wct.sources.source import BuildOptions
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict
     from lirs_validation.record.verdict import Verdict
-    from lirs_validation.sweep.sweep import Sweep, Task
+    from lirs_validation.sweep.sweep import Sweep, SweepTask
     from lirs_validation.sweep.tasks import RunTask
 
 MAX_LISTED = 10
@@ -144,7 +144,7 @@ def record(
 
 def read_tasks(
     options: ValidateOptions | RecordOptions, run: dict[str, Any], build: BuildOptions
-) -> tuple[Task, ...]:
+) -> tuple[SweepTask, ...]:
     """Return the tasks of a suite, or of every combination of the given options.
 
     Args:
@@ -181,7 +181,7 @@ def read_tasks(
 
 
 def _run(
-    tasks: Sequence[Task],
+    tasks: Sequence[SweepTask],
     engine: EngineOptions,
     out: Path,
     suite: str | None,

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.sweep.sweep import Outcome, Task
+from lirs_validation.sweep.sweep import Outcome, SweepTask
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress
 
@@ -39,7 +39,7 @@ class FakeExperiment:
     def check(self) -> None:
         return
 
-    attempt = Task.attempt  # type: ignore[assignment]
+    attempt = SweepTask.attempt  # type: ignore[assignment]
 
     def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
         first = not self.runs
