@@ -107,9 +107,6 @@ def _with_spawn_poses(world: World) -> World:
 
     On a terrain of kilometers the search covers only the center or the neighborhood of the requested start,
     because it has a resolution of decimeters.
-
-    Raises:
-        ConfigError: no robot can stand at the requested start, or it is outside the world.
     """
     place = world
     if not isinstance(world.ground, LaserMap) and max(world.surface.size) > SPAWN_AREA:

@@ -101,12 +101,7 @@ def _bundled_raster(path: Path, options: BuildOptions) -> tuple[Raster, str, Bui
 
 
 def _decode_colors(path: Path, raster: Raster, options: BuildOptions) -> Raster:
-    """Return the raster with colors of elevation tiles decoded to heights.
-
-    Raises:
-        SourceError: the raster has no colors.
-        ConfigError: the extent of the raster is unknown.
-    """
+    """Return the raster with colors of elevation tiles decoded to heights."""
     if options.encoding == "gray":
         return raster
     if raster.pixels.ndim != 3 or raster.pixels.dtype != np.uint8:
@@ -152,11 +147,7 @@ def looks_like_map(pixels: NDArray[Any]) -> bool:
 
 
 def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightField, float | None]:
-    """Return the terrain, and the file's height of z = 0 unless rescaled.
-
-    Raises:
-        ConfigError: `zero` is given, and the heights are rescaled.
-    """
+    """Return the terrain, and the file's height of z = 0 unless rescaled."""
     info, unit, (sx, sy, sz) = raster.info, raster.info.unit or 1.0, options.scale or (1.0, 1.0, 1.0)
     factor = sz * (options.z_scale or 1.0)
     own = info.unit is not None and options.height is None and factor == 1.0 and not options.invert
@@ -207,11 +198,7 @@ def _crop(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | No
 
 
 def _extent(shape: tuple[int, ...], info: RasterInfo, options: BuildOptions) -> tuple[float, float]:
-    """Return width and depth of the ground, meters, between the outermost pixels.
-
-    Raises:
-        ConfigError: size and resolution are both given.
-    """
+    """Return width and depth of the ground, meters, between the outermost pixels."""
     if options.size is not None and options.resolution is not None:
         raise ConfigError("both set the extent of a picture: give one of --size, --resolution")
     if isinstance(options.size, tuple):
@@ -249,9 +236,6 @@ def _known_heights(
         info: units of the pixels.
         options: declared value of pixels without a height, and whether colors become gray.
         kept: rows and columns of the world, of which at most half may lack a height.
-
-    Raises:
-        SourceError: more than half of the kept pixels have no height.
     """
     values = _gray(path, pixels, options.grayscale)
     nodata = info.nodata if options.nodata is None else options.nodata

@@ -92,11 +92,7 @@ def _in_meters(
 
 
 def _check_plan(path: Path, xyz: FloatArray) -> None:
-    """Refuse a cloud without area in plan.
-
-    Raises:
-        SourceError: the points lie on a line or a vertical sheet.
-    """
+    """Refuse a cloud without area in plan."""
     # Sides of a uniform rectangle of these variances: a single stray point hardly changes them.
     narrow, wide = np.sqrt(12 * np.linalg.eigvalsh(np.cov(xyz[:, :2].T)).clip(0)).tolist()
     if narrow <= max(NARROW_SHARE * wide, min(THIN_SHEET, THIN_SHEET * wide)):
@@ -157,11 +153,7 @@ def _grid(path: Path, xyz: FloatArray, options: BuildOptions) -> NodeGrid:
 
 
 def _far_nodes(path: Path, missing: BoolArray, spacing: float) -> BoolArray:
-    """Warn of nodes without a point; return those too far from any.
-
-    Raises:
-        SourceError: too many nodes have no point.
-    """
+    """Warn of nodes without a point; return those too far from any."""
     _require_points(path, missing, spacing)
     distance = scipy.ndimage.distance_transform_edt(missing) * spacing
     far: BoolArray = distance > BRIDGED_NODES * spacing
