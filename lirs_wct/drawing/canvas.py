@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap, LinearSegmentedColormap
+from matplotlib.colors import Colormap, LightSource, LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
@@ -26,7 +26,6 @@ from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.geometry import OccupancyGrid, Trajectory, WallGrid
 from lirs_wct.geometry.grid import mask_at
 from lirs_wct.geometry.heightfield import HeightField
-from lirs_wct.meshing.texture import SUN, lambert
 from lirs_wct.world import World
 
 DPI, PAGE_DPI, SCREEN_DPI = 150, 100, 72
@@ -309,11 +308,12 @@ def shaded_surface(surface: HeightField, canvas: Canvas) -> FloatArray:
     """
     low, high, pixel = float(surface.z.min()), float(surface.z.max()), canvas.pixel
     z = np.nan_to_num(canvas.heights(surface), nan=low)
-    shade = np.full(z.shape, SUN[2])
+    shade = np.full(z.shape, 0.7)
     if min(z.shape) > 1:
         slope = float(np.median(np.hypot(*np.gradient(z, pixel))))
-        exaggeration = float(np.clip(TYPICAL_SLOPE / max(slope, 1e-9), 1.0, 6.0)) if slope > 1e-4 else 1.0
-        shade = lambert(z * exaggeration, (pixel, pixel))
+        exaggeration = float(np.clip(TYPICAL_SLOPE / slope, 1.0, 6.0)) if slope > 1e-4 else 1.0
+        light = LightSource(azdeg=315, altdeg=45)  # north-west, as on printed maps
+        shade = light.hillshade(z, exaggeration, pixel, pixel)
     tint = height_colors()((z - low) / max(high - low, 1e-9))[..., :3]
     shaded: FloatArray = np.clip(tint * (0.42 + 0.78 * shade[..., None]), 0, 1)
     return shaded

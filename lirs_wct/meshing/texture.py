@@ -331,7 +331,9 @@ def _apply_shade(color: FloatArray, shade: FloatArray) -> ByteArray:
 def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[float, float]) -> ByteArray:
     # Strip by strip and color by color: all at once would take a hundred megabytes.
     z = np.concatenate([surface.height_at(x, strip) for strip in np.array_split(y, 16)])
-    light = 0.55 + 0.6 * lambert(z, pixel)
+    dz_dy, dz_dx = np.gradient(z, *pixel)
+    cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
+    light = 0.55 + 0.6 * np.clip(cosine, 0, 1)
     z -= z.min()
     z /= max(float(z.max()), 1e-9)
     levels = np.linspace(0, 1, len(EARTH))
@@ -339,11 +341,3 @@ def _earth(surface: HeightField, x: FloatArray, y: FloatArray, pixel: tuple[floa
     for k in range(3):
         rgb[..., k] = np.clip(np.interp(z, levels, EARTH[:, k]) * light, 0, 255)
     return rgb
-
-
-def lambert(z: FloatArray, pixel: tuple[float, float]) -> FloatArray:
-    """Return the brightness in [0, 1] of each node under `SUN`, row 0 = north."""
-    dz_dy, dz_dx = np.gradient(z, *pixel)
-    cosine = (-dz_dx * SUN[0] + dz_dy * SUN[1] + SUN[2]) / np.sqrt(dz_dx**2 + dz_dy**2 + 1)
-    brightness: FloatArray = np.clip(cosine, 0, 1)
-    return brightness
