@@ -135,21 +135,6 @@ def test_a_terrain_that_is_not_square_is_seen_as_its_mesh() -> None:
     np.testing.assert_allclose(block_picture(world, 300), mesh_view(world.mesh, width=300), atol=0.02)
 
 
-def test_of_two_faces_the_nearer_is_seen() -> None:
-    """A post before a wall, drawn before and after it: the same picture."""
-    wall = trimesh.creation.box((4, 0.2, 3), trimesh.transformations.translation_matrix((0, 2, 1.5)))
-    post = trimesh.creation.box((0.5, 0.5, 1), trimesh.transformations.translation_matrix((0, -2, 0.5)))
-    images = []
-    for order in ((wall, post), (post, wall)):
-        both = trimesh.util.concatenate(order)
-        images.append(
-            mesh_view(TriangleMesh(np.array(both.vertices), np.array(both.faces, np.int32)), width=200)
-        )
-    np.testing.assert_array_equal(*images)
-    alone = mesh_view(TriangleMesh(np.array(wall.vertices), np.array(wall.faces, np.int32)), width=200)
-    assert images[0][..., 3].sum() != alone[..., 3].sum()
-
-
 def record(status: str = "ok", series: tuple[float, ...] = (40.0, 50.0, 60.0)) -> RunRecord:
     return RunRecord(
         config=RunConfig(source="room", seconds=3.0),

@@ -91,16 +91,6 @@ def test_the_map_of_a_laser_maps_world_is_that_map(tmp_path: Path) -> None:
     assert not ground_truth_map(world, 3.0).occupied.any()
 
 
-def test_the_map_of_a_bundled_world_lies_where_the_world_does(tmp_path: Path) -> None:
-    world = build_world("simple")
-    grid = read_map(write_package(world, tmp_path, formats=("map",)) / "map.yaml")
-    west, south, *_ = world.surface.bounds
-    assert (grid.origin.x, grid.origin.y) == pytest.approx((west, south))
-    assert 0.001 < grid.occupied.mean() < 0.5
-    for pose in world.spawn_poses:
-        assert grid.free_at(pose.x, pose.y)
-
-
 @pytest.mark.parametrize("source", [pytest.param("medium", marks=pytest.mark.slow), str(OFFICE)])
 def test_a_glb_is_the_world_with_its_textures(source: str, tmp_path: Path) -> None:
     world = build_world(source)

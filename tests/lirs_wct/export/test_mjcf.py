@@ -12,7 +12,6 @@ import pytest
 from lirs_wct import BuildOptions, build_world
 from lirs_wct.contact.grid import contact_grid
 from lirs_wct.export.mjcf import spread, world_spec, write_mjcf
-from lirs_wct.export.package import write_package
 from lirs_wct.geometry.grid import WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.pose import Pose2
@@ -213,17 +212,3 @@ def test_a_point_has_the_color_that_cube_projection_gives_it(
         np.testing.assert_array_equal(on_ground, on_mesh)
         seen += 1
     assert seen > 50
-
-
-@pytest.mark.parametrize("texture", [None, "checks.png", "checks.jpg"])
-def test_the_file_opens_with_its_texture(
-    texture: str | None, picture: Path, checks: np.ndarray, tmp_path: Path
-) -> None:
-    given = None if texture is None else tmp_path / texture
-    world = build_world(picture, BuildOptions(texture=given))
-    folder = write_package(world, tmp_path / "out", formats=("mjcf",))
-    model = mujoco.MjModel.from_xml_path(str(folder / "dunes.xml"))
-    ground = model.geom("ground")
-    on = model.mat_texid[ground.matid[0], mujoco.mjtTextureRole.mjTEXROLE_RGB]
-    assert model.tex(int(on)).name == "ground"
-    assert model.tex_width[on] / model.tex_height[on] == pytest.approx(2, rel=0.05)

@@ -201,13 +201,6 @@ def test_what_are_no_walls(values: dict[str, Any], told: str) -> None:
         WallGrid(**{"solid": WALLS, "resolution": 0.5, **values})
 
 
-def test_what_is_just_legal() -> None:
-    assert WallGrid(WALLS, 1e-9, height=1e-9).resolution == 1e-9
-    nothing = WALLS & False
-    assert WallGrid(nothing, 0.5, hole=~WALLS).floor.tolist() == WALLS.tolist()
-    assert not WallGrid(WALLS, 0.5, hole=~WALLS).floor.any()
-
-
 masks = hnp.arrays(np.bool_, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9))
 
 

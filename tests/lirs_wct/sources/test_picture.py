@@ -429,23 +429,6 @@ def test_deterrace_knows_8_bits_stored_as_16(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "options",
-    [
-        {"denoise": "median"},
-        {"denoise": "bilateral"},
-        {"smoothing": 3.0},
-        {"smoothing": 2.0, "sharpness": 1.0},
-    ],
-)
-def test_filters_keep_shape_size_and_relief(tmp_path: Path, options: dict[str, object]) -> None:
-    path = png(tmp_path / "a.png", noise())
-    surface = read(path, **options)
-    assert surface.cell == read(path).cell
-    assert (surface.z.min(), surface.z.max()) == (0, 6)
-    assert np.abs(surface.z - read(path).z).max() > 0.1
-
-
-@pytest.mark.parametrize(
     ("options", "words"),
     [
         ({"max_error": 0.1, "max_triangles": 100}, "max-error, max-triangles"),

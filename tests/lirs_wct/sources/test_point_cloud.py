@@ -332,15 +332,6 @@ def test_a_ply_without_positions_says_what_it_has(text: str, reason: str, tmp_pa
         build_world(tmp_path / "a.ply")
 
 
-def test_a_pcd_without_positions_says_what_it_has(tmp_path: Path) -> None:
-    pypcd4 = pytest.importorskip("pypcd4")
-    points = np.ones((5, 2), np.float32)
-    cloud = pypcd4.PointCloud.from_points(points, ("x", "intensity"), (np.float32,) * 2)
-    cloud.save(tmp_path / "a.pcd")
-    with pytest.raises(SourceError, match=r"a\.pcd: .*missing: y, z; got: x, intensity"):
-        build_world(tmp_path / "a.pcd")
-
-
 def test_a_window_beside_the_cloud(scene: Scene, tmp_path: Path) -> None:
     trimesh.PointCloud(scene.xyz).export(tmp_path / "a.ply")
     with pytest.raises(
@@ -356,23 +347,6 @@ def test_gaps_of_a_plane_are_the_plane() -> None:
     holed[10:25, 12:30] = np.nan
     holed[5, 40] = np.nan
     np.testing.assert_allclose(fill_gaps(holed), plane, atol=1e-9)
-
-
-def test_lowest_and_level_a_node() -> None:
-    rng = np.random.default_rng(0)
-    xyz = rng.random((500, 3)) * (8, 5, 10)
-    grid = NodeGrid.over(xyz[:, :2], 1.3)
-    node = grid.node_of(xyz)
-    low = grid.lowest(xyz).ravel()
-    for k in range(low.size):
-        here = xyz[node == k, 2]
-        assert low[k] == pytest.approx(here.min() if here.size else np.nan, nan_ok=True)
-    level = grid.mean(xyz * (1, 1, 0) + (0, 0, 7.5)).ravel()
-    assert np.array_equal(np.isnan(level), np.isnan(low))
-    np.testing.assert_allclose(level[np.isfinite(level)], 7.5)
-    plane = 2 * np.arange(grid.shape[0])[:, None] + np.arange(grid.shape[1])[None, :] * 1.0
-    expected = ((xyz[:, 1] - grid.south) * 2 + (xyz[:, 0] - grid.west)) / 1.3
-    np.testing.assert_allclose(grid.sample(plane, xyz[:, :2]), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -1,6 +1,5 @@
 """Unusual figures of a built world are named, usual ones are not."""
 
-import re
 import warnings
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.geometry.grid import OccupancyGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Ground, LaserMap, Terrain
-from lirs_wct.option import declared
 from lirs_wct.sources.build import unusual_figures
 from lirs_wct.sources.laser_map import level_floor, walls_of
 from lirs_wct.sources.source import SourceKind
@@ -84,23 +82,6 @@ def test_walls_of_a_map() -> None:
     ]
     assert [line[:41] for line in lines(laser_map(free))] == ["0.0% of its cells are walls, usual are ab"]
     assert [line[:31] for line in lines(laser_map(none))] == ["none of its 1200 cells is free:"]
-
-
-@pytest.mark.parametrize("kind", SourceKind)
-def test_only_options_of_the_kind_are_named(kind: SourceKind) -> None:
-    isolated = WAVES.copy()
-    isolated[5, 5] = -70.0
-    grounds = [laser_map(np.tile([0.0, 1.0], (4, 2))), *(terrain(z, 0.01) for z in (WAVES * 0, isolated))]
-    told = set(
-        re.findall(
-            r"--(?:option )?(\w+)", " ".join(line for ground in grounds for line in lines(ground, kind))
-        )
-    )
-    legal = {
-        name for name, option in declared(BuildOptions).items() if not option.kinds or kind in option.kinds
-    }
-    assert told <= legal
-    assert ("nodata" in told) == (kind is SourceKind.PICTURE)
 
 
 def test_a_build_says_each_line_once_with_the_path(tmp_path: Path) -> None:
