@@ -31,7 +31,7 @@ from lirs_envs.sensing.sensors import SensorNoise, write_noise
 from lirs_extensions.search.twin.replay import REPLAYED, Replay
 from lirs_extensions.search.twin.twin import run_twin
 from lirs_validation import validate
-from lirs_validation.map_config import MapConfig
+from lirs_validation.config import MapConfig
 from lirs_wct import OccupancyGrid
 from lirs_wct.formats.map_server import write_map
 

@@ -13,8 +13,7 @@ from lirs_validation.cli.command import common
 from lirs_validation.cli.commands.worlds import LogInOut
 from lirs_validation.cli.progress import note, progress_bar, say
 from lirs_validation.cli.sources import OneSource, World
-from lirs_validation.config import RunConfig
-from lirs_validation.map_config import MapConfig
+from lirs_validation.config import MapConfig, RunConfig
 from lirs_wct import BuildOptions, ConfigError
 from lirs_wct.option import Options, option, within
 

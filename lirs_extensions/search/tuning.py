@@ -25,12 +25,11 @@ from lirs_extensions.search.case_search import (
     trial_key,
 )
 from lirs_extensions.search.options import TuneOptions
-from lirs_validation.config import RunConfig
+from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.map_log import log_mapper, replay
 from lirs_validation.logs.read_log import check_log, inertial_readings, read_log, read_truth, truth_in_time
-from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.consistency import scan_consistency
 from lirs_validation.metrics.trajectory import odometry_accuracy, trajectory_accuracy
 from lirs_validation.record.verdict import (

@@ -48,7 +48,7 @@ from slam_baselines.mapper import (
 
 if TYPE_CHECKING:  # mapping a log does not load the simulator
     from lirs_envs.sensing.sensors import Observation
-    from lirs_validation.map_config import MapConfig
+    from lirs_validation.config import MapConfig
 
 READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
 """Matches messages of NumPy and Numba about a write into a read-only array."""

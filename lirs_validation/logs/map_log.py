@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lirs_validation.config import MapConfig
 from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.mapper_under_test import (
     LocalMapper,
@@ -34,7 +35,6 @@ from lirs_validation.logs.read_log import (
     truth_in_time,
     with_recorded_mount,
 )
-from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import associated, rms, scan_coverage
 from lirs_validation.metrics.consistency import LostRule, contradicted_share, inconsistency, scan_consistency
 from lirs_validation.metrics.trajectory import (

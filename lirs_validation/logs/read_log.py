@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lirs_validation.config import MapConfig
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
-from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import MAX_GAP, associated
 from lirs_validation.metrics.trajectory import RelativePoseConstraint
 from lirs_wct import ConfigError, Imu, Pose2, SourceError, Trajectory

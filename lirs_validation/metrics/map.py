@@ -209,18 +209,7 @@ def similarity(x: FloatArray | Float32Array, y: FloatArray | Float32Array) -> Fl
     Wang et al., "Image Quality Assessment: From Error Visibility to Structural Similarity" (IEEE TIP
     2004), Eq. 13 with the moments of Eqs. 14-16; pictures are mirrored at their borders.
     """
-    half = WINDOW // 2
-    mirrored = np.pad(np.arange(len(x)), half, mode="symmetric")
-    found = np.empty(x.shape)
-    for first in range(0, len(found), BAND):
-        rows = mirrored[first : first + BAND + 2 * half]
-        parts = (np.asarray(picture[rows], dtype=np.float64) for picture in (x, y))
-        found[first : first + BAND] = _similarity(*parts)[half:-half]
-    return found
-
-
-def _similarity(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return `similarity` of some rows, valid away from the first and last ones."""
+    x, y = (np.asarray(picture, dtype=np.float64) for picture in (x, y))
     c1, c2 = K1**2, K2**2
     mx, my = _mean(x), _mean(y)
     vx, vy, cov = _mean(x * x) - mx * mx, _mean(y * y) - my * my, _mean(x * y) - mx * my

@@ -13,8 +13,6 @@ from lirs_wct.geometry.mesh import rasterize_heights
 
 STEEP = math.radians(45)
 """Faces steeper than this are obstacles, radians."""
-STRIP = 512
-"""Rows of nodes that are compared together: less memory than the whole."""
 
 
 def near_obstacle(
@@ -124,12 +122,6 @@ def mesh_error(world: World, mesh: TriangleMesh | None = None) -> float:
     """Return the largest vertical error of the world's mesh, or another, at the nodes, meters."""
     surface = world.surface
     chosen = world.mesh if mesh is None else mesh
-    (x, y), (dx, dy), (rows, cols) = surface.origin, surface.cell, surface.shape
-    largest = 0.0
-    for start in range(0, rows, STRIP):
-        z = surface.z[::-1][start : start + STRIP]
-        top = rasterize_heights(chosen, (x, y + start * dy, dx, dy), (len(z), cols))
-        top -= z
-        if np.isfinite(top).any():
-            largest = max(largest, float(np.nanmax(np.abs(top, out=top))))
-    return largest
+    top = rasterize_heights(chosen, (*surface.origin, *surface.cell), surface.shape)
+    top -= surface.z[::-1]
+    return float(np.nanmax(np.abs(top, out=top))) if np.isfinite(top).any() else 0.0

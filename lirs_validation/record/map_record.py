@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-from lirs_validation.map_config import MapConfig
+from lirs_validation.config import MapConfig
 from lirs_validation.record.metric_catalog import WORSE, is_worse
 from lirs_validation.record.provenance import machine, versions
 from lirs_validation.record.run_record import RECORD, plain

@@ -8,7 +8,6 @@ from click.testing import CliRunner
 
 from lirs_validation.cli.command import Command
 from lirs_validation.config import RUN_AXES, RunConfig
-from lirs_validation.gui.controls import controls
 from lirs_validation.sweep.tasks import cross
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import documented, option, within
@@ -40,11 +39,6 @@ def test_one_field_is_an_axis_of_the_command_line() -> None:
     assert len({config.digest for config in configs}) == 3
     with pytest.raises(ConfigError, match=r"fog must be within \[0, 9\], got 12"):
         cross("simple", kind=Foggy, fog=(1, 12))
-
-
-def test_one_field_is_a_control_and_a_documented_attribute() -> None:
-    assert [c.hint for c in controls(Foggy) if c.name == "fog"] == ["Density of the fog. Form: N,N."]
-    assert "fog: Density of the fog." in str(Foggy.__doc__)
 
 
 def test_every_axis_distinguishes_groups_of_runs() -> None:

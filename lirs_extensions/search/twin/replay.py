@@ -26,9 +26,9 @@ from lirs_extensions.search.twin.compare import (
 )
 from lirs_extensions.search.twin.fit import odometry_deviations
 from lirs_extensions.search.twin.surface import align, expected_beams, fit_surfaces, map_of
+from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
 from lirs_validation.logs.read_log import read_truth, truth_in_time
-from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.trajectory import RelativePoseConstraint, trajectory_accuracy
 from lirs_wct import LaserScan, Pose2, SourceError, Trajectory, unknown_name
 from lirs_wct.arrays import FloatArray

@@ -28,8 +28,8 @@ from lirs_extensions.search.twin.fit import (
 )
 from lirs_extensions.search.twin.replay import place_log, replay_log
 from lirs_extensions.search.twin.result import TwinResult, write_page
+from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
-from lirs_validation.map_config import MapConfig
 from lirs_wct import LaserScan, Pose2, SourceError, Trajectory
 from lirs_wct.arrays import FloatArray
 from lirs_wct.files import atomic_folder, check_writable, write_json

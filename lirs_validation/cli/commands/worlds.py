@@ -12,7 +12,7 @@ import lirs_wct
 from lirs_validation.cli.command import Few, common
 from lirs_validation.cli.progress import ExitCode, err, out, progress_bar, say
 from lirs_validation.cli.sources import OneSource, map_logs
-from lirs_validation.map_config import LogOptions, MapConfig
+from lirs_validation.config import LogOptions, MapConfig
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
 from lirs_wct.option import Options, argument, option
 from lirs_wct.sources.source import BuildOptions

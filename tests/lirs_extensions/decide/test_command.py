@@ -12,13 +12,6 @@ from lirs_wct.errors import ConfigError
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
-@pytest.mark.parametrize(
-    ("text", "seconds"), [("90s", 90), ("10min", 600), ("1.5h", 5400), (" 2 h ", 7200), ("0s", 0)]
-)
-def test_durations(text: str, seconds: float) -> None:
-    assert read_duration(text, "--budget") == seconds
-
-
 @pytest.mark.parametrize("text", ["", "10", "-1s", "10 m", "nan s"])
 def test_what_is_no_duration_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="--budget must be a duration such as 90s, 10min or 2h"):

@@ -79,20 +79,6 @@ def test_drives_end_with_the_decision_and_then_changes_are_tried(
     assert "It works with terrain-aware hector (10 of 10)." in fails.sentence
 
 
-def test_failed_drives_are_repeated_on_request(
-    driven: list[RunConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("lirs_extensions.decide.decide.changes", lambda *_, **__: {})
-    decide([CONFIG], tmp_path, ENGINE, budget=60)
-    saved_whole(tmp_path, replace(record("simple", status="error"), config=replace(CONFIG, seed=2)))
-    driven.clear()
-    (kept,) = decide([CONFIG], tmp_path, ENGINE, budget=60)
-    assert [drive.kind for drive in kept.trial.drives].count("failed") == 1
-    (again,) = decide([CONFIG], tmp_path, EngineOptions(retry_failed=True), budget=60)
-    assert [drive.kind for drive in again.trial.drives] == 10 * ["works"]
-    assert [config.seed for config in driven].count(2) == 1
-
-
 def test_waypoints_are_checked_before_any_drive(driven: list[RunConfig], tmp_path: Path) -> None:
     waypoints = tmp_path / "way.csv"
     waypoints.write_text("x,y\n0,0\n1000,0\n")
@@ -159,12 +145,6 @@ def test_drives_that_are_too_short_are_no_fault_of_the_terrain() -> None:
     assert sentence == (
         "husky drives too short a path on simple: 10 of 10 drives were not evaluated; raise --seconds."
     )
-
-
-def test_the_evaluated_part_is_named_once() -> None:
-    extent = "Evaluated on a window of 50 m of 16 km."
-    made = tuple(replace(drive, extent=extent) for drive in drives("www"))
-    assert Answer("quarry", Trial(CONFIG, made)).sentence.count(extent) == 1
 
 
 def test_the_most_frequent_failure_is_named_with_its_cause() -> None:

@@ -14,7 +14,6 @@ from lirs_extensions.decide.forecast import (
     cloud_information,
     forecast,
     scan_information,
-    site_features,
 )
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
@@ -57,13 +56,6 @@ def test_a_corridor_does_not_inform_along_itself() -> None:
     assert scan_information(room(6.0, 1.5), len(points))[0] > NOTHING + 1
 
 
-def test_a_round_room_does_not_inform_on_yaw() -> None:
-    points = 4 * np.column_stack((np.cos(ANGLES), np.sin(ANGLES)))
-    position, yaw = scan_information(points, len(points))
-    assert 10**position == pytest.approx(0.5, abs=0.01)
-    assert yaw == NOTHING
-
-
 def test_flat_ground_does_not_inform_a_cloud_on_the_plane_and_a_round_wall_does() -> None:
     def ground(directions: FloatArray) -> FloatArray:
         down = directions[..., 2]
@@ -76,17 +68,6 @@ def test_flat_ground_does_not_inform_a_cloud_on_the_plane_and_a_round_wall_does(
     position, yaw = cloud_information(cloud_of("vlp16", wall))
     assert 10**position == pytest.approx(0.5, abs=0.03)
     assert yaw < -3.9
-
-
-def test_features_of_flat_ground_and_of_walls() -> None:
-    robot = make_robot("husky")
-    flat = World("flat", Terrain(HeightField.centered(np.zeros((201, 201), np.float32), (0.1, 0.1))))
-    found = site_features(flat, robot, CONFIG)
-    assert (found.walls, found.position_information) == (0.0, NOTHING)
-    walled = build_scenario(RunConfig(source="examples/data/office.yaml")).world
-    inside = site_features(walled, robot, CONFIG)
-    assert inside.walls > 0.9
-    assert inside.position_information > -2
 
 
 def test_a_model_is_monotonic_and_gets_no_bolder_beyond_what_was_studied() -> None:

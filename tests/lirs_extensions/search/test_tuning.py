@@ -19,8 +19,7 @@ from lirs_extensions.search.tuning import (
     search_space,
     tune,
 )
-from lirs_validation.config import RunConfig
-from lirs_validation.map_config import MapConfig
+from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.record.verdict import VerdictFigures
 from slam_baselines.mapper import make_mapper, read_parameters
 from tests.command_line import run_command

@@ -158,24 +158,7 @@ def test_files(tmp_path: Path) -> None:
     assert float(next(r for r in rows if r["figure"] == "trajectory.ate_rmse")["p"]) == ate["p"]
 
 
-def test_no_such_metric() -> None:
-    with pytest.raises(ConfigError, match=r"unknown metric 'map\.f2'"):
-        metrics_named(["map.f2"])
-
-
 def shown(comparison: object) -> str:
     console = Console(width=110, record=True, file=io.StringIO())
     console.print(compare_table(comparison, ("a", "b")))  # type: ignore[arg-type]
     return console.export_text()
-
-
-def test_a_difference_says_in_how_many_of_the_seeds_both_have_the_metric() -> None:
-    f1 = metrics_named(["map.f1"])
-    a = [entry(seed=seed, f1=None if seed == 2 else 0.9) for seed in (1, 2, 3)]
-    b = [entry(seed=seed, f1=0.8 + 0.01 * seed) for seed in (1, 2, 3)]
-    comparison = compare(a, b, f1)
-    (difference,) = comparison.differences
-    assert (difference.pairs, difference.seeds) == (2, 3)
-    console = Console(width=160, record=True, file=io.StringIO())
-    console.print(compare_table(comparison, ("a", "b")))
-    assert " 2 of 3 " in console.export_text()

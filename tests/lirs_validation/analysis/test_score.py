@@ -280,13 +280,6 @@ def test_a_mirrored_trajectory_is_not_turned_over(run: RunFolder, whole: Traject
     assert found.trajectory["ate_rmse"] > 0.2
 
 
-def test_nanoseconds_are_known_by_their_period(run: RunFolder, whole: Trajectory, tmp_path: Path) -> None:
-    table = rows(whole)
-    table[:, 0] = np.rint(table[:, 0] * 1e9)
-    np.savetxt(tmp_path / "ns.tum", table)
-    assert score(run, trajectory=tmp_path / "ns.tum").trajectory["scan_coverage"] == 1.0
-
-
 def test_laps_that_fit_at_several_offsets_are_refused() -> None:
     stamps = np.arange(0.0, 120.0, 0.1)
     phase = 2 * np.pi * stamps / 20 + 0.3 * np.sin(2 * np.pi * stamps / 20)

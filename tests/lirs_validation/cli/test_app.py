@@ -60,14 +60,6 @@ def test_a_process_ends_with_code_2_and_without_a_traceback(files: Path) -> None
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
 
 
-def test_build_spares_a_folder_that_is_not_its_own(files: Path, wct: Any) -> None:
-    other = files / "worlds" / "good"
-    other.mkdir(parents=True)
-    (other / "thesis.tex").write_text("years of work")
-    assert wct("build", "good.png", "-o", "worlds")[0] == 2
-    assert (other / "thesis.tex").read_text() == "years of work"
-
-
 def test_an_old_command_names_the_new_way(wct: Any) -> None:
     code, _, err = wct("view", "good.png")
     assert (code, err.strip()) == (2, "lirs-wct: view: is now lirs-wct info SOURCE -o PICTURE.png")

@@ -66,15 +66,6 @@ def test_a_command_may_have_few_flags_of_a_class() -> None:
     assert heard == [Flooded(salt="some", current=(1.0, 2.0))]
 
 
-def test_a_new_field_is_in_the_help() -> None:
-    def probe(options: Flooded) -> None:
-        """Listen."""
-
-    text = CliRunner().invoke(Command("probe", probe), ["--help"]).output
-    for part in ("Water", "--water-level", "Meters of water.", "U,V", "salt", "none|some", "true|false"):
-        assert part in text
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -15,7 +15,7 @@ from lirs_extensions.live.options import LiveOptions
 from lirs_extensions.live.run import live
 from lirs_extensions.search.twin.twin import run_twin
 from lirs_validation import RunConfig, map_log, validate
-from lirs_validation.map_config import MapConfig
+from lirs_validation.config import MapConfig
 from lirs_wct.errors import OutputError
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.picture import write_image

@@ -12,10 +12,9 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from lirs_validation import Run, validate
-from lirs_validation.config import RunConfig
+from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.logs.map_log import run_mapping
-from lirs_validation.map_config import MapConfig
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import read_manifest

@@ -9,10 +9,9 @@ import pytest
 from lirs_validation import map_log, validate
 from lirs_validation.analysis.export import export_run
 from lirs_validation.analysis.results import read_run
-from lirs_validation.config import RunConfig
+from lirs_validation.config import MapConfig, RunConfig
 from lirs_validation.experiment.run import run as run_config
 from lirs_validation.logs.map_log import folder_name, read_log, run_mapping
-from lirs_validation.map_config import MapConfig
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.drive_files import read_tum
 from lirs_wct.geometry.pose import Pose3, Trajectory

@@ -12,8 +12,8 @@ import pytest
 
 from benchmarks.log_quality import thinned
 from lirs_validation import drawing, map_log
+from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import run_mapping
-from lirs_validation.map_config import MapConfig
 from lirs_validation.metrics.alignment import rms
 from lirs_validation.metrics.trajectory import reference_errors
 from lirs_validation.record.map_record import map_lines
@@ -121,15 +121,6 @@ def test_without_odometry_hector_maps_and_the_others_say_what_they_need(room: Pa
             SourceError, match=rf"blind\.clf: holds no odometry.*{other} needs it; hector maps"
         ):
             map_log(room / "blind.clf", mapper=other)
-
-
-@EVERY_MAPPER
-@pytest.mark.parametrize("scans", [1, 2])
-def test_a_scan_or_two_make_a_map(tmp_path: Path, mapper: str, scans: int) -> None:
-    path = write_log(tmp_path / "x.clf", room_lines(30)[0][:scans])
-    mapped = map_log(path, mapper=mapper, second="none")
-    assert len(mapped.trajectory) == scans
-    assert mapped.grid.occupied.sum() > 50
 
 
 @pytest.mark.parametrize(("broken", "status"), [(1, "ok"), (3, "incomplete")])

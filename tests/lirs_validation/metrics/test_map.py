@@ -147,17 +147,6 @@ def test_cells_of_a_grid_on_the_same_lattice(seed: int, row: int, col: int, yaw:
     np.testing.assert_array_equal(sample_like(built.moved(frame), like), sample_like(off, like))
 
 
-def test_what_is_neither_occupied_nor_free_is_undecided() -> None:
-    p = np.array([[0.24, 0.26, 0.64, 0.66, UNKNOWN, 0.02]])
-    grid = OccupancyGrid.from_probability(p, 0.1, Pose2(1.0, 2.0, 3.0))
-    found = as_stored(grid)
-    assert found.known.tolist() == [[True, False, False, True, False, True]]
-    np.testing.assert_array_equal(
-        found.log_odds[found.known], grid.log_odds[[[True, False, False, True, False, True]]]
-    )
-    assert (found.resolution, found.origin) == (grid.resolution, grid.origin)
-
-
 @pytest.mark.parametrize(("cells", "agrees"), [(4, True), (5, False), (-4, True), (-5, False)])
 def test_cells_ten_centimeters_apart_agree(cells: int, agrees: bool) -> None:
     """Centers 4 x 0.025 m apart: 0.10 m but for rounding, which the tolerance forgives."""

@@ -114,17 +114,6 @@ def test_a_metric_is_added_in_one_place(tmp_path: Path, monkeypatch: pytest.Monk
     assert metrics_named(["map.blur"]) == (new,)
 
 
-def test_a_value_reads_alike_everywhere() -> None:
-    """The RTF was 1.23e+03 on the screen and 1234 in the report; the penetration 0.0012 m and 1.23 mm."""
-    run = entry(rtf=1234.0)
-    run["collisions"]["max_penetration"] = 0.001234
-    rtf, depth = metrics_named(["rtf.mean", "collisions.max_penetration"])
-    assert rtf.formatted(rtf.of(run)) == "1234"
-    assert "| 1234 |" in results_table([run]).as_markdown()
-    assert depth.formatted(depth.of(run)) == "1.23"
-    assert dict(picture_lines(run))["deepest penetration"] == "1.23 mm"
-
-
 def test_a_line_that_continues_a_missing_one_has_its_own_name() -> None:
     run = entry()
     titles = [title for title, _ in picture_lines(run)]

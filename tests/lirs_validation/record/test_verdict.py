@@ -204,11 +204,6 @@ def test_the_sentence_names_cause_errors_map_and_evaluated_part() -> None:
     assert [reason.figure for reason in verdict.reasons] == ["occupied cells", "trajectory error"]
 
 
-def test_an_error_above_the_odometrys_is_said() -> None:
-    trajectory = ENTRY["trajectory"] | {"ate_rmse": 0.22}
-    assert "worse than the odometry's 0.205 m" in judge(ENTRY | {"trajectory": trajectory}).sentence
-
-
 def test_the_figures_of_the_map_are_those_after_alignment() -> None:
     map_figures = {"f1": 0.67, "f1_aligned": 0.94, "false_occupied_aligned": 0.13, "occupied_cells": 9}
     sentence = judge(ENTRY | {"map": map_figures | {"reference_false_occupied": 0.01}}).sentence
@@ -234,12 +229,6 @@ def test_a_log_without_truth_has_no_reference_but_says_that_it_is_lost() -> None
     verdict = judge_log(entry)
     assert verdict.kind == "no reference"
     assert "The mapper is lost: contradicts itself." in verdict.sentence
-
-
-def test_a_short_drive_uses_the_given_limit() -> None:
-    trajectory = ENTRY["trajectory"] | {"robot_lengths": 48.0, "length": 31.0}
-    verdict = judge(ENTRY | {"trajectory": trajectory}, VerdictLimits(robot_lengths=100))
-    assert "drove 31.0 m, at least 64.0 m are needed" in verdict.sentence
 
 
 def test_limits_are_read(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
-"""Inertial readings beside a log: each scan gets its own, and the laser its height."""
+"""What comes with a log: references, relations, inertial readings at the scans, the laser's mount."""
 
+import gzip
 import json
 import math
 from pathlib import Path
@@ -7,15 +8,69 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, strategies as st
 
 from lirs_validation import map_log
+from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import folder_name
-from lirs_validation.map_config import MapConfig
+from lirs_validation.logs.read_log import read_reference, truth_in_time
+from lirs_validation.metrics.trajectory import RelativePoseConstraint
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats.carmen_log import read_mount, write_log
-from lirs_wct.formats.drive_files import write_imu
-from lirs_wct.geometry.pose import Pose2, Pose3
+from lirs_wct.formats import carmen_log
+from lirs_wct.formats.drive_files import write_imu, write_tum
+from lirs_wct.formats.laser_log import LineStamps
+from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
+from tests.lirs_wct.formats.carmen_room import START, room_lines, write_log
+
+
+@pytest.mark.parametrize("zipped", [False, True])
+def test_both_formats_are_read(tmp_path: Path, zipped: bool) -> None:
+    track = Trajectory.from_poses([1.0, 2.0, 3.0], [Pose2(0.1 * k, 0.0, 0.2) for k in range(3)])
+    write_tum(tmp_path / "a.txt", track)
+    write_log(tmp_path / "b.txt", room_lines(5)[0])
+    for name in ("a.txt", "b.txt"):
+        if zipped:
+            (tmp_path / name).write_bytes(gzip.compress((tmp_path / name).read_bytes()))
+    np.testing.assert_allclose(read_reference(tmp_path / "a.txt").positions, track.positions, atol=1e-9)
+    np.testing.assert_allclose(read_reference(tmp_path / "b.txt").stamps, START + 0.2 * np.arange(5))
+
+
+def test_a_log_without_poses_is_no_reference(tmp_path: Path) -> None:
+    path = write_log(tmp_path / "still.clf", room_lines(5, drifting=False)[0])
+    with pytest.raises(SourceError, match="holds no poses that change"):
+        read_reference(path)
+
+
+LOGGED = np.array([5.0, 5.9, 5.5, 5.7, 7.0])
+REPAIRED = np.array([5.0, 5.6, 5.7, 5.8, 7.0])
+LINES = LineStamps(LOGGED, REPAIRED, np.ones(5, np.bool_))
+
+
+def test_relations_are_moved_with_the_lines_they_name() -> None:
+    relations = RelativePoseConstraint(5.9, 5.5, Pose2(1.0)), RelativePoseConstraint(5.0, 7.0, Pose2(2.0))
+    moved, _ = truth_in_time((relations, None), LINES)
+    assert moved is not None
+    np.testing.assert_allclose([(r.stamp_a, r.stamp_b) for r in moved], [(5.6, 5.7), (5.0, 7.0)])
+    assert [r.T_ab for r in moved] == [Pose2(1.0), Pose2(2.0)]
+
+
+def test_a_reference_is_moved_and_stays_in_order() -> None:
+    """The pose at the line of 5.9 s comes first: it is that of an earlier line."""
+    reference = Trajectory.from_poses(np.sort(LOGGED).tolist(), [Pose2(float(k)) for k in range(5)])
+    _, moved = truth_in_time((None, reference), LINES)
+    assert moved is not None
+    np.testing.assert_allclose(moved.stamps, REPAIRED)
+    assert moved.positions[:, 0].tolist() == [0, 3, 1, 2, 4]
+
+
+@given(st.floats(-100, 100))
+def test_of_a_sound_log_nothing_moves(stamp: float) -> None:
+    sound = LineStamps(REPAIRED, REPAIRED, np.ones(5, np.bool_))
+    relation = RelativePoseConstraint(stamp, stamp + 1, Pose2())
+    assert truth_in_time(((relation,), None), sound) == ((relation,), None)
+    assert sound.repaired_at(np.array([stamp])).tolist() == [stamp]
+
 
 NOTING = """
 import json
@@ -54,7 +109,7 @@ def recorded(tmp_path: Path) -> Path:
     scans = [
         LaserScan(ranges, float(angles[0]), math.radians(2), 0.05, 20.0, 0.1 * k, MOUNT) for k in range(SCANS)
     ]
-    write_log(tmp_path / "scans.clf.gz", [(scan, Pose2(0.01 * k)) for k, scan in enumerate(scans)])
+    carmen_log.write_log(tmp_path / "scans.clf.gz", [(scan, Pose2(0.01 * k)) for k, scan in enumerate(scans)])
     write_imu(tmp_path / "imu.csv.gz", [Imu(pitch=0.01 * k, stamp=0.1 * k) for k in range(SCANS - 2)])
     (tmp_path / "noting_log_slam.py").write_text(NOTING)
     return tmp_path
@@ -89,11 +144,11 @@ def test_readings_and_attitude_tell_folders_apart_and_neither_changes_older_name
 
 
 def test_a_log_without_the_comment_has_no_recorded_mount(recorded: Path, tmp_path: Path) -> None:
-    found = read_mount(recorded / "scans.clf.gz")
+    found = carmen_log.read_mount(recorded / "scans.clf.gz")
     assert found.yaw == pytest.approx(0.3)
     for text in ("", "# carmen\nFLASER 1\n", "# laser on base_link, x y z roll pitch yaw: 1 2\nODOM 1\n"):
         (tmp_path / "a.clf").write_text(text)
-        assert read_mount(tmp_path / "a.clf") is None
+        assert carmen_log.read_mount(tmp_path / "a.clf") is None
 
 
 def test_readings_that_do_not_fit_are_refused(recorded: Path) -> None:
