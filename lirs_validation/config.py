@@ -101,7 +101,7 @@ def read_parameter_sets(text: str, flag: str = "--parameters") -> tuple[str, ...
 
 
 def _known_noise(value: str, label: str) -> None:
-    """Check that a noise is a level or the name of a YAML file, which is read later."""
+    """Check that a noise is a level or the name of a YAML file."""
     if value not in NOISE_LEVELS and not value.endswith(NOISE_FILES):
         raise unknown_name(label, value, [*NOISE_LEVELS, "FILE.yaml"])
 

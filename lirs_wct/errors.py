@@ -79,7 +79,7 @@ _REASONS: dict[type[BaseException], str] = {
 
 
 def unknown_name(kind: str, name: str, legal: Iterable[str]) -> ConfigError:
-    """Return the error for an unknown name; it lists the legal names and suggests a similar one.
+    """Return the error for an unknown name, with the legal and a similar one.
 
     >>> str(unknown_name("robot", "huksy", ["husky", "jackal"]))
     "unknown robot 'huksy'; legal: husky, jackal; did you mean husky?"

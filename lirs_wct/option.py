@@ -102,7 +102,7 @@ class Option:
 
     @property
     def types(self) -> tuple[Any, ...]:
-        """Types of the value without None, of a tuple of any length those of its elements."""
+        """Types of the value without None; of a tuple of any length, its elements'."""
         parts = get_args(self.type) if get_origin(self.type) in (Union, UnionType) else (self.type,)
         kinds = (get_args(part)[0] if get_args(part)[1:] == (...,) else part for part in parts)
         return tuple(kind for kind in kinds if kind is not NoneType)
@@ -178,7 +178,7 @@ def option(default: Any, help: str, **given: Any) -> Any:
 
 
 def argument(help: str, metavar: str, default: Any = MISSING, **given: Any) -> Any:
-    """Return a dataclass field of a value without a flag; without a default it is required."""
+    """Return a field of a value without a flag, which a default makes optional."""
     return option(default, help, metavar=metavar, positional=True, **given)
 
 
@@ -246,7 +246,7 @@ Declared = TypeVar("Declared", bound=type[Options])
 
 
 def documented(options: Declared) -> Declared:
-    """Append the help of each option to the attributes in the docstring of a class of options."""
+    """Append each option's help to the attributes of its class's docstring."""
     text, raises, errors = inspect.cleandoc(options.__doc__ or "").partition("\n\nRaises:")
     heading = () if "Attributes:" in text else ("", "Attributes:")
     lines = (f"    {name}: {found.help}" for name, found in declared(options).items())

@@ -86,7 +86,7 @@ def verdict(
 
 
 def _print_state(trial: Trial) -> None:
-    """Print the forecast of a trial, or the verdict of its last drive and its effect on the decision."""
+    """Print the forecast of a trial, or the verdict of its last drive and the state."""
     if trial.drives:
         drive, test = trial.drives[-1], trial.test
         decided = "" if trial.decision == "undecided" else f": {trial.decision}"

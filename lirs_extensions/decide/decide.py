@@ -400,7 +400,7 @@ def _attitude_change(config: RunConfig) -> dict[str, RunConfig]:
 
 
 def _lidar_change(config: RunConfig, *, works: bool) -> dict[str, RunConfig]:
-    """Return the run with the lidar of the next longer range, or of the next shorter if it works."""
+    """Return the run with the lidar of the next longer range, or shorter if it works."""
     own = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
     others = [preset for preset in map(make_lidar_preset, LIDARS) if preset.rings == own.rings]
     reach = attrgetter("range_max")

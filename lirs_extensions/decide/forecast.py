@@ -62,7 +62,7 @@ class SiteFeatures:
 
     @property
     def vector(self) -> FloatArray:
-        """(6,) features in the order of FEATURES; the first two as logarithms, since few walls are enough."""
+        """(6,) features in the order of FEATURES; the first two as logarithms."""
         shares = np.maximum((self.walls, self.walls_low), MIN_SHARE)
         return np.array((*np.log10(shares), *astuple(self)[2:]))
 
@@ -108,7 +108,7 @@ def _poses(path: FloatArray) -> list[Pose2]:
 def _look_around(
     world: World, robot: Robot, preset: LidarPreset, caster: Caster, pose: Pose2
 ) -> tuple[FloatArray, tuple[float, float]]:
-    """Return a scan's hits (n, 2) in the world frame, and its information in position and yaw."""
+    """Return a scan's hits (n, 2) in the world frame, and its two informations."""
     laser = standing_on(world, robot, pose) @ robot.T_base_laser
     points, hit = cast_beams(caster, preset, laser, preset.directions)
     met = points[hit][:, :2]
@@ -165,7 +165,7 @@ def cloud_information(cloud: FloatArray) -> tuple[float, float]:
 
 
 def _logarithms(A: Any) -> tuple[float, float]:
-    """Return logarithms of the smallest information (3, 3) in x and y, and of that in yaw given these."""
+    """Return logarithms of the least information in x and y, and of that in yaw."""
     smallest = float(np.linalg.eigvalsh(A[:2, :2])[0])
     schur = float(A[2, 2] - A[2, :2] @ np.linalg.pinv(A[:2, :2]) @ A[:2, 2])
     return math.log10(max(smallest, MIN_INFORMATION)), math.log10(max(schur, MIN_INFORMATION))

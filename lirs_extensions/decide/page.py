@@ -167,7 +167,7 @@ def _draw_drives(axes: Axes, answer: Answer, out: Path) -> None:
 
 
 def failure_place(entry: Entry, truth: Trajectory, estimate: Trajectory) -> FloatArray | None:
-    """Return x and y where a drive failed; None of a drive whose verdict is on its whole path or map.
+    """Return x and y where a drive failed; None if its verdict names no place.
 
     That is where it ended early, or where the error from the start on first exceeds the verdict's limit.
     """

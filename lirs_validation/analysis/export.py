@@ -1,4 +1,4 @@
-"""Export of a recorded run: ROS bag, CSV, NumPy archive, CARMEN log or dataset of evalio."""
+"""Export of a run: ROS bag, CSV, NumPy archive, CARMEN log or dataset of evalio."""
 
 from __future__ import annotations
 

@@ -52,8 +52,8 @@ class Score:
         frame: frame of the result.
         given: number of poses of the trajectory; 0 without one.
         time_offset: seconds that were added to the trajectory's stamps.
-        trajectory: as in a record; empty without a trajectory.
-        map: as in a record; empty without a map.
+        trajectory: Metrics as in a record; empty without a trajectory.
+        map: Metrics as in a record; empty without a map.
     """
 
     run: str
@@ -92,7 +92,7 @@ def score(
         trajectory: TUM, EuRoC or KITTI file, BAG or BAG:/TOPIC: poses of base_link. Those of another rate,
             and keyframes at most 2 s apart, are interpolated at the scans. Axes of a camera are turned.
         map_yaml: ROS map.
-        frame: of both: `map`, whose origin is the first base pose; `world`, as the run's own files; `auto`:
+        frame: Frame of both: `map`, whose origin is the first base pose; `world`, that of the run; `auto`:
             found by where the trajectory begins; without one, by the true-pose map; `align`: any, moved to
             the best fit of the trajectory.
         time_offset: seconds to add to the trajectory's stamps; `auto`: found by its motion.
@@ -163,7 +163,7 @@ def _place(truth: Trajectory, estimate: Trajectory | None, frame: Frame) -> Pose
 def frame_of(
     path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame
 ) -> Literal["map", "world", "align"]:
-    """Return the frame in which a trajectory begins where the run was; `align` if that was named.
+    """Return the frame in which a trajectory begins where the run was; `align` stays.
 
     Raises:
         SourceError: it does in none, or not in the one that was named.

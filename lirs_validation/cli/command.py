@@ -249,7 +249,7 @@ def _help_all() -> click.Option:
 
 
 def _completer(option: Option) -> Callable[[Any, Any, str], list[str]]:
-    """Return the shell's completion of an option's values, also of the last one in a list."""
+    """Return the shell's completion of an option's values, also in a list."""
 
     def complete(_: Any, __: Any, incomplete: str) -> list[str]:
         if option.complete is not None:

@@ -109,7 +109,7 @@ def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> 
 
 
 class ProgressNotes:
-    """Lines of progress where no terminal shows a bar, and one about a compilation that takes long."""
+    """Lines of progress where no bar is shown, and one about a long compilation."""
 
     def __init__(self, console: Console, clock: Callable[[], float] = time.monotonic) -> None:
         self._console, self._clock = console, clock
@@ -118,7 +118,7 @@ class ProgressNotes:
         self._explained = False
 
     def observe(self, work: str, step: str, text: str, share: float) -> None:
-        """Take in the step of a piece of work; write its text if the last line is long ago."""
+        """Take in a step of some work; write its text if the last is long ago."""
         if step != "compile":
             self.end(work)
         elif work not in self._compilations and not self._explained:

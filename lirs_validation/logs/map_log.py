@@ -268,7 +268,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
 
 
 def _describe_path(log: LaserLog, readings: Sequence[Imu | None], trajectory: Trajectory) -> dict[str, Any]:
-    """Return a record's description of a trajectory; scans left out of the log lack a pose."""
+    """Return a record's description of a trajectory; left-out scans lack a pose."""
     used = len(log.stamps) / (len(log.stamps) + log.left_out)
     return {
         "poses": len(trajectory),

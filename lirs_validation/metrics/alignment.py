@@ -260,7 +260,7 @@ def spatial_alignment(source: FloatArray, target: FloatArray) -> Pose3:
 
 
 def turn_upright(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, str] | None:
-    """Return an estimate turned to z up, and its axes in words; None if it is upright already.
+    """Return an estimate turned to z up, and its axes; None if it is upright.
 
     The axes follow from the best fit in space, which a straight path does not have. Those of the body count
     as named like those of the frame, as in the trajectories of cameras.

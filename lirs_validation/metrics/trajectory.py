@@ -1,4 +1,4 @@
-"""Trajectory errors: an estimate against the truth, in the plane and in space, and against true relations.
+"""Trajectory errors: an estimate against truth, relations or reference, in the plane and in space.
 
 The metrics are those of Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems" (IROS 2012):
 absolute trajectory error (ATE, Eq. 4) after rigid alignment, and relative pose error (RPE, Eqs. 1-3) of the

@@ -1,4 +1,4 @@
-"""Verdict on a result: limits, the class of every run, one sentence for the user, and why.
+"""Verdict on a result: limits, class, one sentence for the user, and the reasons.
 
 The same rules hold for runs, mapped logs and scores; only mapped logs are tested for scans that contradict
 each other (`lirs_validation.metrics.consistency`): a run knows the truth, and its hillsides contradict.
@@ -349,7 +349,7 @@ def _lead(lead: str, kind: VerdictClass, entry: Entry, limits: VerdictLimits) ->
 
 
 def cause_of(kind: VerdictClass, entry: Entry) -> str:
-    """Return why a run ended early, or that its scans see no walls; empty if neither."""
+    """Return why a run ended early, or that scans see no walls; else empty."""
     ended = entry["status"] not in ("ok", "wall limit")
     if ended and kind in ("failed", "not evaluated", "loses its way"):
         return str(entry["reason"] or entry["status"])
@@ -395,7 +395,7 @@ def _map_sentence(figures: VerdictFigures) -> str:
 
 
 def extent_sentences(entry: Entry) -> str:
-    """Return the evaluated part of a larger world, and samples that do not resolve the robot."""
+    """Return the evaluated part of a larger world, and samples too far apart."""
     window, whole = value_at(entry, "world.window"), value_at(entry, "world.whole_size")
     spacing, length = value_at(entry, "world.sample_spacing"), value_at(entry, "world.robot_length")
     clauses = []

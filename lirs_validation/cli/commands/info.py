@@ -23,7 +23,7 @@ STRIP = 256
 
 
 def facts_table(world: World, robot: str = "husky") -> Table:
-    """Return facts of a world, and of the view of a robot's scanner, as a table to print.
+    """Return facts of a world and of a scanner's view as a table.
 
     Raises:
         ConfigError: there is no such robot.
