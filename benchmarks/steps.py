@@ -13,7 +13,9 @@ Limits = Mapping[str, tuple[str, str, float]]
 """Limit of each figure: in words, `<=` or `>=`, and how much."""
 
 
-def arguments(doc: str | None, *positional: str, **defaults: Any) -> argparse.Namespace:
+def arguments(
+    doc: str | None, *positional: str, words: Sequence[str] | None = None, **defaults: Any
+) -> argparse.Namespace:
     """Return the values of options; each has the type of its default, and a type stands for no default."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawTextHelpFormatter)
     for name, default in defaults.items():
@@ -26,7 +28,7 @@ def arguments(doc: str | None, *positional: str, **defaults: Any) -> argparse.Na
             parser.add_argument(flag, type=default)
         else:
             parser.add_argument(flag, type=type(default), default=default, **_optional(flag))
-    return parser.parse_args()
+    return parser.parse_args(words)
 
 
 def _optional(flag: str) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize
 
+from benchmarks import steps
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.generators.terrain import generate
@@ -42,7 +43,7 @@ from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
 from lirs_wct import MapperError, WctError
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.files import write_json
+from lirs_wct.files import atomic_write, write_json
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.option import read_names
@@ -133,10 +134,9 @@ HEIGHTS = (
 
 
 def _natural(kind: str, seed: int) -> Callable[[], World]:
-    cell = EDGE / (NODES - 1)
-
     def make() -> World:
         z = NATURAL_TERRAINS[kind](np.random.default_rng(seed)).astype(np.float32)
+        cell = EDGE / (NODES - 1)
         return World(f"{kind} {seed}", Terrain(HeightField.centered(z - z.min(), (cell, cell))))
 
     return make
@@ -246,46 +246,39 @@ class Tables:
 
     def drives(self) -> dict[Key, str]:
         """Return the classes of the drives of each family, world and method."""
-        return {(row[0], row[1], row[2]): row[3] for row in _rows(self.folder / "verdict_drives.csv")}
+        return {key: classes for key, (classes,) in _rows(self.folder / "verdict_drives.csv").items()}
 
     def sites(self) -> dict[Key, list[float]]:
         """Return the features of each family, world and lidar."""
-        rows = _rows(self.folder / "verdict_sites.csv")
-        return {(row[0], row[1], row[2]): [float(value) for value in row[3:]] for row in rows}
+        rows = _rows(self.folder / "verdict_sites.csv").items()
+        return {key: list(map(float, values)) for key, values in rows}
 
     def add_drives(self, classes: dict[Key, str]) -> None:
         """Add or replace classes of drives."""
-        rows = [[*key, found] for key, found in (self.drives() | classes).items()]
+        rows = {key: [letters] for key, letters in (self.drives() | classes).items()}
         _write(self.folder / "verdict_drives.csv", ("family", "world", "method", "classes"), rows)
 
     def add_sites(self, features: dict[Key, list[float]]) -> None:
         """Add or replace features of worlds."""
         found = (self.sites() | features).items()
-        rows = [[*key, *(f"{value:.4g}" for value in values)] for key, values in found]
+        rows = {key: [f"{value:.4g}" for value in values] for key, values in found}
         _write(self.folder / "verdict_sites.csv", ("family", "world", "lidar", *FEATURES), rows)
 
 
-def _rows(path: Path) -> list[list[str]]:
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.reader(file))[1:]
+def _rows(path: Path) -> dict[Key, list[str]]:
+    lines = path.read_text(encoding="utf-8").splitlines()[1:] if path.exists() else []
+    return {(row[0], row[1], row[2]): row[3:] for row in csv.reader(lines)}
 
 
-def _write(path: Path, headings: tuple[str, ...], rows: list[list[str]]) -> None:
-    written = path.with_suffix(".part")
-    with written.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([headings, *rows])
-    written.replace(path)
+def _write(path: Path, headings: tuple[str, ...], rows: dict[Key, list[str]]) -> None:
+    with atomic_write(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([headings, *([*key, *values] for key, values in rows.items())])
 
 
 def fit(features: FloatArray, successes: FloatArray, drives: FloatArray) -> LogisticModel:
     """Fit by maximum likelihood, with a Gaussian prior of standard deviation 1 on the weights.
 
-    Args:
-        features: (n, k) of the worlds.
-        successes: (n,) drives that worked.
-        drives: (n,) evaluated drives. A world counts as one observation, however often it was driven.
+    A world counts as one observation, however often it was driven.
     """
     mean, scale = features.mean(axis=0), features.std(axis=0)
     start = LogisticModel(mean, np.where(scale > 0, scale, 1.0), np.zeros(features.shape[1] + 1))
@@ -300,16 +293,7 @@ def fit(features: FloatArray, successes: FloatArray, drives: FloatArray) -> Logi
 
 @dataclass(frozen=True)
 class MethodData:
-    """Worlds of one method.
-
-    Attributes:
-        families: (n,) names.
-        features: (n, k).
-        walls: (n, 1) median share of beams on walls.
-        successes: (n,) drives that worked.
-        drives: (n,) evaluated drives, at least one.
-        classes: (n,) letters of all drives.
-    """
+    """Worlds of one method (n,): features (n, k), median share of beams on walls (n, 1), evaluated drives."""
 
     families: NDArray[np.str_]
     features: FloatArray
@@ -457,17 +441,20 @@ def end_of(stream: BoolArray) -> SequentialTest:
     return test
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main(words: Sequence[str] | None = None) -> None:
     """Drive or evaluate."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("action", choices=("drive", "features", "evaluate", "fit", "streams"))
-    parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--drives", type=int, default=20)
-    parser.add_argument("--methods", default=",".join(METHODS), help="to drive; two calls can share the work")
-    parser.add_argument("--quick", action="store_true", help="six worlds")
-    parser.add_argument("--tables", type=Path, default=HERE, help="folder of the two tables")
-    options = parser.parse_args(arguments)
+    options = steps.arguments(
+        __doc__,
+        "action",
+        action="evaluate",
+        data=DATA,
+        minutes=60.0,
+        drives=20,
+        methods=",".join(METHODS),
+        quick=False,
+        tables=HERE,
+        words=words,
+    )
     options.tables = Tables(options.tables)
     options.methods = read_names(options.methods, "--methods")
     if options.action == "drive":
