@@ -111,12 +111,12 @@ def value_list(axes: Axes, lines: Sequence[tuple[str, str]]) -> None:
 
 def path_ends(axes: Axes, path: Trajectory) -> list[Line2D]:
     """Mark where a path starts and ends; return the marks for the legend."""
-    handles = []
+    marks: list[Line2D] = []
     for shape, label, xy in (("o", "start", path.xy[0]), ("s", "end", path.xy[-1])):
-        axes.plot(*xy, shape, color="white", markeredgecolor=BLACK, markersize=5.5, zorder=6)
-        (mark,) = axes.plot([], [], shape, color="white", markeredgecolor=BLACK, markersize=5, label=label)
-        handles.append(mark)
-    return handles
+        marks += axes.plot(
+            *xy, shape, color="white", markeredgecolor=BLACK, markersize=5.5, zorder=6, label=label
+        )
+    return marks
 
 
 def fewer_ticks(axes: Axes, width: float, height: float) -> None:

@@ -85,7 +85,10 @@ def view_figure(world: World) -> Drawing:
     else:
         heights = [max(heights)]
     letters = int(LETTERS * (sum(widths) + len(widths) * SPACE_LEFT))
-    text = f"{world_title(world)}; {'below' if stacked else 'right'}: from the south-south-west"
+    text = f"{world.name}, {' x '.join(map(length, world.surface.size))}"
+    if world.walls is None:
+        text += f", relief {length(world.surface.relief)}"
+    text += f"; {'below' if stacked else 'right'}: from the south-south-west"
     if (stretch := _exaggeration(world)) != 1:
         text += f", heights stretched {stretch:g} times"
     page, grid = page_of_panels(textwrap.fill(text, letters), heights, [*widths, BAR], DPI)
@@ -99,13 +102,6 @@ def view_figure(world: World) -> Drawing:
     if world.surface.relief > 0:
         height_scale(page, world.surface, cax=page.add_subplot(grid[-1, -1]), ticklocation="left")
     return page
-
-
-def world_title(world: World) -> str:
-    """Return a world's name and extent."""
-    width, depth = world.surface.size
-    extent = f"{world.name}, {length(width)} x {length(depth)}"
-    return extent if world.walls is not None else f"{extent}, relief {length(world.surface.relief)}"
 
 
 def block_picture(world: World, width: int = 1100) -> FloatArray:
