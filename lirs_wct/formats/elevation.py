@@ -9,16 +9,17 @@ import glob
 import math
 import re
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.files import first_bytes
+from lirs_wct.files import first_bytes, read_text
 from lirs_wct.formats import limited, picture
 from lirs_wct.formats.suffixes import Encoding
 from lirs_wct.geometry.geodesy import (
@@ -296,15 +297,11 @@ def read_ascii_grid(path: Path, max_pixels: int, *, sized: bool) -> tuple[FloatA
         SourceError: the file is missing or damaged, or of another size than is legal.
     """
     try:
-        with path.open(encoding="utf-8-sig", errors="strict") as file:
-            header, first = _header(path, file)
-            rows, cols = int(header["nrows"]), int(header["ncols"])
-            picture.check_size(path, cols, rows, max_pixels)
-            values = np.array([*first.split(), *file.read().split()], dtype=np.float64)
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise SourceError(f"{path}: is no text, an ASCII grid is needed") from error
+        lines = iter(read_text(path).splitlines())
+        header, first = _header(path, lines)
+        rows, cols = int(header["nrows"]), int(header["ncols"])
+        picture.check_size(path, cols, rows, max_pixels)
+        values = np.array([*first.split(), *" ".join(lines).split()], dtype=np.float64)
     except ValueError as error:
         raise SourceError(f"{path}: holds a value that is no number: {error}") from error
     if values.size != rows * cols:
@@ -326,11 +323,11 @@ def _projection(path: Path) -> tuple[CoordinateSystem | None, float | None]:
     return system_of_wkt(wkt) if wkt else (None, None)
 
 
-def _header(path: Path, file: TextIO) -> tuple[dict[str, float], str]:
+def _header(path: Path, lines: Iterable[str]) -> tuple[dict[str, float], str]:
     """Return the header's values by lower-case name, and the first line after it."""
     header: dict[str, float] = {}
     first = ""
-    for line in file:
+    for line in lines:
         key, *value = line.split() or [""]
         if not _KEY.fullmatch(key):
             first = line

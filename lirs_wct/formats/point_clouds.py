@@ -10,6 +10,7 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import SourceError, reason_of
+from lirs_wct.files import first_bytes
 from lirs_wct.formats.limited import read_limited
 from lirs_wct.formats.meshes.reader import MAX_COORDINATE, ply_header, read_ply
 from lirs_wct.geometry.geodesy import CoordinateSystem, system_of_wkt
@@ -78,8 +79,7 @@ def read_points(path: Path) -> PointFile:
 
 def _read_limited(path: Path) -> PointFile:
     """Read a LAS, LAZ or PCD file, whose header does not bound its points."""
-    with path.open("rb") as file:
-        begin = file.read(4)
+    begin = first_bytes(path, 4)
     las = begin == LAS
     if not las and path.suffix.lower() != ".pcd":
         raise SourceError(f"{path}: is not a LAS file: it begins with {begin!r}, a LAS file with {LAS!r}")
