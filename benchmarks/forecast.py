@@ -25,7 +25,7 @@ from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.metrics.scan_support import scan_support
+from lirs_validation.metrics.world_geometry import scan_support
 from lirs_wct.errors import MapperError, WctError
 from lirs_wct.option import read_names, read_numbers
 

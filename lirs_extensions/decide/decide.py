@@ -17,7 +17,7 @@ from scipy.special import betaincinv  # imports in a third of the time of scipy.
 from lirs_envs.lidar.presets import LIDARS, make_lidar_preset
 from lirs_envs.robots.robot import make_robot
 from lirs_extensions.decide.forecast import forecast
-from lirs_validation.analysis.groups import ORIGINAL
+from lirs_validation.analysis.compare import ORIGINAL
 from lirs_validation.cli.progress import run_with_progress
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_validation.driving.choice import make_driver

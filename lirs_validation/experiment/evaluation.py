@@ -16,8 +16,8 @@ from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics.alignment import StartAlignment, associated, scan_coverage, start_alignment
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
 from lirs_validation.metrics.map import MapScores, map_scores
-from lirs_validation.metrics.scan_support import observed_support
 from lirs_validation.metrics.trajectory import spatial_errors, trajectory_errors
+from lirs_validation.metrics.world_geometry import observed_support
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_validation.record.verdict import incompleteness

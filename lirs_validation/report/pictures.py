@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lirs_validation.analysis.groups import RunGroup, by_group, distinguishing_fields
+from lirs_validation.analysis.compare import RunGroup, by_group, distinguishing_fields
 from lirs_validation.analysis.results import RunFolder, recorded_world_config
 from lirs_validation.drawing import error_picture, shown_bounds
 from lirs_validation.experiment.scenario import ScenarioCache

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-from lirs_validation.analysis.groups import RunGroup, by_group, unusual_fields
+from lirs_validation.analysis.compare import RunGroup, by_group, unusual_fields
 from lirs_validation.analysis.results import ResultFolder, RunFolder
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.metric_catalog import (

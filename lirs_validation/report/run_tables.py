@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from lirs_validation.analysis.groups import (
+from lirs_validation.analysis.compare import (
     FIELDS,
     ORIGINAL,
     RunGroup,

@@ -15,7 +15,7 @@ from rich.console import Console, ConsoleOptions
 from rich.table import Table
 from rich.text import Text
 
-from lirs_validation.analysis.groups import Repeats
+from lirs_validation.analysis.compare import Repeats
 from lirs_validation.record.metric_catalog import NOTHING, Metric
 
 BETWEEN_WORDS = re.compile(r"(?<=[\w,.]) (?=\w)| (?=\[)")

@@ -42,7 +42,7 @@ def test_one_field_is_an_axis_of_the_command_line() -> None:
 
 
 def test_every_axis_distinguishes_groups_of_runs() -> None:
-    from lirs_validation.analysis.groups import FIELDS, RunGroup
+    from lirs_validation.analysis.compare import FIELDS, RunGroup
 
     assert set(RUN_AXES) - {"seed"} <= set(FIELDS)
     changed = {

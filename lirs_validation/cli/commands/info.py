@@ -10,8 +10,7 @@ from rich.table import Table
 
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.logs.preflight import Preflight
-from lirs_validation.metrics.scan_support import ScanSupport, scan_support
-from lirs_validation.metrics.world_geometry import mesh_error
+from lirs_validation.metrics.world_geometry import ScanSupport, mesh_error, scan_support
 from lirs_wct import HeightField, WallGrid, World
 from lirs_wct.arrays import Float32Array
 

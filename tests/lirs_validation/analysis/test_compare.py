@@ -12,8 +12,7 @@ from hypothesis.extra.numpy import arrays
 from rich.console import Console
 from scipy import stats
 
-from lirs_validation.analysis.compare import compare, holm, only, paired_test
-from lirs_validation.analysis.groups import repeats
+from lirs_validation.analysis.compare import compare, holm, only, paired_test, repeats
 from lirs_validation.record.metric_catalog import metrics_named, metrics_selected
 from lirs_validation.report.compare_tables import compare_table, write_comparison
 from lirs_wct.errors import ConfigError

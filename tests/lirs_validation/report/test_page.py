@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.analysis.groups import RunGroup, by_group, repeats
+from lirs_validation.analysis.compare import RunGroup, by_group, repeats
 from lirs_validation.analysis.results import RunFolder, read_results
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.metric_catalog import metrics_named
