@@ -133,11 +133,7 @@ def report(options: ReportOptions) -> None:
     elif options.tables is not None:
         for table in contents.tables.values():
             _write(options.tables / f"{table.key}.csv", table.as_csv())
-    out.print(
-        f"{output}: {len(contents.runs)} runs, {len(html.encode()) / 1e6:.1f} MB",
-        soft_wrap=True,
-        highlight=False,
-    )
+    say(f"{output}: {len(contents.runs)} runs, {len(html.encode()) / 1e6:.1f} MB")
 
 
 def compare(options: CompareOptions) -> None:

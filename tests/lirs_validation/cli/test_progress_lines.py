@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from lirs_validation.cli import progress as module
-from lirs_validation.cli.progress import LINE_PERIOD, ProgressNotes, progress_bar
+from lirs_validation.cli.progress import LINE_PERIOD, ProgressNotes, note, progress_bar, say
 
 
 class Clock:
@@ -73,3 +73,10 @@ def test_a_short_compilation_is_not_mentioned(monkeypatch: pytest.MonkeyPatch) -
         progress("compile", 0.2)
     time.sleep(0.3)
     assert file.getvalue() == ""
+
+
+def test_lines_are_printed_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    """Brackets in a path were taken for markup."""
+    say(f"runs/[bold]/{'a' * 300}")
+    note("map[1].yaml: [red]")
+    assert capsys.readouterr() == (f"runs/[bold]/{'a' * 300}\n", "map[1].yaml: [red]\n")
