@@ -80,11 +80,7 @@ class EpisodeLog:
 def make_task_env(
     task: BenchTask, data: Path | None, observe: tuple[str, ...] | None, render_mode: str | None = None
 ) -> RobotEnv:
-    """Return the environment of a task, with other groups of observations if given.
-
-    Raises:
-        WctError: its world cannot be made, or there is no such group.
-    """
+    """Return the environment of a task, with other groups of observations if given."""
     options: dict[str, Any] = {"robot": task.robot, "time_limit": task.time_limit, "observe": observe}
     if task.world is not None:
         options["world"] = task.world.world(data)
@@ -165,11 +161,7 @@ def _drive(
 
 
 def _call_policy(ask: Callable[[], Any], what: str) -> Any:
-    """Call a method of a policy and return its result.
-
-    Raises:
-        PolicyError: the policy raised, or ended the program.
-    """
+    """Call a method of a policy and return its result."""
     try:
         return ask()
     except KeyboardInterrupt:
@@ -183,11 +175,7 @@ def _call_policy(ask: Callable[[], Any], what: str) -> Any:
 
 
 def _action(env: RobotEnv, policy: Policy, observation: Observed) -> Float32Array:
-    """Return the policy's action.
-
-    Raises:
-        PolicyError: it raised, or the action has a wrong shape or is not finite.
-    """
+    """Return the policy's action."""
     given = _call_policy(lambda: policy.act(observation), "act(observation)")
     size = env.episodes.action_space.shape[0]
     try:
@@ -395,11 +383,7 @@ def _sample_series(log: EpisodeLog) -> dict[str, Any]:
 
 
 def read_episode(folder: Path) -> dict[str, Any]:
-    """Read the record of an episode.
-
-    Raises:
-        SourceError: it is missing or damaged, or of another schema.
-    """
+    """Read the record of an episode."""
     entry = read_status(folder / RECORD)
     if not _is_episode(entry):
         raise SourceError(f"{folder / RECORD}: not an episode's record of schema {SCHEMA}")

@@ -66,11 +66,7 @@ class WorldSpec:
     files: tuple[FileSpec, ...] = ()
 
     def world(self, data: Path | None) -> World:
-        """Make the world, of files in a folder where they do not ship.
-
-        Raises:
-            SourceError: a file is missing or cannot be used.
-        """
+        """Make the world, of files in a folder where they do not ship."""
         if not self.files:
             return _make_world(self.name, self.maker, self.options)
         return _from_files(tuple(self.places(data)), self.options)
@@ -347,11 +343,7 @@ def _read_shipped_set(name: str) -> TaskSet:
 
 
 def read_task_set(entry: Any, where: str) -> TaskSet:
-    """Return a set of its JSON value: `schema`, `name`, `version`, `worlds` by name, `tasks`.
-
-    Raises:
-        ConfigError: it is no such value.
-    """
+    """Return a set of its JSON value: `schema`, `name`, `version`, `worlds` by name, `tasks`."""
     try:
         if entry["schema"] != SCHEMA:
             raise ConfigError(f"schema of a task set must be {SCHEMA}, got {entry['schema']}")

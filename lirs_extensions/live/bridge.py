@@ -199,11 +199,7 @@ class ClientMapper:
         return Estimate(pose if self.reads_clouds else pose.to_pose2(), False, seconds)
 
     def map(self) -> OccupancyGrid:
-        """Return the client's last map; a single unknown cell if it sent none.
-
-        Raises:
-            ConfigError: the lidar has rings.
-        """
+        """Return the client's last map; a single unknown cell if it sent none."""
         if self.reads_clouds:
             raise ConfigError("a client that is given point clouds has no occupancy map")
         grid = self._bridge.client.grid
@@ -411,11 +407,7 @@ class Client:
 
 
 def read_grid(message: Any) -> OccupancyGrid:
-    """Return the grid of a `nav_msgs/OccupancyGrid`: -1 unknown, 0 to 100 percent occupied.
-
-    Raises:
-        ConfigError: its size does not match its data.
-    """
+    """Return the grid of a `nav_msgs/OccupancyGrid`: -1 unknown, 0 to 100 percent occupied."""
     info = message.info
     if info.width * info.height != len(message.data):
         raise ConfigError(f"{info.width} x {info.height} cells, but {len(message.data)} values")

@@ -143,11 +143,7 @@ class SearchSpace:
         return tuple(p for p in self.parameters if p.low < p.high)
 
     def require_free(self) -> None:
-        """Check that something is left to search.
-
-        Raises:
-            ConfigError: no parameter is free.
-        """
+        """Check that something is left to search."""
         if not self.free:
             raise ConfigError("no parameter is left to search: the limits hold all at one value")
 
@@ -334,11 +330,7 @@ def _key(case: Case) -> tuple[float, ...]:
 
 
 def require_cma() -> None:
-    """Check that the package `cma` is installed.
-
-    Raises:
-        ConfigError: it is not.
-    """
+    """Check that the package `cma` is installed."""
     try:
         import cma  # noqa: F401
     except ImportError:
@@ -426,11 +418,7 @@ class TrialArchive(Generic[Score]):
                 following += 1
 
     def _keep(self, key: str, score: Any) -> None:
-        """Append a score to the file.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Append a score to the file."""
         self._kept[key] = score
         try:
             with self._path.open("a", encoding="utf-8") as file:

@@ -25,9 +25,6 @@ class SearchOptions(Options):
 
     Attributes:
         search: CMA-ES, or random values for comparison.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
 
     search: Literal["cma", "random"] = "cma"
@@ -99,11 +96,7 @@ class FalsifyOptions(SearchOptions):
 @documented
 @dataclass(frozen=True, kw_only=True)
 class TuneOptions(SearchOptions):
-    """Search for a mapper's parameters.
-
-    Raises:
-        ConfigError: a value is not legal.
-    """
+    """Search for a mapper's parameters."""
 
     drives: int = option(120, "Drives of the search, shrinking not included.", check=within("[1, 100000]"))
     repeats: int = option(

@@ -214,11 +214,7 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
 def drive_at_random(
     body: RobotModel, world: World, robot: Robot, seconds: float, rng: np.random.Generator
 ) -> Iterator[Leg]:
-    """Drive for a time, leg after leg, each from another place.
-
-    Raises:
-        ConfigError: the robot can stand nowhere.
-    """
+    """Drive for a time, leg after leg, each from another place."""
     starts = places(world, robot, rng)
     left, longest = math.ceil(seconds / body.timestep), round(LEG_SECONDS / body.timestep)
     for start in cycle(starts):

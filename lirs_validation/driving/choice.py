@@ -64,11 +64,7 @@ def make_driver(
 
 
 def plan_tour(world: World, robot: Robot, config: RunConfig) -> PathDriver:
-    """Return the driver of the seed's tour over the drivable ground.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world.
-    """
+    """Return the driver of the seed's tour over the drivable ground."""
     free, pace = drivable_ground(world, robot), _pace(robot, config)
     start = start_pose(world, robot, config, free)
     rng = np.random.default_rng((config.seed, PLAN_STREAM))

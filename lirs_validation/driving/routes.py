@@ -53,9 +53,6 @@ class FreeGround:
         grid: Grid whose free cells are places for the robot's center, world frame.
         start: Any pose; only cells reachable from there are free.
         surface: Heights of the ground, for slower driving where it is steep.
-
-    Raises:
-        ConfigError: no cell is free.
     """
 
     def __init__(self, grid: OccupancyGrid, start: Pose2, surface: HeightField | None) -> None:
@@ -107,9 +104,6 @@ class TourRoute:
         seconds: Time that the tours last.
         config: Speeds of the driver.
         surface: The ground, for slower driving where it is steep.
-
-    Raises:
-        ConfigError: no cell is free.
     """
 
     frame: Frame = "world"

@@ -230,11 +230,7 @@ def package_versions(mapper: str, interpreter: str | None = None) -> dict[str, s
 
 @cache
 def _version_there(python: str, package: str) -> str:
-    """Return the version of a package in another interpreter; empty without it.
-
-    Raises:
-        ConfigError: lirs-wct is not installed there.
-    """
+    """Return the version of a package in another interpreter; empty without it."""
     command = [python, "-P", "-c", PROBE, package]
     try:
         printed = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=True).stdout

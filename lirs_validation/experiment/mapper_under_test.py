@@ -269,11 +269,7 @@ _NUMBERS = {kind: attrgetter(*kind.__match_args__) for kind in (Pose2, Pose3)}
 
 
 def check_pose(pose: object, kind: type[Pose2 | Pose3], stamp: float) -> None:
-    """Check that an answer is a finite pose of a mapper's kind.
-
-    Raises:
-        MapperError: it is not; the message names the scan's stamp.
-    """
+    """Check that an answer is a finite pose of a mapper's kind."""
     if not isinstance(pose, kind):
         raise MapperError(
             f"update() must return a {kind.__name__}, got {type(pose).__name__} for the scan at {stamp:.3f} s"
@@ -334,10 +330,6 @@ class MapperProcess:
 
     Args:
         config: Mapper, seed and attitude of a run or of a log's map.
-
-    Raises:
-        ConfigError: the mapper cannot be made.
-        MapperError: the process cannot be started, or ended.
     """
 
     def __init__(self, config: RunConfig | MapConfig) -> None:

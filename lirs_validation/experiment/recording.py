@@ -35,22 +35,14 @@ class Recording:
         self._T_map_world: Pose3 | None = None
 
     def add(self, observation: Observation, T_world_base: Pose3, T_map_base: Pose2) -> None:
-        """Record an observation, the true pose and the mapper's pose.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Record an observation, the true pose and the mapper's pose."""
         if self._T_map_world is None:
             self._T_map_world = Pose3.from_pose2(T_world_base.to_pose2().inverse())
         estimate = T_map_base if self._slam else None
         self._writer.add(bag_tick(observation, self._T_map_world @ T_world_base, estimate))
 
     def finish(self, grid: OccupancyGrid | None) -> Sequence[Path]:
-        """Write the map (map frame) if any, close the bag, return its files.
-
-        Raises:
-            OutputError: they cannot be written.
-        """
+        """Write the map (map frame) if any, close the bag, return its files."""
         self._writer.close(grid if self._slam else None)
         return sorted(self._folder.iterdir())
 

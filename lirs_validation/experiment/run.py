@@ -153,9 +153,6 @@ def run(
         concurrent: whether the sweep runs others at the same time.
         name: name of the run's folder; None = the record's.
         brief: Whether to omit the replay of the physics and the overview picture.
-
-    Raises:
-        WctError: see `validate`; a bag is to be recorded, and nothing written.
     """
     if config.bag is not None and out is None:
         raise ConfigError(f"{config.source}: a bag needs a folder to be written to: give out")
@@ -170,9 +167,6 @@ def run_unwritten(
     """Drive; return the part of a record that a verdict reads, sooner than `run`.
 
     Without `maps` they are not compared, and `map` is empty.
-
-    Raises:
-        WctError: see `validate`; the mapper failed, or nothing was driven.
     """
     ready = prepare(config, scenarios=scenarios)
     with closing(ready.mapper):
@@ -268,11 +262,7 @@ def drive_and_conclude(
     concurrent: bool = False,
     brief: bool = False,
 ) -> Run:
-    """Drive, record, evaluate and write a prepared run (see `run`); close its mapper.
-
-    Raises:
-        WctError: the mapper failed, nothing was driven, or results cannot be written.
-    """
+    """Drive, record, evaluate and write a prepared run (see `run`); close its mapper."""
     config, simulation, log = ready.scenario.config, ready.simulation, ready.log()
     bag: AbstractContextManager[Recording | None] = nullcontext()
     if config.bag is not None and out is not None:

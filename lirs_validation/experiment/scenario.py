@@ -55,11 +55,7 @@ class Scenario:
 
 
 def sensor_noise(config: RunConfig) -> SensorNoise:
-    """Return the noise of a run's sensors.
-
-    Raises:
-        WctError: there is no such noise, or its file cannot be used.
-    """
+    """Return the noise of a run's sensors."""
     return resolve_noise(config.noise).with_odometry_noise(config.odometry_noise)
 
 

@@ -189,9 +189,6 @@ def _send_world(ray: Any, config: RunConfig | None, sent: dict[Any, Any]) -> Any
     """Return Ray's reference to the scenario of a config; None without a config.
 
     Tasks come world by world: Ray frees the one before after its last task.
-
-    Raises:
-        WctError: the world cannot be built.
     """
     if config is None:
         return None
@@ -246,11 +243,7 @@ def ray_session(address: str, jobs: int | None = None) -> Iterator[Any]:
 
 
 def _connect(ray: Any, address: str, jobs: int | None) -> None:
-    """Connect to the cluster at an address, or start one.
-
-    Raises:
-        ConfigError: none answers there.
-    """
+    """Connect to the cluster at an address, or start one."""
     own: dict[str, Any] = {"num_cpus": jobs, "include_dashboard": False}
     try:
         ray.init(
@@ -266,11 +259,7 @@ def _connect(ray: Any, address: str, jobs: int | None) -> None:
 
 
 def _probe_address(address: str) -> None:
-    """Connect once to the address: Ray itself would try for minutes.
-
-    Raises:
-        ConfigError: nothing answers there.
-    """
+    """Connect once to the address: Ray itself would try for minutes."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if not port.isdigit():
         return  # `local`, `auto`

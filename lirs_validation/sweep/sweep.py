@@ -142,11 +142,7 @@ class SweepTask(ABC):
             return outcome_of(error, self.name)
 
     def write_failure(self, out: Path, outcome: Outcome) -> None:
-        """Write the folder of a failed task: its marker, and `error.txt`.
-
-        Raises:
-            OutputError: the folder cannot be written.
-        """
+        """Write the folder of a failed task: its marker, and `error.txt`."""
         with atomic_folder(out / self.name) as folder:
             (folder / "error.txt").write_text(outcome.trace or outcome.reason, encoding="utf-8")
             (folder / self.marker).write_text(self.failure(outcome), encoding="utf-8")

@@ -227,11 +227,7 @@ class CollisionTask(SweepTask):
 
 
 def read_verdict(folder: Path) -> CollisionVerdict:
-    """Read the verdict that a collision validation wrote.
-
-    Raises:
-        SourceError: it is missing or damaged.
-    """
+    """Read the verdict that a collision validation wrote."""
     from lirs_validation.collision.validation import CollisionVerdict
 
     path = folder / "collisions.json"
@@ -263,9 +259,6 @@ def cross(
         build: how sources become worlds; None = the defaults.
         kind: class of the configs.
         **options: fields of RunConfig; a tuple holds the values to cross, anything else is one value.
-
-    Raises:
-        ConfigError: a value is not legal.
     """
     names = sorted(options, key=[f.name for f in fields(kind)].index)
     values = [options[name] if isinstance(options[name], tuple) else (options[name],) for name in names]
@@ -331,11 +324,7 @@ CASE_OPTIONS = (*RUN_AXES, "seconds", "stand")
 
 
 def case_options(source: str | Path) -> dict[str, Any]:
-    """Return the options of a case's run; empty if the source is no case.
-
-    Raises:
-        SourceError: the file cannot be used; the message begins with its path.
-    """
+    """Return the options of a case's run; empty if the source is no case."""
     path = Path(source) / CASE
     if not path.is_file():
         return {}
@@ -350,11 +339,7 @@ def case_options(source: str | Path) -> dict[str, Any]:
 
 
 def suite_folders(path: Path) -> tuple[str, ...]:
-    """Return the folders of a suite: the list `cases` of a YAML file.
-
-    Raises:
-        SourceError: the file or a case cannot be used; the message begins with its path.
-    """
+    """Return the folders of a suite: the list `cases` of a YAML file."""
     names = read_yaml_fields(path).get("cases")
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
         raise SourceError(f"{path}: `cases` must be a list of folders, got {names!r}")

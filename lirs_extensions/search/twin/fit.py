@@ -15,7 +15,7 @@ from scipy.stats import ks_2samp
 
 from lirs_envs.lidar.presets import LidarNoise
 from lirs_envs.robot_model import CONTROL_PERIOD
-from lirs_extensions.search.twin.compare import LogComparison, compare, simulate_scans
+from lirs_extensions.search.twin.surface import LogComparison, compare, simulate_scans
 from lirs_wct.arrays import FloatArray, IntArray
 from lirs_wct.errors import SourceError
 

@@ -16,16 +16,19 @@ from lirs_envs.lidar.presets import LidarNoise
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.odometry import DistanceNoise
 from lirs_envs.sensing.sensors import SensorNoise
-from lirs_extensions.search.twin.compare import (
+from lirs_extensions.search.twin.fit import odometry_deviations
+from lirs_extensions.search.twin.surface import (
     GATE,
     LOCALIZED,
     WIDTH,
     LogComparison,
+    align,
+    expected_beams,
+    fit_surfaces,
+    map_of,
     noisy_ranges,
     scan_arrays,
 )
-from lirs_extensions.search.twin.fit import odometry_deviations
-from lirs_extensions.search.twin.surface import align, expected_beams, fit_surfaces, map_of
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
 from lirs_validation.logs.read_log import read_truth, truth_in_time
@@ -45,11 +48,7 @@ FACTOR = 2.0
 
 
 def parse_mappers(text: str) -> tuple[str, ...]:
-    """Return the mappers of a replay: names with commas, `all` or `none`.
-
-    Raises:
-        ConfigError: a name is unknown.
-    """
+    """Return the mappers of a replay: names with commas, `all` or `none`."""
     if text in ("all", "none"):
         return REPLAYED if text == "all" else ()
     names = tuple(text.split(","))

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 
 from lirs_envs.lidar.presets import LidarNoise, lidar_noise, make_lidar_preset
 from lirs_envs.sensing.sensors import SensorNoise
-from lirs_extensions.search.twin.compare import CLUSTER, GATE, LogComparison, noisy_ranges
 from lirs_extensions.search.twin.fit import FittedNoise, FittedOdometry, curve
 from lirs_extensions.search.twin.replay import FACTOR, Replay
+from lirs_extensions.search.twin.surface import CLUSTER, GATE, LogComparison, noisy_ranges
 from lirs_validation.record.metric_catalog import NOTHING
 from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
 from lirs_validation.report.table import ReportTable

@@ -10,14 +10,6 @@ import numpy as np
 
 from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.sensing.sensors import SensorNoise, write_noise
-from lirs_extensions.search.twin.compare import (
-    BLOCK,
-    LogComparison,
-    compare,
-    laser_poses,
-    scan_arrays,
-    simulate_scans,
-)
 from lirs_extensions.search.twin.fit import (
     FittedNoise,
     FittedOdometry,
@@ -28,6 +20,14 @@ from lirs_extensions.search.twin.fit import (
 )
 from lirs_extensions.search.twin.replay import place_log, replay_log
 from lirs_extensions.search.twin.result import TwinResult, write_page
+from lirs_extensions.search.twin.surface import (
+    BLOCK,
+    LogComparison,
+    compare,
+    laser_poses,
+    scan_arrays,
+    simulate_scans,
+)
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
 from lirs_wct import LaserScan, Pose2, SourceError, Trajectory

@@ -14,10 +14,16 @@ from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.odometry import DistanceNoise, OdometryConfig
 from lirs_envs.sensing.sensors import read_noise
-from lirs_extensions.search.twin.compare import GATE, LogComparison, blocks_of, compare
 from lirs_extensions.search.twin.fit import Sample, fit_noise, fit_odometry, resolution_of
 from lirs_extensions.search.twin.result import _beam_shares
-from lirs_extensions.search.twin.surface import LogScans, fit_surfaces
+from lirs_extensions.search.twin.surface import (
+    GATE,
+    LogComparison,
+    LogScans,
+    blocks_of,
+    compare,
+    fit_surfaces,
+)
 from lirs_extensions.search.twin.twin import standstill
 from lirs_validation.cli import app as cli
 from lirs_validation.cli.app import PROGRAM
