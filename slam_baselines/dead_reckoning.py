@@ -182,7 +182,7 @@ class MotionConfig(Checked):
         rotation_per_meter: after one meter, radians.
         rotation_per_radian: after turning one radian, radians.
         rotation_per_second: after one second, radians.
-        gyro_per_second: of a gyro's yaw after one second, radians.
+        gyro_per_second: Standard deviation of a gyro's yaw after one second, radians.
         blind_translation: after one second without odometry, meters.
         blind_rotation: after one second without odometry, radians.
     """

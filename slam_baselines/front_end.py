@@ -158,6 +158,7 @@ class StartUp(Generic[K]):
     Attributes:
         keyframes: First keyframes; empty when the last refinement is over.
         refinements: Number of refinements.
+        over: Whether there will be no more refinement.
     """
 
     def __init__(self, config: FrontEndConfig) -> None:
@@ -165,11 +166,7 @@ class StartUp(Generic[K]):
         self.refinements = 0
         self._last, self._next = config.bootstrap_last, config.bootstrap_first
         self._distance = 0.0
-
-    @property
-    def over(self) -> bool:
-        """Whether there will be no more refinement."""
-        return self._next > self._last or self._next == math.inf
+        self.over = self._next > self._last or self._next == math.inf
 
     def add(self, keyframe: K, distance_traveled: float) -> bool:
         """Keep a keyframe while it may be needed; return whether a refinement is due.
@@ -191,11 +188,12 @@ class StartUp(Generic[K]):
         self.refinements += 1
         while self._next <= self._distance:
             self._next *= 2
+        self.over = self._next > self._last
 
     def close(self) -> None:
         """End the refinements."""
         self.keyframes.clear()
-        self._next = math.inf
+        self.over = True
 
 
 LEVER = 0.5

@@ -61,7 +61,7 @@ class UpperBound(NamedTuple):
         cells: (rows, cols) of each cell.
         blocks: (rows / 8, cols / 8) smallest of each block of cells.
         frame: (3,) lattice row and column of cell (0, 0), resolution in meters.
-        neighbors: of a hit.
+        neighbors: Cells around a hit.
     """
 
     cells: Float32Array
@@ -91,7 +91,7 @@ class Margins(NamedTuple):
 
     Attributes:
         old: drift of the robot's height since the start, meters.
-        near: of a hit close to the laser, meters.
+        near: Error of a hit close to the laser, meters.
         far: growth of a hit's error per meter of range.
     """
 
@@ -155,7 +155,7 @@ class GroundFilter:
     """Upper bound of the ground, height of the robot, and slope of walls.
 
     Attributes:
-        height: of base_link in the map frame, 0 at the start, meters.
+        height: Height of base_link in the map frame, 0 at the start, meters.
         distance_traveled: meters.
         tilt: largest of the robot so far, radians.
         drift: largest that the robot's height may have drifted since the start, meters.
@@ -248,7 +248,7 @@ class GroundFilter:
         Args:
             scan: leveled.
             pose: `T_map_base`.
-            height: of the base in the map frame, meters; None: the present one.
+            height: Height of the base in the map frame, meters; None: the present one.
             known: (n,) minimum slopes of the hits known before.
             drawn: the map whose cells' minimum slopes count as well.
             limits: slopes below the first, and those from the second on, may be returned as equal, which is
@@ -396,12 +396,12 @@ def raise_min_slopes(
     """Raise minimum slopes to the largest rise over run that must lie before each hit.
 
     Args:
-        upper_bound: of the ground.
+        upper_bound: Upper bound of the ground.
         origin: (3,) the laser, meters.
         hits: (n, 3) ends of beams in the same frame.
         pose: x, y, yaw, z of this frame in that of the map.
         ground: x, y and largest height of the ground under the robot.
-        margins: of the heights.
+        margins: Errors of the heights.
         limits: slopes below the first, and those from the second on, may be returned as equal, SLOPE_STEP.
         drawn: minimum slopes of a map's cells.
         slopes: (n,) minimum slopes of the hits known before; raised in place, SLOPE_STEP.

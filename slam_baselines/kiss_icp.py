@@ -29,7 +29,7 @@ class KissIcpConfig(Checked, of="kiss-icp"):
         max_range: points beyond are left out, meters.
         min_range: points nearer are left out, meters.
         voxel_size: edge of the map's voxels, meters; None = `max_range` / 100, as the authors do.
-        threads: of the registration; 1 = as every other mapper here, 0 = all.
+        threads: Threads of the registration; 1 = as every other mapper here, 0 = all.
     """
 
     max_range: float = limited(100.0, "(0, inf)", "m")

@@ -25,14 +25,14 @@ class Method(NamedTuple):
     """SLAM method by name, so that one method does not import the others.
 
     Attributes:
-        module: of its mapper.
+        module: Module of the mapper.
         config: name of the class of its configuration.
         factory: name of the callable that makes a mapper of a configuration.
         resolution: field of the configuration that is the edge of the map's cell, meters; empty = none.
         package: import name of a needed package that is none of our dependencies.
-        extra: of this package that installs it; empty = none does.
-        license: of the package.
-        needs: of the sensors' data, besides point clouds.
+        extra: Our extra that installs it; empty = none does.
+        license: License of the package.
+        needs: Sensors' data besides point clouds.
         options: fixed fields of its configuration.
     """
 
@@ -163,7 +163,7 @@ class MapperStats:
         skipped: scans left out, by reason.
         lost: scans during which it did not know where it was.
         ms_p50: median wall time of an update, milliseconds; 0 before the first.
-        ms_p95: its 95th percentile.
+        ms_p95: 95th percentile of an update's wall time.
         ms_max: the longest.
         memory: bytes of its maps.
         counts: other counts of the method (searches, map updates, particles, constraints).
@@ -183,7 +183,25 @@ class MapperStats:
     weak_directions: str = ""
 
 
-class PoseEstimator(Protocol):
+class Estimator(Protocol):
+    """Estimator of a robot's path."""
+
+    def trajectory(self) -> Trajectory:
+        """Return the final pose of every scan or cloud."""
+        ...
+
+    @property
+    def stats(self) -> MapperStats:
+        """Counts, times and memory so far; a cloud counts as a scan."""
+        ...
+
+    @property
+    def lost(self) -> bool:
+        """Whether the pose is unknown at present."""
+        ...
+
+
+class PoseEstimator(Estimator, Protocol):
     """Estimator of a robot's pose, one scan after the other.
 
     Attitude and odometry are used where they are given. The optional attribute `requires_odometry` says that
@@ -194,24 +212,10 @@ class PoseEstimator(Protocol):
         """Take in a scan and return `T_map_base` at its stamp.
 
         Args:
-            scan: as the sensor gave it.
-            odometry: absolute `T_odom_base` at the scan's stamp, if there is odometry.
-            imu: attitude at the scan's stamp, if there is one.
+            scan: Scan from the sensor.
+            odometry: Absolute `T_odom_base` at the scan's stamp, if there is odometry.
+            imu: Attitude at the scan's stamp, if there is one.
         """
-        ...
-
-    def trajectory(self) -> Trajectory:
-        """Return the final pose of every scan."""
-        ...
-
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far."""
-        ...
-
-    @property
-    def lost(self) -> bool:
-        """Whether the pose is unknown at present."""
         ...
 
 
@@ -232,7 +236,7 @@ class Localizer(PoseEstimator, Protocol):
         ...
 
 
-class CloudMapper(Protocol):
+class CloudMapper(Estimator, Protocol):
     """Localization and mapping in space from the clouds of a lidar with rings.
 
     The map frame is the first base pose, tilted as the robot stood. The mapper needs no map: it is made from
@@ -252,23 +256,9 @@ class CloudMapper(Protocol):
         is `Pose2 | None`: the absolute `T_odom_base` at the cloud's stamp.
 
         Args:
-            cloud: as the sensor gave it, in the sensor's frame.
+            cloud: Cloud in the sensor's frame.
             imu: inertial reading at the cloud's stamp, if there is one.
         """
-        ...
-
-    def trajectory(self) -> Trajectory:
-        """Return the final pose of every cloud."""
-        ...
-
-    @property
-    def stats(self) -> MapperStats:
-        """Counts, times and memory so far; a cloud counts as a scan."""
-        ...
-
-    @property
-    def lost(self) -> bool:
-        """Whether the pose is unknown at present."""
         ...
 
 

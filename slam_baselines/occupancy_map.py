@@ -99,14 +99,6 @@ def trace_scan(scan: Any, resolution: float, touched: Any, mark: int, line: Any,
     """Fill a trace: cells of the beams' ends, then passed cells; each once, a hit wins.
 
     The last cell before a hit is spared: noise would erode the near side of the wall and so push it back.
-
-    Args:
-        scan: in the lattice's frame.
-        resolution: edge of a cell, meters.
-        touched: (rows, cols) of the window, nowhere `mark`; holds all beams.
-        mark: of the cells that this scan has touched.
-        line: (n,) scratch for the cells of one beam.
-        out: the trace.
     """
     origin, hits, free = scan
     cells, numbers, flat = out.cells, out.steps, touched.ravel()
@@ -143,26 +135,6 @@ def _number_cells(line: Any, count: int, v: int, u: int, dy: float, dx: float) -
     dv, du = np.int64(dy * ONE), np.int64(dx * ONE)
     for k in range(count):
         line[k] = ((v + k * dv) & ~COLUMN) | ((u + k * du) >> BITS)
-
-
-@njit
-def line_cells(row: int, col: int, last_row: int, last_col: int) -> Any:
-    """Return the cells (n, 2) of Bresenham's line: row and column, without the last."""
-    dy, dx = last_row - row, last_col - col
-    along, across = max(abs(dx), abs(dy)), min(abs(dx), abs(dy))
-    cells = np.empty((along, 2), np.int64)
-    error = along // 2
-    for k in range(along):
-        cells[k, 0], cells[k, 1] = row, col
-        error += across
-        sideways = error >= along
-        if sideways:
-            error -= along
-        if abs(dx) >= abs(dy) or sideways:
-            col += 1 if dx > 0 else -1
-        if abs(dx) < abs(dy) or sideways:
-            row += 1 if dy > 0 else -1
-    return cells
 
 
 BLOCK = 128
@@ -400,15 +372,6 @@ def enter_trace(
     """Raise the cells where beams end, then lower those that beams pass.
 
     A beam that passes above the hits of a wall does not lower it.
-
-    Args:
-        layers: of the map.
-        corner: row and column in the layers of the trace's window.
-        trace: of the scan.
-        scan: in the map frame.
-        min_slopes: (n,) of each hit.
-        wall_slope: minimum slope from which on a cell is a wall.
-        steps: miss, hit and limit of the log-odds.
     """
     hits, hit_cells, cells = scan.hits, trace.hit_cells, trace.cells
     log_odds, value, min_slope, top = layers

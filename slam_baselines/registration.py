@@ -295,18 +295,7 @@ def _interpolate(value: Any, u: float, v: float) -> Any:
 def linearize(
     value: Any, frame: Any, points: Any, weights: Any, stride: int, pose: Any, H: Any, g: Any
 ) -> tuple[float, float]:
-    """Fill Hessian and gradient of the matching cost (eqs. 12-13); return score and known weight.
-
-    Args:
-        value: (rows, cols) layer of the map.
-        frame: (3,) lattice row and column of its cell (0, 0), resolution in meters.
-        points: (n, 2 or more) ends of beams in the leveled base frame.
-        weights: (n,) of the beams.
-        stride: only every `stride`-th beam counts.
-        pose: (3,) x, y, yaw.
-        H: (3, 3) to be filled.
-        g: (3,) to be filled.
-    """
+    """Fill Hessian and gradient of the matching cost (eqs. 12-13); return score and known weight."""
     rows, cols = value.shape
     scale = 1 / frame[2]
     c, s = np.cos(pose[2]), np.sin(pose[2])

@@ -66,12 +66,12 @@ class EvalioConfig:
     """Configurable parameters of a pipeline; the defaults are evalio's, with one thread.
 
     Attributes:
-        pipeline: its name in evalio.
+        pipeline: Name in evalio.
         max_range: points beyond are left out, meters.
         min_range: points nearer are left out, meters.
         rate: sweeps a second, Hz.
         inertial_rate: inertial readings a second, Hz.
-        parameters: of the pipeline, by evalio's names.
+        parameters: Parameters of the pipeline, by evalio's names.
 
     Raises:
         ConfigError: a value is not legal.

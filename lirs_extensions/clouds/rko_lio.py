@@ -30,7 +30,7 @@ class RkoLioConfig(Checked, of="rko-lio"):
             with few rings.
         initialization_phase: whether gravity and biases come from the time between the first two sweeps, in
             which the robot must stand still; the authors' default is no.
-        max_num_threads: of the registration; 1 = as every other mapper here, 0 = all.
+        max_num_threads: Threads of the registration; 1 = as every other mapper here, 0 = all.
     """
 
     max_range: float = limited(100.0, "(0, inf)", "m")

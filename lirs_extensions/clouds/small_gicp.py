@@ -29,7 +29,7 @@ class SmallGicpConfig(Checked, of="small-gicp"):
         voxel_size: edge of the voxels of map and scan, meters.
         max_distance: largest distance between a point and its voxel, meters.
         neighbors: number of points that give the covariance of a point.
-        threads: of the registration; 1 = as every other mapper here.
+        threads: Threads of the registration; 1 = as every other mapper here.
     """
 
     max_range: float = limited(100.0, "(0, inf)", "m")

@@ -116,7 +116,7 @@ def poses_at(times: Sequence[float], poses: Sequence[Pose3], stamps: Sequence[fl
     Args:
         times: increasing, seconds.
         poses: at these times.
-        stamps: of the wanted poses, seconds.
+        stamps: Times of the wanted poses, seconds.
     """
     t = np.asarray(times)
     after = np.clip(np.searchsorted(t, stamps), 1, len(t) - 1)

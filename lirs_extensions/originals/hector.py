@@ -19,7 +19,6 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.linalg import solve3
 from slam_baselines.mapper import MapperStats, PlanarMapper
-from slam_baselines.occupancy_map import line_cells
 
 ITERATIONS = (6, 4, 4)
 """Gauss-Newton steps on the finest level, and on each coarser one."""
@@ -36,7 +35,7 @@ class HectorOriginalConfig(Checked, of="hector_original"):
             the original has 2048: at 0.05 m it ends 51 m from the start, too near for a log of a campus.
         map_multi_res_levels: number of levels, each twice as coarse as the one before.
         map_update_distance_thresh: distance to the last map update after which the next is due, meters.
-        map_update_angle_thresh: the same for the heading, radians.
+        map_update_angle_thresh: Turn since the last map update after which the next is due, radians.
         update_factor_free: probability that a cell is occupied, given that a beam passed it.
         update_factor_occupied: probability that a cell is occupied, given that a beam ended there.
         laser_min_dist: nearer hits are not used, meters.
@@ -199,7 +198,7 @@ class OriginalMap:
         Args:
             ends: (n, 2) ends of beams in the base frame, meters.
             pose: (3,) x, y, yaw to start from.
-            steps: of Gauss-Newton.
+            steps: Number of Gauss-Newton steps.
         """
         matched: FloatArray = _match(self._probability, self._middle, self._resolution, ends, pose, steps)
         return matched
@@ -277,6 +276,26 @@ def _interpolate(probability: Any, x: float, y: float) -> Any:
     c, d = probability[row + 1, col], probability[row + 1, col + 1]
     value = (a * (1 - fx) + b * fx) * (1 - fy) + (c * (1 - fx) + d * fx) * fy
     return value, (b - a) * (1 - fx) + (d - c) * fx, (c - a) * (1 - fy) + (d - b) * fy
+
+
+@njit
+def line_cells(row: int, col: int, last_row: int, last_col: int) -> Any:
+    """Return the cells (n, 2) of Bresenham's line: row and column, without the last."""
+    dy, dx = last_row - row, last_col - col
+    along, across = max(abs(dx), abs(dy)), min(abs(dx), abs(dy))
+    cells = np.empty((along, 2), np.int64)
+    error = along // 2
+    for k in range(along):
+        cells[k, 0], cells[k, 1] = row, col
+        error += across
+        sideways = error >= along
+        if sideways:
+            error -= along
+        if abs(dx) >= abs(dy) or sideways:
+            col += 1 if dx > 0 else -1
+        if abs(dx) < abs(dy) or sideways:
+            row += 1 if dy > 0 else -1
+    return cells
 
 
 @njit

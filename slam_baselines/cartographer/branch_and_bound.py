@@ -151,7 +151,7 @@ def branch_and_bound(
         grids: the map and its bounds.
         points: (n, 2 or more) ends of beams in the leveled base frame, meters; n > 0.
         start: (3,) x, y, yaw in the middle of the window.
-        window: of the search.
+        window: Window of the search.
         min_score: poses of a lower score are not returned.
         max_nodes: number of nodes of the tree after which the search ends.
         excluded: positions to leave out.

@@ -25,9 +25,9 @@ from slam_baselines.cartographer.loop_closure import (
     LoopVerification,
 )
 from slam_baselines.cartographer.pose_graph import (
-    ConstraintTable,
     OptimizationProblem,
     PoseConstraint,
+    PoseConstraints,
     Solution,
     iterate,
     optimize,
@@ -132,10 +132,10 @@ class GlobalSlam:
         submap_poses: `T_map_submap` of each submap.
         T_map_local: pose of the local frame in the map at present.
         candidates: queue of the loop search.
-        builder: of loop constraints.
+        builder: Search for loop constraints.
         loops: constraints found and accepted.
         events: closed loops, for users.
-        trimmer: of redundant submaps.
+        trimmer: Trimmer of redundant submaps.
         trimmed: number of submaps trimmed.
         optimizations: number of optimizations applied.
         version: changes whenever poses that were there before have changed.
@@ -155,7 +155,8 @@ class GlobalSlam:
         self.trimmer = Trimmer(config)
         self._local = local
         self._verification = LoopVerification(config)
-        self._to_nodes, self._to_submaps = ConstraintTable(), ConstraintTable()
+        self._to_nodes: list[PoseConstraint] = []
+        self._to_submaps: list[PoseConstraint] = []
         self._running: tuple[OptimizationProblem, Solution] | None = None
         self._optimized_at = (0, 0)
         self._loops_at_start = self._rows_optimized = 0
@@ -348,7 +349,10 @@ class GlobalSlam:
     def _start_optimization(self) -> tuple[OptimizationProblem, Solution]:
         """Return the problem of the present graph, and its start."""
         problem = OptimizationProblem(
-            self.config, self._to_nodes.constraints(), self._to_submaps.constraints(), np.zeros(3)
+            self.config,
+            PoseConstraints.stack(self._to_nodes),
+            PoseConstraints.stack(self._to_submaps),
+            np.zeros(3),
         )
         submaps = np.array([p.as_array() for p in self.submap_poses])
         nodes = np.array([p.as_array() for p in self.poses])

@@ -8,7 +8,7 @@ as well; it is repeated when the robot has moved on.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,8 +39,8 @@ class KnownMap:
     """Known map, prepared for matching and for the search over all of it.
 
     Attributes:
-        grid: as it was given; never changed.
-        pyramid: the same on three levels, for matching.
+        grid: Given map, never changed.
+        pyramid: Map on three levels, for matching.
         bounds: for branch and bound.
         center: (2,) middle of the map, meters.
         reach: half its longer side, meters.
@@ -108,16 +108,6 @@ def _dilate(level: OccupancyMap) -> OccupancyMap:
     return level
 
 
-@dataclass
-class _Track:
-    """Poses of all scans; before the first fix they are in the odometry's frame."""
-
-    scans: dict[float, Pose2] = field(default_factory=dict)
-
-    def anchor(self, T_map_before: Pose2) -> None:
-        self.scans = {stamp: T_map_before @ pose for stamp, pose in self.scans.items()}
-
-
 class CartographerLocalizer(PlanarMapper):
     """Localizer in a known map; `T_map_base` is in the frame of that map."""
 
@@ -140,7 +130,8 @@ class CartographerLocalizer(PlanarMapper):
         self._tracking = TrackingMonitor(c, map_given=True)
         self._searched: tuple[float, float] | None = None
         self._distance_traveled = 0.0
-        self._track = _Track()
+        # Before the first fix, poses are in the odometry's frame.
+        self._track: dict[float, Pose2] = {}
         self._matched = self._searches = self._ambiguous = 0
 
     @property
@@ -166,7 +157,7 @@ class CartographerLocalizer(PlanarMapper):
         if not self.lost:
             self._register(level, before)
         self._distance_traveled += before.distance(self._estimate.pose)
-        self._track.scans[scan.stamp] = self._estimate.pose
+        self._track[scan.stamp] = self._estimate.pose
         return self._estimate.pose
 
     def map(self) -> OccupancyGrid:
@@ -175,8 +166,8 @@ class CartographerLocalizer(PlanarMapper):
 
     def trajectory(self) -> Trajectory:
         """Return the pose of every scan; odometry extends the first fix backward."""
-        stamps = sorted(self._track.scans)
-        return Trajectory.from_poses(stamps, [self._track.scans[t] for t in stamps])
+        stamps = sorted(self._track)
+        return Trajectory.from_poses(stamps, [self._track[t] for t in stamps])
 
     def counts(self) -> MapperStats:
         """Return used and skipped scans, memory and other counts."""
@@ -196,10 +187,7 @@ class CartographerLocalizer(PlanarMapper):
             self._known.pyramid, scan.hits, None, self._estimate, before
         )
         self._matched += match is not None
-        if match is not None:
-            self._tracking.observe(match.score, match.known)
-        else:
-            self._tracking.observe(None)
+        self._tracking.observe(*((None, 1.0) if match is None else (match.score, match.known)))
         self.lost = self._tracking.lost
 
     def _search_due(self, stamp: float) -> bool:
@@ -243,7 +231,8 @@ class CartographerLocalizer(PlanarMapper):
 
     def _locate(self, pose: Pose2) -> None:
         if not self._anchored:
-            self._track.anchor(pose @ self._estimate.pose.inverse())
+            T_map_before = pose @ self._estimate.pose.inverse()
+            self._track = {stamp: T_map_before @ before for stamp, before in self._track.items()}
             self._anchored = True
         self._estimate, self.lost = PoseEstimate(pose, self._start_covariance), False
         self._tracking = TrackingMonitor(self.config, map_given=True)

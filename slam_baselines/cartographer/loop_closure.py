@@ -108,7 +108,7 @@ class SubmapMatch(NamedTuple):
     """A scan matched to a submap.
 
     Attributes:
-        pose: of the base in the submap's local frame.
+        pose: Pose of the base in the submap's local frame.
         information: (3, 3) inverse covariance of the pose.
         score: mean occupancy at the ends of the beams; unknown cells count as 0.
     """
@@ -274,7 +274,7 @@ class LoopEvent:
     """A scan that was matched to an older submap, and accepted.
 
     Attributes:
-        stamp: of the scan, seconds.
+        stamp: Time of the scan, seconds.
         seen: stamp of the submap's first scan, seconds.
         before: `T_map_base` of the scan before the loop was closed.
         after: `T_map_base` of the scan according to the loop.

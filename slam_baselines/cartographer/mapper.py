@@ -46,7 +46,7 @@ class CartographerMapper(PlanarMapper):
     """Local SLAM on submaps; a pose graph corrects their drift at loops.
 
     Attributes:
-        config: its parameters.
+        config: Parameters.
         local: local SLAM.
     """
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy, deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -49,8 +48,7 @@ class PoseConstraint(NamedTuple):
     robust: bool
 
 
-@dataclass(frozen=True, slots=True)
-class PoseConstraints:
+class PoseConstraints(NamedTuple):
     """Constraints as arrays, with a first axis of length m.
 
     Attributes:
@@ -66,11 +64,6 @@ class PoseConstraints:
     z: FloatArray
     information: FloatArray
     robust: BoolArray
-
-    @property
-    def rows(self) -> Rows:
-        """The arrays, for the kernels."""
-        return self.a, self.b, self.z, self.information, self.robust
 
     @staticmethod
     def stack(constraints: Sequence[PoseConstraint]) -> PoseConstraints:
@@ -105,7 +98,7 @@ class OptimizationProblem:
         """Block pattern of the submaps' matrix, the same in every step."""
         indices = (self.to_nodes.a, self.to_submaps.a, self.to_submaps.b)
         submaps = 1 + max(int(index.max(initial=-1)) for index in indices)
-        return BlockPattern.of(self.to_nodes.rows, self.to_submaps.rows, submaps)
+        return BlockPattern.of(self.to_nodes, self.to_submaps, submaps)
 
     def cost(self, submaps: FloatArray, nodes: FloatArray, width: float) -> float:
         """Return half the sum of robust squared errors at given poses.
@@ -113,8 +106,8 @@ class OptimizationProblem:
         Submaps are (s, 3), nodes (n, 3). Cauchy's scale is `width` times the configured one.
         """
         scale = width * self.config.cauchy_scale
-        total: float = robust_cost(self.to_nodes.rows, submaps, nodes, scale)
-        total += robust_cost(self.to_submaps.rows, submaps, submaps, scale)
+        total: float = robust_cost(self.to_nodes, submaps, nodes, scale)
+        total += robust_cost(self.to_submaps, submaps, submaps, scale)
         gauge = nodes[0] - self.origin
         gauge[2] = wrap(gauge[2])
         return 0.5 * (total + self.config.gauge_information * float(gauge @ gauge))
@@ -137,8 +130,8 @@ class OptimizationProblem:
         pattern, scale = self.pattern, width * self.config.cauchy_scale
         s, n = len(submaps), len(nodes)
         (Hs, gs), (Hn, gn) = ((np.zeros((k, 3, 3)), np.zeros((k, 3))) for k in (s, n))
-        to_nodes, to_submaps = self.to_nodes.rows, self.to_submaps.rows
-        cross, odometry = np.empty((len(to_nodes[0]), 3, 3)), np.empty((len(to_submaps[0]), 3, 3))
+        to_nodes, to_submaps = self.to_nodes, self.to_submaps
+        cross, odometry = np.empty((len(to_nodes.a), 3, 3)), np.empty((len(to_submaps.a), 3, 3))
         linearize(to_nodes, submaps, nodes, scale, (Hs, gs), (Hn, gn), cross)
         linearize(to_submaps, submaps, submaps, scale, (Hs, gs), (Hs, gs), odometry)
         gauge = nodes[0] - self.origin
@@ -151,7 +144,7 @@ class OptimizationProblem:
         np.add.at(blocks, pattern.odometry[0], odometry)
         np.add.at(blocks, pattern.odometry[1], odometry.transpose(0, 2, 1))
         places = (pattern.order, pattern.node, pattern.pair)
-        eliminate_nodes(places, to_nodes[0], cross, (Hn * damped, gn), blocks, gs, inverse)
+        eliminate_nodes(places, to_nodes.a, cross, (Hn * damped, gn), blocks, gs, inverse)
         ds = -splu(pattern.matrix(blocks)).solve(gs.ravel()).reshape(-1, 3)
         return _apply_steps(submaps, ds), _apply_steps(nodes, node_steps(to_nodes, cross, ds, gn, inverse))
 
@@ -166,9 +159,9 @@ class Solution:
     Attributes:
         submaps: (s, 3) poses.
         nodes: (n, 3) poses.
-        cost: of these poses.
+        cost: Cost of these poses.
         damping: Levenberg's damping of the next step.
-        width: of the loss, times the configured scale.
+        width: Width of the loss, times the configured scale.
         iterations: steps so far.
         converged: whether no further step is worthwhile.
     """
@@ -232,57 +225,6 @@ def errors(a: FloatArray, b: FloatArray, z: FloatArray) -> FloatArray:
     return e
 
 
-FIRST_ROWS = 256
-
-
-class ConstraintTable:
-    """Growing table of constraints in the order of addition; rows never change."""
-
-    def __init__(self) -> None:
-        self._rows = _empty(FIRST_ROWS)
-        self._count = 0
-
-    def __len__(self) -> int:
-        return self._count
-
-    def append(self, constraint: PoseConstraint) -> None:
-        """Add a constraint."""
-        if self._count == len(self._rows.a):
-            larger = _empty(2 * self._count)
-            for new, old in zip(larger.rows, self._rows.rows, strict=True):
-                new[: self._count] = old
-            self._rows = larger
-        r, at = self._rows, self._count
-        r.a[at], r.b[at], r.z[at] = constraint.a, constraint.b, constraint.z
-        r.information[at], r.robust[at] = constraint.information, constraint.robust
-        self._count += 1
-
-    def constraints(self) -> PoseConstraints:
-        """Return all constraints so far; later ones do not appear in it."""
-        n, r = self._count, self._rows
-        return PoseConstraints(r.a[:n], r.b[:n], r.z[:n], r.information[:n], r.robust[:n])
-
-    def copy(self) -> ConstraintTable:
-        """Return an independent table."""
-        same = copy(self)
-        same._rows = deepcopy(self._rows)
-        return same
-
-
-def _empty(rows: int) -> PoseConstraints:
-    return PoseConstraints(
-        np.empty(rows, np.int64),
-        np.empty(rows, np.int64),
-        np.empty((rows, 3)),
-        np.empty((rows, 3, 3)),
-        np.empty(rows, np.bool_),
-    )
-
-
-Rows = tuple[IntArray, IntArray, FloatArray, FloatArray, BoolArray]
-"""a, b, z, information and robust of (m,) constraints (see `PoseConstraints`)."""
-
-
 @dataclass(frozen=True, slots=True)
 class BlockPattern:
     """Nonzero (3, 3) blocks of the matrix over the submaps.
@@ -306,12 +248,12 @@ class BlockPattern:
     odometry: IntArray
 
     @staticmethod
-    def of(to_nodes: Rows, to_submaps: Rows, submaps: int) -> BlockPattern:
+    def of(to_nodes: PoseConstraints, to_submaps: PoseConstraints, submaps: int) -> BlockPattern:
         """Return the pattern of a graph with a number of submaps."""
-        order = np.argsort(to_nodes[1], kind="stable")
-        node, submap = to_nodes[1][order], to_nodes[0][order]
+        order = np.argsort(to_nodes.b, kind="stable")
+        node, submap = to_nodes.b[order], to_nodes.a[order]
         pairs = _pairs(np.flatnonzero(np.diff(node, prepend=-1)), submap, submaps)
-        a, b = to_submaps[0], to_submaps[1]
+        a, b = to_submaps.a, to_submaps.b
         keys = (np.arange(submaps) * (submaps + 1), pairs, a * submaps + b, b * submaps + a)
         found, place = np.unique(np.concatenate(keys), return_inverse=True)
         diagonal, pair, above, below = np.split(place, np.cumsum([len(key) for key in keys])[:-1])
@@ -347,7 +289,7 @@ def _pairs(first: IntArray, submap: IntArray, submaps: int) -> IntArray:
 
 
 @njit
-def robust_cost(rows: Rows, submaps: FloatArray, targets: FloatArray, scale: float) -> float:
+def robust_cost(rows: PoseConstraints, submaps: FloatArray, targets: FloatArray, scale: float) -> float:
     """Return the sum of e'We, of robust constraints under Cauchy's loss of a scale."""
     a, b, z, information, robust = rows
     total, c2 = 0.0, scale * scale
@@ -360,7 +302,7 @@ def robust_cost(rows: Rows, submaps: FloatArray, targets: FloatArray, scale: flo
 
 @njit
 def linearize(
-    rows: Rows,
+    rows: PoseConstraints,
     submaps: FloatArray,
     targets: FloatArray,
     scale: float,
@@ -450,10 +392,14 @@ def eliminate_nodes(
 
 @njit
 def node_steps(
-    rows: Rows, cross: FloatArray, submap_steps: FloatArray, gradient: FloatArray, inverse: FloatArray
+    rows: PoseConstraints,
+    cross: FloatArray,
+    submap_steps: FloatArray,
+    gradient: FloatArray,
+    inverse: FloatArray,
 ) -> FloatArray:
     """Return the (n, 3) steps of the nodes given those of the submaps."""
-    a, b = rows[0], rows[1]
+    a, b = rows.a, rows.b
     rest, steps = gradient.copy(), np.zeros(gradient.shape)
     for k in range(len(a)):
         for r in range(3):

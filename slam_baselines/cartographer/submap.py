@@ -70,7 +70,7 @@ class Submap:
         self.nodes: list[int] = []
         self._config = config
         self._wall_slope = 0
-        self._packed: PackedGrids | None = None
+        self._packed: tuple[PackedLevel, ...] | None = None
         self._unpacked: Levels | None = None
         self._bounds: BoundGrids | None = None
         sizes = [config.resolution * 2**level for level in range(config.submap_levels)]
@@ -83,12 +83,12 @@ class Submap:
 
     def finish(self) -> None:
         """Finish the submap: pack the layers that matching needs, drop the others."""
-        self._packed = PackedGrids.of(self.pyramid)
+        self._packed = tuple(PackedLevel.of(level) for level in self.pyramid.maps)
         self._drop_layers()
 
     def drop_grids(self) -> None:
         """Drop the grids; pose and nodes stay."""
-        self._packed = PackedGrids(())
+        self._packed = ()
         self._drop_layers()
 
     def _drop_layers(self) -> None:
@@ -108,8 +108,8 @@ class Submap:
                 level.grid.col0,
                 level.grid.row0,
             )
-        elif self._packed.levels:
-            cells = self._packed.levels[-1].known_cells()
+        elif self._packed:
+            cells = self._packed[-1].known_cells()
         else:
             cells = np.empty((0, 2), np.int64)
         return np.asarray((cells + 0.5) * level.resolution, dtype=np.float64)
@@ -157,7 +157,8 @@ class Submap:
         if self._packed is None:
             return self.pyramid.levels
         if self._unpacked is None:
-            self._unpacked = self._packed.unpack(self._wall_slope)
+            frames: FloatArray = np.array([level.frame for level in self._packed], dtype=np.float64)
+            self._unpacked = Levels(tuple(k.unpack(self._wall_slope) for k in self._packed), frames)
         return self._unpacked
 
     @property
@@ -186,7 +187,7 @@ class Submap:
     def nbytes(self) -> int:
         """Memory of its grids."""
         drawn = sum(level.grid.nbytes for level in self.pyramid.maps)
-        return drawn + (0 if self._packed is None else self._packed.nbytes) + self.unpacked_nbytes
+        return drawn + sum(level.nbytes for level in self._packed or ()) + self.unpacked_nbytes
 
 
 class Submaps:
@@ -331,25 +332,3 @@ def _pack(layer: NDArray[Any]) -> bytes:
 
 def _unpack(packed: bytes) -> ByteArray:
     return np.frombuffer(zlib.decompress(packed), np.uint8)
-
-
-@dataclass(frozen=True, slots=True)
-class PackedGrids:
-    """All levels of a submap, finest first."""
-
-    levels: tuple[PackedLevel, ...]
-
-    @staticmethod
-    def of(pyramid: MapPyramid) -> PackedGrids:
-        """Pack the grids of a submap."""
-        return PackedGrids(tuple(PackedLevel.of(level) for level in pyramid.maps))
-
-    def unpack(self, wall_slope: int) -> Levels:
-        """Return the levels for matching (see PackedLevel.unpack)."""
-        frames: FloatArray = np.array([level.frame for level in self.levels], dtype=np.float64)
-        return Levels(tuple(level.unpack(wall_slope) for level in self.levels), frames)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory of all levels."""
-        return sum(level.nbytes for level in self.levels)

@@ -85,17 +85,6 @@ def enter_scans(
 ) -> Any:  # fmt: skip
     """Enter a scan into the maps from `first` on, until patches run out.
 
-    Args:
-        maps: MapStack.
-        window: that holds the scan from every pose.
-        poses: (particles, 3) x, y, yaw of `T_map_base`.
-        scan: x and y in the leveled base frame, heights in the map frame.
-        min_slopes: (n,) of each hit.
-        wall_slope: minimum slope from which on a cell is a wall.
-        steps: miss, hit and limit of the log-odds.
-        scratch: of the window.
-        first: map.
-
     Returns:
         How many maps are done, and the patches and records that the next one may take.
     """

@@ -115,7 +115,7 @@ class MotionIncrement:
         pose: `T_begin_now`, corrected.
         newest: (3, 3) covariance of the last addition.
         reckoned: motion since `begin` by raw odometry and gyro, with the sum of the covariances.
-        bias: of the gyro, rad/s; subtracted in `pose`.
+        bias: Bias of the gyro, rad/s; subtracted in `pose`.
         seconds: time spent moving.
         distance: traveled, meters.
         turn: radians turned, either way.

@@ -37,7 +37,7 @@ class ParticleFilter(Particles[PatchMaps]):
     """All particles.
 
     Attributes:
-        proposer: of new poses.
+        proposer: Source of new poses.
         turned: by the best particle from the last processed scan but one to the last, radians.
     """
 

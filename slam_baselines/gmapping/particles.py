@@ -116,7 +116,7 @@ class Particles(Generic[Maps]):
     """Poses, maps, weights and paths of all particles.
 
     Attributes:
-        maps: of the particles.
+        maps: Maps of the particles.
         tree: their paths, a generation each processed scan.
         resamplings: number of resamplings.
     """

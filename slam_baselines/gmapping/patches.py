@@ -16,7 +16,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray, njit
+from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, njit
 from slam_baselines.occupancy_map import UNKNOWN
 
 BITS = 4
@@ -63,34 +63,14 @@ class Patches(NamedTuple):
         self.record[~owned] = ABSENT
         recorded = np.zeros(len(self.hits), np.bool_)
         recorded[self.record[self.record != ABSENT]] = True
-        _list_rows(self.free, owned)
-        _list_rows(self.free_records, recorded)
+        list_rows(self.free, owned)
+        list_rows(self.free_records, recorded)
 
 
-class HitPatches(NamedTuple):
-    """All patches of all maps of hits, cells in row order.
-
-    Attributes:
-        counts: (p, 256) int32, how many beams ended in a cell.
-        sums: (p, 256, 2) float32, sum of the places where they ended, x and y in meters.
-        owners: (p,) int32, how many maps point at the patch; 0 = free.
-        free: (1 + p,) int32, how many patches are free, and then which.
-    """
-
-    counts: Int32Array
-    sums: Float32Array
-    owners: Int32Array
-    free: Int32Array
-
-    def list_free(self) -> None:
-        """List the free patches; the lowest is taken first."""
-        _list_rows(self.free, self.owners > 0)
+Kind = TypeVar("Kind", bound=Any)
 
 
-Kind = TypeVar("Kind", Patches, HitPatches)
-
-
-def _list_rows(free: Int32Array, taken: BoolArray) -> None:
+def list_rows(free: Int32Array, taken: BoolArray) -> None:
     """Fill `free` with the number of free rows and their indices, the highest first."""
     left = np.flatnonzero(~taken)[::-1]
     free[0] = len(left)

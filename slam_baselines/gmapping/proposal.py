@@ -104,8 +104,8 @@ class Proposer:
         correction as a second start.
 
         Args:
-            maps: of the particles.
-            beams: of the scan.
+            maps: Maps of the particles.
+            beams: Beams of the scan.
             wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
             odometry: their poses by it.
             first: the particle to match first.
@@ -128,15 +128,7 @@ class Proposer:
         *,
         wide: bool = False,
     ) -> FloatArray | None:
-        """Return the (3,) pose of a scan in one map; None without a fit nearby.
-
-        Args:
-            view: the map.
-            beams: of the scan.
-            expected: (3,) pose by odometry.
-            covariance: (3, 3) of it.
-            wide: whether to search a wider window, too.
-        """
+        """Return the (3,) pose of a scan in one map; None without a fit nearby."""
         if beams.weights.sum() < self.config.min_beams:
             return None
         self.searches += wide

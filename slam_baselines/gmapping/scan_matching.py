@@ -134,16 +134,7 @@ def find_peak(
 
 @njit
 def match_one(view: Any, beams: Any, expected: Any, covariance: Any, wider: int, tuning: Any) -> Any:
-    """Return the best (3,) pose of a scan in one map, and the weights of log_likelihood.
-
-    Args:
-        view: the map.
-        beams: of the scan.
-        expected: (3,) pose by odometry.
-        covariance: (3, 3) of it.
-        wider: when to search a wider window; see find_peak.
-        tuning: of the matching.
-    """
+    """Return the best (3,) pose of a scan in one map, and the weights of log_likelihood."""
     prior, near = OdometryPrior(expected, np.linalg.inv(covariance)), near_beams(beams, tuning.kernelSize)
     H = np.empty((3, 3))
     peak, _, hit, known, _ = find_peak(view, beams, near, prior, expected, wider, tuning, H)
@@ -248,7 +239,7 @@ class NearWalls(NamedTuple):
 
     Attributes:
         reach: cells looked at to each side of a beam's end.
-        side: of the square, cells: 1 or 2.
+        side: Edge of the square, cells: 1 or 2.
         points: (n, 2) ends of beams in the leveled base frame, meters.
         weights: (n,) how much each counts.
         ends: (n, 2) the same from the pose tried last, cells east and north in the lattice.
@@ -412,14 +403,8 @@ def log_likelihood(view: Any, near: Any, pose: Any, lsigma: float, width: float)
 
     Each beam gives -d^2 / lsigma, d meters from its end to the wall within `reach` cells, and -NOTHING
     without one. The distance is taken across the wall: taken to the nearest cell's mean, a likelihood this
-    sharp would prefer poses that fall in step with the lattice.
-
-    Args:
-        view: the map.
-        near: the beams and the walls around their ends.
-        pose: (3,) x, y, yaw.
-        lsigma: square meters.
-        width: standard deviation of the attraction, cells.
+    sharp would prefer poses that fall in step with the lattice. `lsigma` is in square meters, `width` the
+    standard deviation of the attraction in cells.
     """
     res, points, weights, ends, pull = view.resolution, near.points, near.weights, near.ends, near.pull
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res
@@ -451,14 +436,6 @@ def linearize(view: Any, near: Any, pose: Any, width: float, H: Any, g: Any) -> 
     """Fill H (3, 3) and g (3,) of a Gauss-Newton step toward the walls.
 
     In units of one over the variance of a beam.
-
-    Args:
-        view: the map.
-        near: the beams and the walls around their ends.
-        pose: (3,) x, y, yaw.
-        width: standard deviation of the attraction, cells.
-        H: filled.
-        g: filled.
     """
     res, points, weights, ends, pull = view.resolution, near.points, near.weights, near.ends, near.pull
     c, s = np.cos(pose[2]) / res, np.sin(pose[2]) / res

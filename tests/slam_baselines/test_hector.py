@@ -10,13 +10,9 @@ from numpy.typing import NDArray
 from lirs_validation.logs.read_log import read_constraints, read_reference
 from lirs_validation.metrics.map import agreement, false_occupied
 from lirs_validation.metrics.trajectory import constraint_errors, reference_errors
-from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen_log import read_carmen
-from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import LaserScan
-from slam_baselines.hector import HectorConfig, HectorMapper
+from slam_baselines.hector import HectorMapper
 from slam_baselines.map_builder import KnownPoseMapper
-from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
 
 Array = NDArray[np.float64]
@@ -74,22 +70,6 @@ def test_hilly_ground() -> None:
     assert f1 > 0.85
 
 
-def test_unknown_names_list_the_legal_ones() -> None:
-    with pytest.raises(ConfigError, match=r"unknown mapper 'hektor'; legal: .*hector"):
-        make_mapper("hektor")
-    with pytest.raises(
-        ConfigError, match=r"unknown parameter of hector 'cell_size'; legal: .*map_resolution"
-    ):
-        make_mapper("hector", cell_size=0.1)
-    assert isinstance(make_mapper("hector", map_resolution=0.1), HectorMapper)
-
-
-@pytest.mark.parametrize("bad", [{"lost_score": 0.9}, {"match_iterations": (3,)}])
-def test_illegal_config(bad: dict[str, object]) -> None:
-    with pytest.raises(ConfigError):
-        HectorConfig(**bad)  # type: ignore[arg-type]
-
-
 @pytest.mark.shared
 def test_intel_beginning(shared_data: Path) -> None:
     folder = shared_data / "logs" / "intel"
@@ -129,8 +109,3 @@ def test_csail_beginning(shared_data: Path) -> None:
     errors = reference_errors(mapper.trajectory(), read_reference(folder / "reference_poses.log.gz"))
     assert len(errors.position) > 500
     assert np.sqrt((errors.position**2).mean()) < 0.2
-
-
-def test_a_laser_scan_is_all_it_needs() -> None:
-    scan = LaserScan(np.full(10, 2.0, np.float32), 0.0, 0.1, 0.1, 10.0, 5.0)
-    assert make_mapper("hector").update(scan, None, None) == Pose2()

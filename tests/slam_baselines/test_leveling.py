@@ -64,11 +64,6 @@ def test_odd_ranges_are_no_hits() -> None:
     np.testing.assert_allclose(np.linalg.norm(level.free - level.origin, axis=1), 5.0)
 
 
-def test_empty_scan() -> None:
-    level = ScanLeveler().level(scan_of([]), Imu())
-    assert level.hits.shape == (0, 3)
-
-
 def test_transformed_moves_by_the_planar_pose_and_the_height() -> None:
     level = ScanLeveler().level(scan_of([1.0, 2.0]), None)
     pose = Pose2(1.0, 2.0, 0.7)

@@ -1,5 +1,7 @@
 """What all methods offer alike: resolution, need of odometry, localization in a known map."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -37,10 +39,6 @@ def test_a_mapper_that_requires_odometry_refuses_to_go_without(name: str) -> Non
         assert mapper.update(SCAN, None, None) == Pose2()
 
 
-def test_a_mapper_that_does_not_say_requires_no_odometry() -> None:
-    assert not requires_odometry(object())  # type: ignore[arg-type]
-
-
 def test_a_localizer_keeps_the_frame_of_its_map() -> None:
     p = np.zeros((80, 60))
     p[[0, -1]] = p[:, [0, -1]] = 1.0
@@ -73,10 +71,6 @@ def test_a_text_becomes_fields_of_the_configuration() -> None:
     assert config.use_online_correlative_scan_matching is True
 
 
-def test_no_text_is_no_parameter() -> None:
-    assert read_parameters("") == {}
-
-
 @pytest.mark.parametrize("text", ["a", "a=", "=1", "a=1,a=2", "a=1,,b=2"])
 def test_a_text_that_is_no_list_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="NAME=VALUE"):
@@ -84,14 +78,17 @@ def test_a_text_that_is_no_list_is_refused(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("mapper", "options", "message"),
     [
-        ({"particle": 3}, "did you mean particles"),
-        ({"particles": 3.5}, "particles of gmapping must be a whole number, got 3.5"),
-        ({"srr": True}, "srr of gmapping must be a number, got True"),
-        ({"srr.a": 1}, "unknown parameter"),
+        ("hektor", {}, "unknown mapper 'hektor'; legal: .*hector"),
+        ("hector", {"cell_size": 1}, "unknown parameter of hector 'cell_size'; legal: .*map_resolution"),
+        ("hector", {"match_iterations": (3,)}, "match_iterations are needed for 3 levels"),
+        ("gmapping", {"particle": 3}, "did you mean particles"),
+        ("gmapping", {"particles": 3.5}, "particles of gmapping must be a whole number, got 3.5"),
+        ("gmapping", {"srr": True}, "srr of gmapping must be a number, got True"),
+        ("gmapping", {"tracking.lost_score": 1}, "unknown parameter of gmapping 'tracking.lost_score'"),
     ],
 )
-def test_a_wrong_parameter_is_named(given: dict[str, object], message: str) -> None:
+def test_a_wrong_parameter_is_named(mapper: str, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        make_mapper("gmapping", **given)
+        make_mapper(mapper, **options)

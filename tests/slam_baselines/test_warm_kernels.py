@@ -5,10 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from lirs_wct.geometry.pose import Pose2
 from slam_baselines import warm_up
 from slam_baselines.mapper import MAPPERS, make_mapper
 
@@ -62,12 +60,6 @@ def test_no_update_compiles_after_the_warm_up(name: str) -> None:
     assert compiled == ""
 
 
-def test_the_room_is_seen_where_it_is() -> None:
-    ranges = warm_up._scan(Pose2(-warm_up.MOUNT.x, 0.0, 0.0), 0.0).ranges
-    assert ranges[warm_up.BEAMS // 2] == pytest.approx(6.0)
-    assert np.isfinite(ranges).all()
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in MAPPERS]
 )
@@ -80,8 +72,3 @@ def test_every_mapper_keeps_its_place_in_the_warm_up_room(name: str) -> None:
     # The original drops the first odometry and turns one scan late: a start at full speed displaces it.
     assert found.distance(start.inverse() @ pose) < (0.4 if name == "cartographer_original" else 0.1)
     warm_up.warm_up(name)
-
-
-def test_a_seed_reaches_the_mapper_that_draws_and_leaves_the_others_alone() -> None:
-    assert make_mapper("gmapping", seed=7).config.seed == 7  # type: ignore[attr-defined]
-    assert make_mapper("hector", seed=7).lost is False

@@ -25,7 +25,7 @@ class FoundLoop(NamedTuple):
     """A scan matched in a submap.
 
     Attributes:
-        pose: of the points in the local frame.
+        pose: Pose of the points in the local frame.
         score: mean probability at the points before refinement.
     """
 

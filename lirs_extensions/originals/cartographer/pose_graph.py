@@ -6,7 +6,7 @@ As in the original's pose_graph_2d, work that its threads do later is done at on
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -79,8 +79,8 @@ class PoseGraphProblem:
         (Hs, gs), (Hn, gn) = ((np.zeros((k, 3, 3)), np.zeros((k, 3))) for k in (s, n))
         cost, weighted = self._weigh_ties(submaps, nodes)
         B, E = np.empty((len(weighted.a), 3, 3)), np.empty((len(self.to_nodes.a), 3, 3))
-        linearize(weighted.rows, submaps, nodes, 1.0, (Hs, gs), (Hn, gn), B)
-        linearize(self.to_nodes.rows, nodes, nodes, 1.0, (Hn, gn), (Hn, gn), E)
+        linearize(weighted, submaps, nodes, 1.0, (Hs, gs), (Hn, gn), B)
+        linearize(self.to_nodes, nodes, nodes, 1.0, (Hn, gn), (Hn, gn), E)
         chain, cross = np.zeros((max(0, n - 1), 3, 3)), np.zeros((n, 3, s, 3))
         np.add.at(chain, self.to_nodes.a, E)
         # A node is tied to a submap at most once.
@@ -119,7 +119,7 @@ class PoseGraphProblem:
         cost = 0.5 * float(np.where(far, a * (2 * length - a), square).sum() + by_chain.sum())
         weights = np.where(far, a / np.maximum(length, a), 1.0)
         information = ties.information * weights[:, None, None]
-        return cost, replace(ties, information=information, robust=np.zeros(len(ties.a), np.bool_))
+        return cost, ties._replace(information=information, robust=np.zeros(len(ties.a), np.bool_))
 
 
 def _band(diagonal: FloatArray, chain: FloatArray) -> FloatArray:

@@ -130,7 +130,7 @@ def rotated_cells(
     """Return the cells of points, turned by each angle of a search window.
 
     Args:
-        grid: that is searched.
+        grid: Grid to search.
         points: (n, 2) float32.
         pose: center of the window, in the frame of the grid.
         linear: largest shift, meters.

@@ -11,8 +11,28 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, Int32Array, IntArray, njit
-from slam_baselines.gmapping.patches import ABSENT, BITS, CELLS, MASK, HitPatches, PatchTables
+from lirs_wct.arrays import Float32Array, FloatArray, Int32Array, IntArray, njit
+from slam_baselines.gmapping.patches import ABSENT, BITS, CELLS, MASK, PatchTables, list_rows
+
+
+class HitPatches(NamedTuple):
+    """All patches of all maps of hits, cells in row order.
+
+    Attributes:
+        counts: (p, 256) int32, how many beams ended in a cell.
+        sums: (p, 256, 2) float32, sum of the places where they ended, x and y in meters.
+        owners: (p,) int32, how many maps point at the patch; 0 = free.
+        free: (1 + p,) int32, how many patches are free, and then which.
+    """
+
+    counts: Int32Array
+    sums: Float32Array
+    owners: Int32Array
+    free: Int32Array
+
+    def list_free(self) -> None:
+        """List the free patches; the lowest is taken first."""
+        list_rows(self.free, self.owners > 0)
 
 
 class HitMap(NamedTuple):
@@ -141,7 +161,7 @@ class HillClimbMatch(NamedTuple):
 
     Attributes:
         pose: (3,) x, y, yaw of `T_map_base`; the expected one if the scan fits nowhere.
-        log_likelihood: of the scan there.
+        log_likelihood: Log-likelihood of the scan there.
     """
 
     pose: FloatArray
@@ -157,7 +177,7 @@ def match_scan(
         hits: the map.
         expected: (3,) x, y, yaw of `T_map_base`, where the climb starts.
         ends: (n, 2) of beams in the base frame, meters.
-        parameters: of the matcher.
+        parameters: Parameters of the matcher.
     """
     found, score = _climb(hits, expected, ends, parameters)
     pose = found if score > 0 else expected

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_extensions.originals.gmapping.hit_maps import HitMaps, MatchingParameters, match_scan
+from lirs_extensions.originals.hector import line_cells
 from lirs_wct.arrays import BoolArray, FloatArray, njit
 from lirs_wct.checks import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
@@ -23,7 +24,7 @@ from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.gmapping.particles import Particles, normalize
 from slam_baselines.linalg import compose_poses
 from slam_baselines.mapper import MapperStats, PlanarMapper
-from slam_baselines.occupancy_map import GrowingGrid, line_cells
+from slam_baselines.occupancy_map import GrowingGrid
 
 MILLIMETER, MICROMETER = 3, 6
 """Decimals of a range and of a position in a CARMEN log."""
@@ -41,7 +42,7 @@ class GmappingOriginalConfig(Checked, of="gmapping_original"):
 
     Attributes:
         particles: number of paths.
-        seed: of the random numbers, as for the C library's `srand48`.
+        seed: Seed of the random numbers, as for the C library's `srand48`.
         linearUpdate: meters to drive before the next scan is processed.
         angularUpdate: radians to turn before the next scan is processed.
         resampleThreshold: particles are resampled when N_eff falls below this share of them.
@@ -49,12 +50,12 @@ class GmappingOriginalConfig(Checked, of="gmapping_original"):
         srt: error of the odometry in rotation after one meter, radians.
         str: error of the odometry in translation after one radian, meters.
         stt: error of the odometry in rotation after one radian, radians.
-        sigma: of the matcher's score, square meters.
+        sigma: Variance in the matcher's score, square meters.
         kernelSize: cells around the end of a beam in which the matcher looks for hits.
         lstep: first step of the matcher in x and y, meters.
         astep: first step of the matcher in yaw, radians.
         iterations: how often the steps are halved.
-        lsigma: of the likelihood, square meters.
+        lsigma: Variance in the likelihood, square meters.
         ogain: likelihoods are taken to the power 1 / (ogain * particles).
         delta: edge of a map's cell, meters.
         maxrange: farther readings are not used, meters. A beam without return reads the lidar's largest

@@ -8,10 +8,8 @@ import pytest
 
 from lirs_validation.logs.read_log import read_constraints
 from lirs_validation.metrics.trajectory import constraint_errors
-from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
-from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.mapper import make_mapper
 from tests.slam_baselines.cartographer.corridor import CORRIDOR, corridor_scan, ring
 
@@ -116,19 +114,6 @@ def test_the_map_grows_as_if_drawn_at_once():
     np.testing.assert_array_equal(again.log_odds, mapper.map().log_odds)
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: CartographerConfig(search_level=3), "search_level"),
-        (lambda: CartographerConfig(min_score=0.9), "global_min_score"),
-        (lambda: make_mapper("cartographer", nonsense=1), "nonsense"),
-    ],
-)
-def test_illegal_settings_are_refused(make, message):
-    with pytest.raises(ConfigError, match=message):
-        make()
-
-
 @pytest.mark.slow
 @pytest.mark.shared
 def test_a_slice_of_a_real_log(shared_data: Path):
@@ -149,10 +134,3 @@ def test_a_slice_of_a_real_log(shared_data: Path):
     assert np.median(errors.translation) < 0.022
     assert errors.translation.mean() < 0.01 * raw.translation.mean()
     assert mapper.stats.counts["loops"] > 20
-
-
-def test_no_odometry_is_said_so():
-    mapper = make_mapper("cartographer")
-    with pytest.raises(ConfigError, match=r"needs odometry, the scan at 0\.5 s has none"):
-        mapper.update(corridor_scan(Pose2(7.5, 0, 1.5), 0.5, np.random.default_rng(1)), None, None)
-    assert mapper.stats.received == 0

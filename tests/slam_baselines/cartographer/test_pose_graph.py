@@ -5,8 +5,6 @@ import pytest
 
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.pose_graph import (
-    FIRST_ROWS,
-    ConstraintTable,
     OptimizationProblem,
     PoseConstraint,
     PoseConstraints,
@@ -105,24 +103,6 @@ def test_the_kernels_linearize_the_errors():
     np.testing.assert_allclose(cross, np.einsum("mji,mjk,mkl->mil", Ja, W, Jb), rtol=1e-5, atol=1e-4)
     cost = np.where(robust, scale**2 * np.log1p(chi2 / scale**2), chi2).sum()
     assert robust_cost(rows, submaps, nodes, scale) == pytest.approx(cost)
-
-
-def test_a_table_of_constraints_grows_and_leaves_what_was_taken_of_it():
-    rng, table, added = np.random.default_rng(2), ConstraintTable(), []
-    for k in range(3 * FIRST_ROWS):
-        added.append(PoseConstraint(k, 2 * k, rng.normal(size=3), rng.normal(size=(3, 3)), k % 3 == 0))
-        table.append(added[-1])
-        if k == FIRST_ROWS // 2:
-            early, alone = table.constraints(), table.copy()
-    alone.append(added[0])
-    assert (len(table), len(alone)) == (3 * FIRST_ROWS, FIRST_ROWS // 2 + 2)
-    for got, rows in (
-        (table.constraints(), added),
-        (early, added[: FIRST_ROWS // 2 + 1]),
-        (alone.constraints(), [*added[: FIRST_ROWS // 2 + 1], added[0]]),
-    ):
-        for column, wanted in zip(got.rows, PoseConstraints.stack(rows).rows, strict=True):
-            np.testing.assert_array_equal(column, wanted)
 
 
 def wrap_yaw(difference):

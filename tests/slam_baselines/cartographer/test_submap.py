@@ -92,16 +92,6 @@ def test_a_finished_submap_is_seen_as_before(wall_slope: int) -> None:
     np.testing.assert_array_equal(submap.known_points[key[0]], before.known_points[key[1]])
 
 
-def test_the_slope_of_walls_may_change_after_the_end() -> None:
-    submap = drawn()
-    submap.finish()
-    flat = looked_up(submap, 0)
-    submap.set_wall_slope(80)
-    assert len(looked_up(submap, 0)) < len(flat)
-    submap.set_wall_slope(0)
-    assert looked_up(submap, 0) == flat
-
-
 def test_a_margin_lets_the_matcher_interpolate_at_the_border() -> None:
     submap = drawn()
     submap.finish()
@@ -184,17 +174,6 @@ def test_a_submap_that_shows_something_of_its_own_is_kept() -> None:
     assert trimmer.pop_redundant(poses) == []
     trimmer, poses = trimmer_of([0.5, 0.0], fresh_submaps_count=1)
     assert trimmer.pop_redundant(poses) == [0]
-
-
-def test_a_trimmed_submap_holds_nothing() -> None:
-    submap = submap_at(0.0)
-    assert submap.nbytes > 10000
-    assert len(submap.known_points) > 300
-    assert abs(submap.known_points).max() < 2.4
-    submap.drop_grids()
-    assert submap.nbytes == 0
-    assert len(submap.known_points) == 0
-    assert submap.pose == Pose2(0, 0, 0.3)
 
 
 @pytest.fixture(scope="module")

@@ -50,14 +50,6 @@ def test_one_map_holds_the_same_as_the_plain_occupancy_map() -> None:
     assert same.mean() > 0.9995
 
 
-def test_children_share_all_patches_until_one_writes() -> None:
-    maps = PatchMaps(2, 0.05)
-    enter(maps, [(0, 0, 0), (0.4, 0, 0)], a_circle(3.0))
-    maps.descend(np.array([0, 0]))
-    assert np.array_equal(maps.tables[0], maps.tables[1])
-    assert maps.in_use == np.count_nonzero(maps.tables[0] != ABSENT)
-
-
 def test_writing_into_one_child_leaves_the_other() -> None:
     maps = PatchMaps(2, 0.05)
     enter(maps, [(0, 0, 0), (0, 0, 0)], a_circle(3.0))

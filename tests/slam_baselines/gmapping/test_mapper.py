@@ -9,7 +9,6 @@ import pytest
 from lirs_validation import validate
 from lirs_validation.logs.read_log import read_constraints
 from lirs_validation.metrics.trajectory import constraint_errors
-from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan
@@ -114,12 +113,6 @@ def test_standing_still_processes_nothing() -> None:
     mapper = make_mapper("gmapping", particles=3)
     run(mapper, [Pose2(0, 0, 0)] * 20, 1)
     assert (mapper.stats.used, mapper.stats.skipped) == (1, {"not moved": 19})
-
-
-def test_no_odometry_is_said_so() -> None:
-    mapper = make_mapper("gmapping")
-    with pytest.raises(ConfigError, match="needs odometry"):
-        mapper.update(scan_at(Pose2(), 0.0, np.random.default_rng(0)), None, None)
 
 
 def test_lost_after_being_carried_away_and_not_before() -> None:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
@@ -104,20 +103,6 @@ def test_without_walls_the_odometry_is_drawn_from() -> None:
     got = proposed(maps, np.array([[5.0, 0.0, 0.0]]), np.tile((1.0, 2.0, 0.5), (2000, 1)))
     np.testing.assert_allclose(got.poses.mean(axis=0), (1.0, 2.0, 0.5), atol=0.01)
     np.testing.assert_allclose(got.poses.std(axis=0), 0.1, rtol=0.08)
-
-
-def test_same_seed_same_draw() -> None:
-    room = (-3.0, 4.0, -2.5, 2.0)
-    points, expected = ends(Pose2(), *room), np.full((4, 3), 0.02)
-    maps = mapped(4, *room)
-    a, b, c = (proposed(maps, points, expected, seed) for seed in (5, 5, 6))
-    np.testing.assert_array_equal(a.poses, b.poses)
-    assert not np.array_equal(a.poses, c.poses)
-
-
-def test_illegal_numbers_are_named() -> None:
-    with pytest.raises(ConfigError, match="minimumScore"):
-        GmappingConfig(minimumScore=0.9)
 
 
 def test_copies_of_a_particle_get_what_each_would_get() -> None:

@@ -1,4 +1,4 @@
-"""Calibration finds systematic odometry errors, and leaves unobservable gains unchanged."""
+"""Dead reckoning: steps at once, systematic errors of the odometry, heights in space."""
 
 import math
 
@@ -14,7 +14,31 @@ from slam_baselines.dead_reckoning import (
     DeadReckoning,
     MotionConfig,
     PoseEstimate,
+    climb,
+    spatial_odometry,
 )
+
+ANGLE = st.floats(-math.pi, math.pi)
+STEPS = st.lists(
+    st.tuples(st.builds(Pose2, st.floats(-2, 2), st.floats(-1, 1), ANGLE), st.floats(0, 0.5)),
+    min_size=1,
+    max_size=30,
+)
+
+
+@given(st.builds(Pose2, st.floats(-50, 50), st.floats(-50, 50), ANGLE), STEPS, st.floats(0, 0.5))
+@settings(max_examples=60, deadline=None)
+def test_steps_at_once_are_steps_one_after_the_other(
+    start: Pose2, steps: list[tuple[Pose2, float]], seconds: float
+) -> None:
+    config, A = MotionConfig(), np.array(((0.2, 0.1, 0.02), (0.1, 0.3, -0.1), (0.02, -0.1, 0.4)))
+    before = PoseEstimate(start, A @ A.T)
+    expected = before
+    for step, tilt in steps:
+        expected = config.step(step, seconds, step.yaw, tilt).after(expected)
+    found = config.predict_all(before, steps, seconds)
+    assert found.pose == expected.pose
+    np.testing.assert_array_equal(found.covariance, expected.covariance)
 
 
 @settings(max_examples=25, deadline=None)
@@ -118,3 +142,35 @@ def test_a_turn_on_a_slope_is_reckoned_downhill_once_it_is_known_to_slide() -> N
     expected = reckoning.predict(at_rest, Pose2(yaw=yaw + 0.02), imu, 16.0).pose
     assert expected.x == pytest.approx(0.03 * math.sin(0.2), rel=0.05)
     assert expected.y == pytest.approx(-0.03 * math.sin(0.1), rel=0.05)
+
+
+def test_a_circle_on_an_incline_returns_to_its_height() -> None:
+    slope, radius = 0.2, 5.0
+    yaws = np.linspace(0.0, math.tau, 401)
+    normal = np.array((-math.sin(slope), 0.0, math.cos(slope)))  # rises along x
+    odometry, imus = [], []
+    for yaw in yaws:
+        odometry.append(Pose2(radius * math.sin(yaw), radius * (1 - math.cos(yaw)), yaw))
+        ahead = np.array((math.cos(yaw), math.sin(yaw), 0.0))
+        ahead[2] = -(normal[:2] @ ahead[:2]) / normal[2]
+        ahead /= np.linalg.norm(ahead)
+        left = np.cross(normal, ahead)
+        imus.append(Imu(roll=math.atan2(left[2], normal[2]), pitch=-math.asin(ahead[2])))
+    poses = spatial_odometry(odometry, imus)
+    rises = [pose.z - math.tan(slope) * pose.x for pose in poses]
+    np.testing.assert_allclose(rises, 0.0, atol=1e-4)
+    assert max(pose.z for pose in poses) == pytest.approx(radius * math.tan(slope), abs=1e-3)
+
+
+def test_without_inertial_readings_the_ground_is_level() -> None:
+    odometry = [Pose2(0.1 * k, 0.02 * k, 0.05 * k) for k in range(20)]
+    poses = spatial_odometry(odometry, [None] * 20)
+    found = np.array([pose.to_pose2().as_array() for pose in poses])
+    np.testing.assert_allclose(found, [p.as_array() for p in odometry], atol=1e-12)
+    assert {pose.z for pose in poses} == {0.0}
+
+
+def test_a_step_stays_in_the_plane_of_the_wheels() -> None:
+    up = np.array((0.1, -0.2, 0.9))
+    step = np.array((0.3, 0.1, climb(0.3, 0.1, up)))
+    assert step @ up == pytest.approx(0.0, abs=1e-12)

@@ -1,12 +1,45 @@
-"""The localizability monitor: walls are believed, hillsides are not, and each shows within seconds."""
+"""The monitors: lost mappers, walls that are believed, hillsides that are not."""
 
 import math
 
-import pytest
 from hypothesis import given, strategies as st
 
-from lirs_wct.errors import ConfigError
-from slam_baselines.monitors import LocalizabilityMonitor, MonitorConfig
+from slam_baselines.monitors import LocalizabilityMonitor, MonitorConfig, TrackingMonitor
+
+CONFIG = MonitorConfig(lost_score=0.3, known_ratio=0.3, lost_after=3)
+
+
+def test_lost_after_so_many_in_a_row_and_back_with_the_first_that_fits() -> None:
+    monitor = TrackingMonitor(CONFIG)
+    assert monitor.observe(0.8)
+    assert [(monitor.observe(0.1), monitor.lost) for _ in range(4)] == [
+        (False, False),
+        (False, False),
+        (False, True),
+        (False, True),
+    ]
+    assert monitor.observe(0.3)
+    assert not monitor.lost
+
+
+def test_a_map_that_holds_nothing_yet_cannot_be_contradicted() -> None:
+    building, given = TrackingMonitor(CONFIG), TrackingMonitor(CONFIG, map_given=True)
+    assert all(building.observe(0.1) for _ in range(5))
+    assert not any(given.observe(0.1) for _ in range(5))
+    assert (building.lost, given.lost) == (False, True)
+
+
+def test_a_scan_on_unknown_ground_says_nothing() -> None:
+    monitor = TrackingMonitor(CONFIG)
+    monitor.observe(0.8)
+    monitor.observe(0.1)
+    assert monitor.observe(0.1, known=0.29)
+    monitor.observe(0.1)
+    assert monitor.observe(None)
+    monitor.observe(0.1, known=0.3)
+    monitor.observe(0.1)
+    assert not monitor.lost
+
 
 PERIOD = 0.1
 DEGREE = math.radians(1.0)
@@ -102,8 +135,3 @@ def test_no_more_is_proven_than_was_held(scores: list[float | None]) -> None:
     assert monitor.scans == len(scores)
     assert monitor.localizable or not monitor.steady
     assert not monitor.proven or len(scores) >= MonitorConfig().localizable_memory
-
-
-def test_the_least_share_is_no_more_than_the_share() -> None:
-    with pytest.raises(ConfigError, match="least_localizable_share"):
-        MonitorConfig(least_localizable_share=0.8)

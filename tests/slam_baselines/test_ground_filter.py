@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import ByteArray
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.geometry.scan import Imu
 from slam_baselines.ground_filter import (
     IN_FULL,
     NOT_DRAWN,
@@ -73,13 +72,6 @@ def test_rocking_and_slipping_let_the_height_drift() -> None:
     for k in range(100):
         smooth.move(Pose2(), leaning(0.1 * math.sin(k)))
     assert math.isclose(smooth.drift, 0.0015 * 5.0)
-
-
-def test_noise_of_one_reading_is_no_slope() -> None:
-    ground_filter = GroundFilter()
-    for k in range(200):
-        ground_filter.move(Pose2(), leaning(math.radians(0.4) * (-1) ** k))
-    assert ground_filter.match_wall_slope == 0
 
 
 def test_height_follows_the_slope() -> None:
@@ -160,16 +152,6 @@ def test_hills_are_never_taken_for_walls_while_blocks_are() -> None:
     assert walls > 10_000
     assert false <= 0.01 * (found + false)
     assert found > 0.15 * walls
-
-
-def test_imu_free_scans_leave_the_ground_filter_alone() -> None:
-    level = ScanLeveler().level(Drive(wavy(0.5, 101, 0.3), 0.05, np.random.default_rng(0)).scans[0], None)
-    assert not level.leveled
-    assert (
-        ScanLeveler()
-        .level(Drive(wavy(0.5, 101, 0.3), 0.05, np.random.default_rng(0)).scans[0], Imu())
-        .leveled
-    )
 
 
 Array = NDArray[np.float64]

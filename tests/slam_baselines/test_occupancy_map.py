@@ -1,20 +1,21 @@
-"""The update's rules: every cell at most once a scan, a hit wins, walls are not worn away from above."""
+"""The update's rules, and traces of scans against a plain twin."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
-from lirs_wct.geometry.pose import Pose2
-from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.leveling import ScanPoints
 from slam_baselines.occupancy_map import (
+    COLUMN,
+    ONE,
     STEP,
     UNSEEN,
     VALUE,
     GrowingGrid,
     OccupancyMap,
     RayTracer,
+    Trace,
     UpdateConfig,
     bounding_box,
 )
@@ -131,10 +132,6 @@ def test_beams_without_return_clear_to_their_end() -> None:
     assert at(grid, 0.99, 0.02) == pytest.approx(MISS * STEP)
 
 
-def test_a_map_that_saw_nothing_is_unknown() -> None:
-    assert not OccupancyMap(0.05).occupancy_grid(0).known.any()
-
-
 @given(st.integers(0, 2**32 - 1), st.integers(0, 120), st.integers(0, 120))
 @settings(max_examples=20, deadline=None)
 def test_another_wall_slope_leaves_what_each_cell_says_of_itself(seed: int, before: int, after: int) -> None:
@@ -174,48 +171,70 @@ def test_a_grid_holds_every_box_with_a_cell_to_spare(
         assert not grid.ensure(west, south, west + width, south + height)
 
 
-NEAR = st.floats(-3, 3)
-POSES = st.builds(Pose2, NEAR, NEAR, NEAR)
+RESOLUTION = 0.1
 
 
-@settings(max_examples=50, deadline=None)
-@given(st.lists(POSES, min_size=9, max_size=9), st.lists(POSES, min_size=3, max_size=3), st.integers(1, 3))
-def test_scans_keep_their_place_beside_their_keyframe(
-    scans: list[Pose2], moved: list[Pose2], count: int
-) -> None:
-    """Three keyframes with three scans each; the first `count` move, then the same once more."""
-    poses, keyframes = KeyframeTrajectory(), scans[::3]
-    for k, pose in enumerate(scans):
-        poses.add(float(k), k // 3, keyframes[k // 3].inverse() @ pose)
-    late, now = Pose2(0.3, -0.2, 0.1), moved[:count] + keyframes[count:]
-    poses.add(99.0, 2, now[2].inverse() @ late)
-    found = poses.trajectory(now)
-    for k, pose in enumerate(scans):
-        expected = now[k // 3] @ keyframes[k // 3].inverse() @ pose
-        np.testing.assert_allclose(found.xy[k], (expected.x, expected.y), atol=1e-9)
-    np.testing.assert_allclose(found.xy[-1], (late.x, late.y), atol=1e-9)
-    again = [Pose2(1.0, 2.0, 0.5) @ pose for pose in now]
-    expected = again[-1] @ now[-1].inverse() @ late
-    np.testing.assert_allclose(poses.trajectory(again).xy[-1], (expected.x, expected.y), atol=1e-9)
+def a_scan(seed: int) -> ScanPoints:
+    rng = np.random.default_rng(seed)
+    origin = rng.normal(0, 3, 3)
+    return ScanPoints(origin, origin + rng.normal(0, 4, (80, 3)), origin + rng.normal(0, 6, (40, 3)))
 
 
-def test_before_the_first_keyframe_poses_are_the_map_s_own() -> None:
-    poses = KeyframeTrajectory()
-    poses.add(0.0, -1, Pose2(1.0, 2.0, 0.3))
-    assert poses.trajectory([Pose2(7.0, 0.0, 0.0)]).xy.tolist() == [[1.0, 2.0]]
-    assert poses.trajectory([]).xy.tolist() == [[1.0, 2.0]]
+Cell = tuple[int, int]
 
 
-def test_before_the_first_keyframe_poses_follow_it_where_motion_is_measured() -> None:
-    poses = KeyframeTrajectory()
-    poses.add(0.0, -1, Pose2(1.0, 2.0, 0.3))
-    found = poses.trajectory([Pose2(7.0, 0.0, 0.0)], [Pose2(5.0, 0.0, 0.0)])
-    np.testing.assert_allclose(found.xy, [[3.0, 2.0]])
+def plain(scan: ScanPoints, corner: Cell) -> tuple[list[Cell], dict[Cell, float]]:
+    """Cells of the hits, and of what is passed first, with the beam's height there."""
+    to_cells = 1 / RESOLUTION
+
+    def at(point: NDArray[np.float64]) -> tuple[float, float]:
+        return float(point[1] * to_cells - corner[0]), float(point[0] * to_cells - corner[1])
+
+    hits = [(int(row), int(col)) for row, col in map(at, scan.hits)]
+    met, passed = set(hits), {}
+    (y, x), z = at(scan.origin), float(scan.origin[2])
+    for end, more in [(p, -1) for p in scan.hits] + [(p, 1) for p in scan.free]:
+        dy, dx = at(end)[0] - y, at(end)[1] - x
+        n = int(max(abs(dx), abs(dy))) + 1
+        for k in range(n + more):
+            row, col = (int(a * ONE) + k * int(d / n * ONE) for a, d in ((y, dy), (x, dx)))
+            cell = row // int(ONE), col // int(ONE)
+            if cell not in met:
+                met.add(cell)
+                passed[cell] = z + k * ((float(end[2]) - z) / n)
+    return hits, passed
 
 
-def test_scans_between_keyframes_follow_both() -> None:
-    track = KeyframeTrajectory()
-    for stamp, keyframe, x in ((0.0, 0, 0.0), (0.5, 0, 0.5), (1.0, 1, 0.0), (1.5, 1, 0.5)):
-        track.add(stamp, keyframe, Pose2(x, 0))
-    poses = track.trajectory([Pose2(0, 0), Pose2(1, 0.4)], [Pose2(0, 0), Pose2(1, 0)])
-    np.testing.assert_allclose(poses.xy, [[0, 0], [0.5, 0.2], [1, 0.4], [1.5, 0.4]], atol=1e-9)
+def numbered(trace: Trace, z: float) -> dict[Cell, float]:
+    """Cells that a trace passes, with the beam's height there."""
+    beam = np.searchsorted(trace.ends, np.arange(trace.ends[-1]), side="right")
+    return {
+        (int(cell) >> 32, int(cell) & COLUMN): z + int(step) * float(trace.rise[b])
+        for cell, step, b in zip(trace.cells, trace.steps, beam, strict=False)
+    }
+
+
+def test_a_trace_is_that_of_a_plain_twin() -> None:
+    tracer = RayTracer(RESOLUTION)
+    for seed in range(20):
+        scan = a_scan(seed)
+        trace = tracer.trace(scan, bounding_box(scan))
+        hits, passed = plain(scan, trace.corner)
+        assert [(int(c) >> 32, int(c) & COLUMN) for c in trace.hit_cells] == hits
+        assert [hits.index(cell) == i for i, cell in enumerate(hits)] == trace.hit_first.tolist()
+        assert numbered(trace, float(scan.origin[2])) == passed
+
+
+def test_one_trace_serves_maps_of_any_extent() -> None:
+    alone, other = OccupancyMap(RESOLUTION), OccupancyMap(RESOLUTION)
+    tracer, far = RayTracer(RESOLUTION), ScanPoints(np.full(3, 50.0), np.full((1, 3), 51.0), np.empty((0, 3)))
+    other.update(far, np.zeros(1, np.uint8), 0, bounding_box(far))
+    for seed in range(10):
+        scan, slopes = a_scan(seed), np.full(80, 90, np.uint8)
+        box = bounding_box(scan)
+        alone.update(scan, slopes, 20, box)
+        other.enter(tracer.trace(scan, box), scan, slopes, 20, box)
+    rows, cols = alone.grid.shape
+    row, col = alone.grid.row0 - other.grid.row0, alone.grid.col0 - other.grid.col0
+    for here, there in zip(alone.layers, other.layers, strict=True):
+        np.testing.assert_array_equal(here, there[row : row + rows, col : col + cols])
