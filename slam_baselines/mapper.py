@@ -104,20 +104,18 @@ def _evalio(pipeline: str, needs: str = "") -> Method:
 
 
 def _wrap_package(
-    package: str, config: str, *, module: str = _CLOUDS, extra: str = "", needs: str = ""
+    package: str, config: str, *, module: str = f"{_CLOUDS}.packages", needs: str = ""
 ) -> Method:
     """Return a system that the authors' package of its name holds."""
     factory = f"make_{package}"
-    return Method(
-        f"{module}.{package}", config, factory, package=package, extra=extra, license="MIT", needs=needs
-    )
+    return Method(module, config, factory, package=package, extra="slam", license="MIT", needs=needs)
 
 
 CLOUD_MAPPERS: Mapping[str, Method] = {
-    "kiss-icp": _wrap_package("kiss_icp", "KissIcpConfig", module="slam_baselines", extra="slam"),
-    "genz-icp": _wrap_package("genz_icp", "GenzIcpConfig", extra="slam"),
-    "small-gicp": _wrap_package("small_gicp", "SmallGicpConfig", extra="slam"),
-    "rko-lio": _wrap_package("rko_lio", "RkoLioConfig", needs=_INERTIAL, extra="slam"),
+    "kiss-icp": _wrap_package("kiss_icp", "KissIcpConfig", module="slam_baselines.kiss_icp"),
+    "genz-icp": _wrap_package("genz_icp", "GenzIcpConfig"),
+    "small-gicp": _wrap_package("small_gicp", "SmallGicpConfig"),
+    "rko-lio": _wrap_package("rko_lio", "RkoLioConfig", needs=_INERTIAL),
     "evalio:ct": _evalio("ct", "rolling sweeps"),
     "evalio:dlio": _evalio("dlio", _INERTIAL),
     "evalio:form": _evalio("form", "organized clouds"),

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_extensions.clouds.timed_odometry import TimedOdometry, TimedSystem, matrix_of
+from lirs_extensions.clouds.packages import TimedOdometry, TimedSystem, matrix_of
 from lirs_wct.arrays import FloatArray
 from lirs_wct.checks import require_within
 from lirs_wct.errors import ConfigError, unknown_name

@@ -13,8 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lirs_extensions.clouds.wheel_lio.registration import MatchRule, PlaneMatch, SpatialPrior, register
-from lirs_extensions.clouds.wheel_lio.sweep import BodyTwist, SweepPoints, deskew, find_edges, thin
+from lirs_extensions.clouds.wheel_lio.registration import (
+    BodyTwist,
+    MatchRule,
+    PlaneMatch,
+    SpatialPrior,
+    SweepPoints,
+    deskew,
+    find_edges,
+    register,
+    thin,
+)
 from lirs_extensions.clouds.wheel_lio.voxel_map import LineMap, LocalMap, PlaneMap
 from lirs_wct.arrays import FloatArray
 from lirs_wct.checks import Checked, limited

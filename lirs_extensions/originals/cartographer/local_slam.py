@@ -13,8 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
-from lirs_extensions.originals.cartographer.probability_grid import ProbabilityGrid, update_table
-from lirs_extensions.originals.cartographer.range_data import RangeData, adaptive_voxel_filter, read_scan
+from lirs_extensions.originals.cartographer.probability_grid import (
+    ProbabilityGrid,
+    RangeData,
+    adaptive_voxel_filter,
+    read_scan,
+    update_table,
+)
 from lirs_extensions.originals.cartographer.scan_matching import match_scan, search_online
 from lirs_wct.arrays import Float32Array
 from lirs_wct.geometry import LaserScan, Pose2, wrap_angle

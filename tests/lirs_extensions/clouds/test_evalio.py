@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_extensions.clouds.evalio import PIPELINES, EvalioConfig
-from lirs_extensions.clouds.timed_odometry import TimedOdometry
+from lirs_extensions.clouds.packages import TimedOdometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import ImuReadings, PointCloud, Pose3
 from slam_baselines.mapper import CLOUD_MAPPERS, make_cloud_mapper

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lirs_extensions.clouds.timed_odometry import TimedOdometry, TimedSystem, deskew, matrix_of, poses_at
+from lirs_extensions.clouds.packages import TimedOdometry, TimedSystem, deskew, matrix_of, poses_at
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import ImuReadings, PointCloud, Pose3
 from slam_baselines.kiss_icp import pose_of

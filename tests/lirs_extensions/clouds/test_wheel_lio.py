@@ -17,13 +17,17 @@ from lirs_extensions.clouds.wheel_lio.mapper import (
 )
 from lirs_extensions.clouds.wheel_lio.registration import (
     NOTHING,
+    BodyTwist,
     MatchRule,
     SpatialPrior,
+    SweepPoints,
+    deskew,
+    find_edges,
     find_weak,
     linearize,
     register,
+    thin,
 )
-from lirs_extensions.clouds.wheel_lio.sweep import BodyTwist, SweepPoints, deskew, find_edges, thin
 from lirs_extensions.clouds.wheel_lio.voxel_map import LineMap, LocalMap, PlaneMap
 from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError

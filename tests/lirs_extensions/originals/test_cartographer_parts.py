@@ -10,23 +10,31 @@ from scipy.optimize import least_squares
 
 from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
 from lirs_extensions.originals.cartographer.local_slam import PoseExtrapolator
-from lirs_extensions.originals.cartographer.loop_search import LoopSearcher, bound_grids
-from lirs_extensions.originals.cartographer.pose_graph import PoseGraphProblem, adjust, pose_tie
-from lirs_extensions.originals.cartographer.probability_grid import COST, ProbabilityGrid, update_table
-from lirs_extensions.originals.cartographer.range_data import (
+from lirs_extensions.originals.cartographer.pose_graph import (
+    LoopSearcher,
+    PoseGraphProblem,
+    adjust,
+    bound_grids,
+    pose_tie,
+)
+from lirs_extensions.originals.cartographer.probability_grid import (
+    COST,
+    ProbabilityGrid,
     RangeData,
     _drawn,
     _sorted_order,
     adaptive_voxel_filter,
+    update_table,
     voxel_filter,
 )
 from lirs_extensions.originals.cartographer.scan_matching import (
+    NormalEquations,
     _MatchProblem,
     interpolate_bicubic,
+    minimize,
     rotated_cells,
     search_online,
 )
-from lirs_extensions.originals.cartographer.trust_region import NormalEquations, minimize
 from lirs_wct import Pose2
 from slam_baselines.cartographer.pose_graph import PoseConstraints
 from slam_baselines.linalg import relative_poses
