@@ -283,21 +283,12 @@ class GroundFilter:
     def match_weights(
         self, scan: LeveledScan, pose: Pose2, drawn: OccupancyMap, wall_slope: int
     ) -> FloatArray:
-        """Return (n,) graded weights of a scan's hits by their present minimum slopes.
-
-        Args:
-            scan: leveled.
-            pose: `T_map_base`.
-            drawn: the map whose cells' minimum slopes count as well.
-            wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
-        """
+        """Return (n,) graded weights of hits; arguments as of min_slopes and graded_weights."""
         if wall_slope != self._weights[0]:
             every = np.arange(256, dtype=np.uint8)
             self._weights = wall_slope, self.graded_weights(every, wall_slope)
         limits = limits_for_weights(wall_slope, self.config.full_weight_slope)
-        slopes, T = np.zeros(len(scan.hits), np.uint8), (pose.x, pose.y, pose.yaw, self.height)
-        cells = DrawnSlopes(drawn.layers.min_slope, drawn.frame)
-        slopes = self._raise_slopes(slopes, scan.origin, scan.hits, T, pose, limits, cells)
+        slopes = self.min_slopes(scan, pose, drawn=drawn, limits=limits)
         weights: FloatArray = self._weights[1].take(slopes)
         return weights
 

@@ -44,7 +44,10 @@ def make_kiss_icp(config: KissIcpConfig) -> CloudOdometry:
     from kiss_icp.kiss_icp import KissICP
 
     settings = KISSConfig()
-    configure(settings.data, settings.mapping, settings.registration, config)
+    settings.data.max_range, settings.data.min_range = config.max_range, config.min_range
+    voxel_size = config.max_range / 100 if config.voxel_size is None else config.voxel_size
+    settings.mapping.voxel_size = voxel_size
+    settings.registration.max_num_threads = config.threads
     odometry = KissICP(settings)
 
     def register(points: FloatArray, times: FloatArray) -> FloatArray:
@@ -52,13 +55,6 @@ def make_kiss_icp(config: KissIcpConfig) -> CloudOdometry:
         return pose_at_start(odometry, times)
 
     return CloudOdometry(register)
-
-
-def configure(data: Any, mapping: Any, registration: Any, config: KissIcpConfig) -> None:
-    """Fill in the parts of KISS-ICP's configuration, in place."""
-    data.max_range, data.min_range = config.max_range, config.min_range
-    mapping.voxel_size = config.max_range / 100 if config.voxel_size is None else config.voxel_size
-    registration.max_num_threads = config.threads
 
 
 def pose_at_start(odometry: Any, times: FloatArray) -> FloatArray:

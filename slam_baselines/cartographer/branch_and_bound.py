@@ -17,8 +17,7 @@ from lirs_wct.arrays import ByteArray, FloatArray, njit
 from slam_baselines.occupancy_map import FULL, GrowingGrid
 
 
-@dataclass(frozen=True, slots=True)
-class BoundGrids:
+class BoundGrids(NamedTuple):
     """A map and its upper bounds.
 
     Attributes:
@@ -109,15 +108,6 @@ class SearchResult:
     complete: bool
 
 
-class _Lattice(NamedTuple):
-    """BoundGrids for the kernels."""
-
-    levels: ByteArray
-    row0: int
-    col0: int
-    resolution: float
-
-
 class _Tree(NamedTuple):
     """Shifts of -reach ... reach cells and turns of -turns ... turns steps (radians) around a start."""
 
@@ -162,21 +152,18 @@ def branch_and_bound(
     if excluded is not None:
         disc[:2] = (excluded.center[:2] - start[:2])[::-1] / resolution
         disc[2] = excluded.radius / resolution
-    lattice, tree = (
-        _Lattice(grids.levels, grids.row0, grids.col0, resolution),
-        _Tree(start, reach, turns, step),
-    )
+    tree = _Tree(start, reach, turns, step)
     rows, cols = np.empty((2, 2 * turns + 1, len(points)), np.int32)
-    roots = _roots(lattice, points, tree, rows, cols)
+    roots = _roots(grids, points, tree, rows, cols)
     # Of equal scores the smaller index wins: the sort must be stable for the same answer everywhere.
     order = np.argsort(-roots[:, 0], kind="stable")
     out = np.empty(6)
-    _search(lattice, tree, _Limits(min_score, max_nodes, disc), roots, order, rows, cols, out)
+    _search(grids, tree, _Limits(min_score, max_nodes, disc), roots, order, rows, cols, out)
     return SearchResult(out[:3].copy(), float(out[3]), int(out[4]), bool(out[5]))
 
 
 @njit
-def _rotated_cells(points: Any, start: Any, yaw: float, lattice: _Lattice, rows: Any, cols: Any) -> None:
+def _rotated_cells(points: Any, start: Any, yaw: float, lattice: BoundGrids, rows: Any, cols: Any) -> None:
     """Fill the cells of the points at one yaw and no shift."""
     c, s = np.cos(yaw), np.sin(yaw)
     for i in range(len(points)):
@@ -210,7 +197,7 @@ def _copy(row: Any, to: Any) -> None:
 
 
 @njit
-def _roots(lattice: _Lattice, points: Any, tree: _Tree, rows: Any, cols: Any) -> Any:
+def _roots(lattice: BoundGrids, points: Any, tree: _Tree, rows: Any, cols: Any) -> Any:
     """Fill the cells of every turn; return roots (k, 5): score, level, turn, row, column."""
     depth, count = len(lattice.levels) - 1, 2 * tree.turns + 1
     side = 1 << depth
@@ -249,7 +236,7 @@ def _branch(levels: Any, rows: Any, cols: Any, node: Any, reach: int, children: 
 
 @njit
 def _search(
-    lattice: _Lattice, tree: _Tree, limits: _Limits, roots: Any, order: Any, rows: Any, cols: Any, out: Any
+    lattice: BoundGrids, tree: _Tree, limits: _Limits, roots: Any, order: Any, rows: Any, cols: Any, out: Any
 ) -> None:
     """Depth-first search, the most promising branch first; fill `out` (6,)."""
     levels, start, excluded, res = lattice.levels, tree.start, limits.excluded, lattice.resolution
