@@ -414,25 +414,21 @@ class Registration:
         uneven, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
         if walls < (c.min_walls if uneven else c.min_beams):
             return expected, None
-        share = self._information_share(expected.pose, before)
+        moved = expected.pose.distance(before) + 0.5 * abs(wrap_angle(expected.pose.yaw - before.yaw))
+        share = min(1.0, max(c.min_information_share, moved / c.decorrelation_distance))
         prior = Prior(expected.pose.as_array(), expected.covariance)
         match = self._matcher.match(pyramid, hits, weights, prior, information_share=share)
         if match.known < c.min_beams / walls:
             return expected, None
         if match.known >= c.known_ratio and match.score < c.search_threshold:
-            wider = self._search(pyramid, hits, weights, share, prior, _coasting(before, earlier))
+            coasting = before if earlier is None else before @ (earlier.inverse() @ before)
+            wider = self._search(pyramid, hits, weights, share, prior, coasting.as_array())
             if uneven and self._is_rejected(match, wider, prior):
                 return expected, match
             if wider.score > match.score + c.min_gain:
                 match = wider
         x, y, yaw = match.pose.tolist()
         return PoseEstimate(Pose2(x, y, wrap_angle(yaw)), match.covariance), match
-
-    def _information_share(self, pose: Pose2, before: Pose2) -> float:
-        """Return the share of information that a scan at `pose` adds to that at `before`."""
-        c = self.config
-        moved = pose.distance(before) + 0.5 * abs(wrap_angle(pose.yaw - before.yaw))
-        return min(1.0, max(c.min_information_share, moved / c.decorrelation_distance))
 
     def _search(
         self,
@@ -443,7 +439,7 @@ class Registration:
         prior: Prior,
         coasting: FloatArray,
     ) -> Match:
-        """Match from the best pose of the wider window, and from the coasting pose."""
+        """Match from the best pose of the wider window, and from that after repeating the last step."""
         self.searches += 1
         c = self.config
         linear, angular = c.linear_search_window, c.angular_search_window
@@ -467,8 +463,3 @@ class Registration:
         off = wider.pose - prior.pose
         off[2] = wrap_angle(off[2])
         return not off @ invert3(prior.covariance) @ off <= c.mahalanobis_gate**2
-
-
-def _coasting(before: Pose2, earlier: Pose2 | None) -> FloatArray:
-    """Return the (3,) pose after repeating the step from `earlier` to `before`."""
-    return (before if earlier is None else before @ (earlier.inverse() @ before)).as_array()

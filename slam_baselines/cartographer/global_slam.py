@@ -188,16 +188,14 @@ class GlobalSlam:
             self._to_nodes.append(PoseConstraint(i, index, z, in_submap, robust=False))
         self._since_submap = compose_estimates(self._since_submap, node.motion)
         if node.submaps and submaps[node.submaps[-1]].nodes[0] == index:
-            self._add_odometry_constraint(node.submaps[-1])
+            # The newest submap has just begun: odometry ties it to the one before.
+            odometry, self._since_submap = self._since_submap, NOWHERE
+            submap, z = node.submaps[-1], odometry.pose.as_array()
+            if submap > 0:
+                tie = PoseConstraint(submap - 1, submap, z, invert(odometry.covariance), robust=True)
+                self._to_submaps.append(tie)
         if node.localizable:
             self._add_candidates(index, node)
-
-    def _add_odometry_constraint(self, index: int) -> None:
-        """Constrain a submap that has just begun to the one before by odometry."""
-        odometry, self._since_submap = self._since_submap, NOWHERE
-        if index > 0:
-            z, information = odometry.pose.as_array(), invert(odometry.covariance)
-            self._to_submaps.append(PoseConstraint(index - 1, index, z, information, robust=True))
 
     def run_work_share(self) -> None:
         """Do a bounded share of the loop searches and of the optimization."""
@@ -205,7 +203,9 @@ class GlobalSlam:
             candidate = self.candidates.next_candidate()
             if candidate is not None:
                 self._search_loop(*candidate)
-        if self._running is None and self._optimization_due():
+        nodes, loops = self._optimized_at
+        enough = len(self.nodes) - nodes >= self.config.optimize_every_n_nodes
+        if self._running is None and enough and len(self.loops) > loops:
             self._running, self._loops_at_start = self._start_optimization(), len(self.loops)
             self._rows_optimized = len(self._to_nodes)
         elif self._running is not None:
@@ -341,10 +341,6 @@ class GlobalSlam:
             for i in submaps[index].nodes:
                 if not any(k in self._finished or not submaps[k].finished for k in self.nodes[i].submaps):
                     self.nodes[i] = self.nodes[i].without_points()
-
-    def _optimization_due(self) -> bool:
-        nodes, loops = self._optimized_at
-        return len(self.loops) > loops and len(self.nodes) - nodes >= self.config.optimize_every_n_nodes
 
     def _start_optimization(self) -> tuple[OptimizationProblem, Solution]:
         """Return the problem of the present graph, and its start."""

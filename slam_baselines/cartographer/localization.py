@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
@@ -70,7 +69,11 @@ class KnownMap:
         x, y = grid.origin.apply((width / 2, height / 2)).tolist()
         reach = math.hypot(width, height) / 2 if grid.origin.yaw else max(width, height) / 2
         pyramid = MapPyramid(tuple(_level(grid, size) for size in sizes))
-        bounds = BoundGrids.of(_dilate(_level(grid, search)).grid, DEPTH)
+        coarse = _level(grid, search)
+        # Neighbors of walls get half their value, since the search's steps are that coarse.
+        value = coarse.layers.value
+        np.maximum(value, maximum_filter(value, 3) // 2, out=value)
+        bounds = BoundGrids.of(coarse.grid, DEPTH)
         return KnownMap(grid, pyramid, bounds, (x, y), reach)
 
     @property
@@ -85,26 +88,12 @@ def _level(grid: OccupancyGrid, resolution: float) -> OccupancyMap:
     rows, cols = grid.shape
     corners = grid.origin.apply(np.array(((0, 0), (cols, 0), (0, rows), (cols, rows))) * grid.resolution)
     level.grid.ensure(*corners.min(axis=0), *corners.max(axis=0))
-    steps = level.grid.layers["log_odds"]
-    _fill(grid, grid.free, -limit, level, steps)
-    _fill(grid, grid.occupied, limit, level, steps)
+    for mask, value in ((grid.free, -limit), (grid.occupied, limit)):
+        points = grid.centers(np.argwhere(mask))
+        cells = np.floor(points[:, ::-1] / resolution).astype(np.int64) - (level.grid.row0, level.grid.col0)
+        level.grid.layers["log_odds"][cells[:, 0], cells[:, 1]] = value
     level._take_over()
     level.take_over_log_odds()
-    return level
-
-
-def _fill(
-    grid: OccupancyGrid, mask: BoolArray, value: int, level: OccupancyMap, steps: NDArray[np.int8]
-) -> None:
-    points = grid.centers(np.argwhere(mask))
-    cells = np.floor(points[:, ::-1] / level.resolution).astype(np.int64)
-    steps[cells[:, 0] - level.grid.row0, cells[:, 1] - level.grid.col0] = value
-
-
-def _dilate(level: OccupancyMap) -> OccupancyMap:
-    """Give the neighbors of walls half their value, since the search's steps are that coarse."""
-    value = level.layers.value
-    np.maximum(value, maximum_filter(value, 3) // 2, out=value)
     return level
 
 

@@ -143,7 +143,8 @@ class MotionIncrement:
         self.newest, seconds = now.covariance, 0.0
         self.reckoned = PoseEstimate(self.reckoned.pose @ delta, self.reckoned.covariance + now.covariance)
         # While it stands the wheels hold the heading, whatever the gyro says.
-        if before is not None and self._reading is not None and _is_moving(delta):
+        moving = max(abs(delta.x), abs(delta.y), abs(delta.yaw)) > STILL
+        if moving and before is not None and self._reading is not None:
             seconds = stamp - before[0]
             self._compare(delta.yaw, (before[1] + self._reading[1]) / 2, seconds)
         delta = remove_bias(delta, self.bias, seconds)
@@ -171,10 +172,6 @@ class MotionIncrement:
         variance = GYRO**2 * self.seconds + self._disagreement**2
         whole, newest = self.reckoned.covariance, self.newest
         newest[2, 2], whole[2, 2] = variance * seconds / self.seconds, variance
-
-
-def _is_moving(step: Pose2) -> bool:
-    return max(abs(step.x), abs(step.y), abs(step.yaw)) > STILL
 
 
 def remove_bias(step: Pose2, bias: float, seconds: float) -> Pose2:

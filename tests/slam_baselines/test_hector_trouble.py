@@ -73,17 +73,6 @@ def test_memory_follows_the_area_and_not_the_time() -> None:
     assert often.stats.received == 400
 
 
-def test_scans_that_could_not_be_matched_are_counted() -> None:
-    mapper, rng = HectorMapper(), np.random.default_rng(0)
-    good = room_scan(Pose2(), 0.0, rng)
-    blind = replace(good, ranges=np.full(361, np.inf, np.float32))
-    for k, scan in enumerate((good, blind, good, blind)):
-        mapper.update(replace(scan, stamp=float(k)), Pose2(), None)
-    stats = mapper.stats
-    assert (stats.received, stats.used) == (4, 1)
-    assert list(stats.skipped.values()) == [2]
-
-
 def test_nothing_in_a_scan_breaks_it() -> None:
     mapper, rng = HectorMapper(), np.random.default_rng(0)
     good = room_scan(Pose2(), 0.0, rng)

@@ -31,11 +31,6 @@ def test_a_wall_has_no_gaps_left():
     assert (np.diff(slopes.astype(int)) >= 0).all(), "between two hits the smaller of their slopes"
 
 
-def test_hits_closer_than_the_spacing_stay_as_they_are():
-    hits, _ = interpolated(wall(np.arange(-5, 5, 0.2)))
-    assert len(hits) == 50
-
-
 def test_no_wall_is_drawn_across_a_doorway_a_step_or_between_two_things():
     doorway = wall(range(-20, -8)) + wall(range(8, 21))
     hits, _ = interpolated(doorway)

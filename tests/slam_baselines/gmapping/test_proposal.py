@@ -134,21 +134,9 @@ def test_walls_that_were_looked_up_before_are_those_of_the_place() -> None:
         assert found[1] > 0
 
 
-def test_effective_number_of_equal_and_of_one() -> None:
-    assert effective_number(np.full(30, 1 / 30)) == pytest.approx(30)
-    assert effective_number(np.eye(30)[3]) == pytest.approx(1)
-
-
 def test_weights_survive_huge_differences_of_logarithms() -> None:
     weights = normalize(np.array([-5000.0, -5001.0, -9000.0]))
     np.testing.assert_allclose(weights, [1 / (1 + np.exp(-1)), 1 / (1 + np.e), 0], atol=1e-12)
-
-
-def test_each_lives_on_in_proportion_to_its_weight() -> None:
-    rng = np.random.default_rng(1)
-    weights = rng.dirichlet(np.ones(50))
-    counts = np.bincount(systematic_resample(weights, rng), minlength=50)
-    assert np.all(np.abs(counts - 50 * weights) < 1)
 
 
 def test_weights_that_sum_a_little_below_one_are_no_error() -> None:
