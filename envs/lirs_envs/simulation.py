@@ -237,17 +237,22 @@ class Simulation:
     def _drive_group(self, group: RobotGroup, ids: IntArray, commands: FloatArray) -> IntArray:
         """Drive the robots of a group that are among `ids`; return rows due for scans."""
         first = group.rows.start
-        local = ids[(ids >= first) & (ids < group.rows.stop)] - first
+        local = ids
+        if len(self.groups) > 1:
+            local = ids[(ids >= first) & (ids < group.rows.stop)] - first
         if not len(local):
             return local
         for k, error in group.advance(local, commands[first : group.rows.stop]).items():
             self.errors[first + k] = error
-        local = np.array([k for k in local.tolist() if not self.errors[first + k]], np.int64)
+        if any(self.errors):
+            local = np.array([k for k in local.tolist() if not self.errors[first + k]], np.int64)
         self._read_poses(group, local)
         group.read(local, self.period)
         rows = local + first
         self._ticks[rows] += 1
         self._slip(rows)
+        if self.period == self.preset.period:
+            return rows
         scans, ticks = self.period * self.preset.rate, self._ticks[rows]
         # Robots whose lidar has begun a new scan in the period.
         due: IntArray = rows[np.floor(ticks * scans + 1e-9) > np.floor((ticks - 1) * scans + 1e-9)]

@@ -186,9 +186,10 @@ class Lidars:
             stamp: (N,) seconds.
         """
         together: dict[RayCaster, list[int]] = {}
+        joins = len(self.ranges) > 1 and self._preset.rings == 1 and not self._rolling
         for i in rows.tolist():
             lidar = self.lidars[i]
-            if isinstance(lidar.caster, RayCaster) and not self._rolling and self._preset.rings == 1:
+            if joins and isinstance(lidar.caster, RayCaster):
                 together.setdefault(lidar.caster, []).append(i)
                 continue
             body, T = bodies[i], Pose3(*T_world_base[i].tolist())
