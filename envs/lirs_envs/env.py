@@ -54,7 +54,7 @@ class RobotEnv(LimitedEpisodes, gym.Env[Observed, Float32Array]):
     Action: (2,) in [-1, 1]: speed ahead and turn rate, as shares of the robot's largest. A flying robot has
     (3,): shares of 3 m/s, 1.5 rad/s and a climb of 1 m/s.
 
-    Reward: that of the task, and the costs of contact, effort and accidents (see
+    Reward: reward of the task, and costs of contact, effort and accidents (see
     `lirs_envs.tasks.task.Rewards`).
 
     Terminated: by the task, tipped over, left the world, or the simulation diverged (`info["error"]`). The

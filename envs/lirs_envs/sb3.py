@@ -23,9 +23,9 @@ def as_vec_env(*vectors: VectorEnv[Any, Any, Any]) -> Any:
     """Return vector environments as one `VecEnv` of Stable-Baselines3.
 
     Args:
-        *vectors: of `gym.make_vec`, in this process, wrapped or not, with autoreset mode `SameStep`, as
-            Stable-Baselines3 resets; several of them (say, each in a world of its own) have the same spaces,
-            and their environments are numbered one after the other.
+        *vectors: Vectors of `gym.make_vec` in this process, wrapped or not, with autoreset mode `SameStep`,
+            as Stable-Baselines3 resets; several of them (say, each in a world of its own) have the same
+            spaces, and their environments are numbered one after the other.
 
     At the end of an episode `info["episode"]` has its return `r`, steps `l` and simulated seconds `t`, which
     Stable-Baselines3 logs and `evaluate_policy` returns, as from its `Monitor`.

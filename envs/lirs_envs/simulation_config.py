@@ -25,7 +25,7 @@ class SimulationConfig(Checked):
     Attributes:
         lidar: name of a lidar preset; None = the robot's own.
         noise: errors of all sensors.
-        rays: whose rays meet the world: `builtin`, or `mujoco` for comparison: those of its
+        rays: Caster of the rays: `builtin`, or `mujoco` for comparison, whose rays meet its
             hfield, or with contact geometry `mesh` those of its mesh.
         contact_geometry: contact ground in MuJoCo: `hfield`, `mesh` (the same, and its rays meet the mesh),
             `prisms` or `convex`.

@@ -52,7 +52,7 @@ class ArenaConfig(Checked, of="an arena"):
         corridor: length of two parallel walls around the start, meters; 0 = none.
         corridor_width: distance between them, meters.
         boundary: share of the wall around the arena that stands.
-        seed: of the random positions and hills.
+        seed: Seed of the random positions and hills.
     """
 
     relief: float = limited(0.0, "[0, inf)")

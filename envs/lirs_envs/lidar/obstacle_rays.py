@@ -283,7 +283,7 @@ def reflect(reflectivity: float, normals: FloatArray, directions: FloatArray) ->
     """Return (n,) reflectances of surfaces: reflectivity times cosine of the incidence.
 
     Args:
-        reflectivity: of the surfaces.
+        reflectivity: Diffuse reflectivity of the surfaces.
         normals: (n, 3) of any length; 0 where nothing is hit.
         directions: (n, 3) unit vectors of the beams.
     """

@@ -252,7 +252,7 @@ def mujoco_hits(
 
     Args:
         model: the compiled model.
-        data: its state, after `mj_forward` or a step.
+        data: State of the model, after `mj_forward` or a step.
         origin: (3,) start of all rays, or (n, 3) of each; world frame, meters.
         directions: (n, 3) unit vectors, world frame.
         max_range: meters; farther hits have range inf, rays without a hit also geom -1.

@@ -37,7 +37,7 @@ class FieldGeom(NamedTuple):
 
     Attributes:
         geom: id of the geom.
-        terrain: its field in the geom's frame; heights in units of `elevation`, in which MuJoCo stores them.
+        terrain: Field in the geom's frame; heights in units of `elevation`, in which MuJoCo stores them.
         elevation: meters a unit of height.
         base: height of the bottom, in units of `elevation`.
     """

@@ -272,6 +272,7 @@ def _traverse(
     side = 1.0 if height > 0.0 else -1.0
     first = 0 if height > 0.0 else len(bound) // 2
     w, dw = side * w, side * dw
+    lifted = (u, v, w, du, dv, dw)
     level = max(min(top, level), LEAF)
     while True:
         c, r = i >> level, j >> level
@@ -285,24 +286,36 @@ def _traverse(
                 level -= 1
                 continue
             number = np.uint64(r * width[LEAF] + c)
-            hit: float = _block_range(
-                terrain.block, number, (i, j), (u, v, w, du, dv, dw), step, side, t, t_out
-            )
+            hit: float = _block_range(terrain.block, number, (i, j), lifted, step, side, t, t_out)
             if hit < np.inf:
                 return hit
         if t_out >= t_end:
             return np.inf
         t = t_out
         if tx <= ty:
-            i = ((c + east) << level) + east - 1
-            j = min(max(int(v + t * dv), r << level), min(((r + 1) << level), ny) - 1)
+            i, j = _next_cells(c, east, r, v + t * dv, level, ny)
         else:
-            j = ((r + north) << level) + north - 1
-            i = min(max(int(u + t * du), c << level), min(((c + 1) << level), nx) - 1)
+            j, i = _next_cells(r, north, c, u + t * du, level, nx)
         if i < 0 or j < 0 or i >= nx or j >= ny:
             return np.inf
         if level < top and ((i >> level) >> 1 != c >> 1 or (j >> level) >> 1 != r >> 1):
             level += 1
+
+
+@njit(forceinline=True, fastmath=FUSED)
+def _next_cells(square: int, up: int, beside: int, at: float, level: int, count: int) -> tuple[int, int]:
+    """Return the cell of a ray that leaves a square of a level, along the axis that it leaves and across it.
+
+    Args:
+        square: Number of the square along the axis.
+        up: 1 = the ray runs up the axis, else 0.
+        beside: Number of the square across the axis.
+        at: Position across the axis, cells.
+        level: Level of the square.
+        count: Number of cells across the axis.
+    """
+    along = ((square + up) << level) + up - 1
+    return along, min(max(int(at), beside << level), min((beside + 1) << level, count) - 1)
 
 
 @njit(forceinline=True, fastmath=FUSED)

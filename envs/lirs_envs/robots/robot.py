@@ -45,7 +45,7 @@ class Robot:
     Attributes:
         name: how users call it; its MJCF file is `assets/NAME.xml`.
         left_wheels: joints (and actuators) of the driven wheels on the left.
-        right_wheels: the same on the right.
+        right_wheels: Joints (and actuators) of the driven wheels on the right.
         wheel_radius: loaded, meters.
         wheelbase: between front and rear driven axle, meters; 0 = one driven axle (differential drive).
         track: between left and right wheels, meters.

@@ -187,11 +187,8 @@ def _mark_beam(
     ceiling, highest, wanted = grids
     (along, across), (block_along, block_across), (length, breadth) = layout
     (p, q, z), (dp, dq, dz) = start, slope
-    per_p, per_q = inverse(dp), inverse(dq)
-    far, ahead = 0.0 if per_p != 0.0 else FAR_DISTANCE, 1 if dp > 0.0 else 0
-    t_end = min(t_end, (length * ahead - p) * per_p + far)
-    if per_q != 0.0:
-        t_end = min(t_end, ((breadth if dq > 0.0 else 0) - q) * per_q)
+    per_p, per_q, ahead = inverse(dp), inverse(dq), 1 if dp > 0.0 else 0
+    far, t_end = 0.0 if per_p != 0.0 else FAR_DISTANCE, _clip_beam(p, q, dp, dq, length, breadth, t_end)
     first, last, step = int(p), min(max(int(p + dp * t_end), 0), length - 1), 2 * ahead - 1
     first_block, last_block = first >> LEVEL, last >> LEVEL
     count, t, row = 0, 0.0, int(q) >> LEVEL
@@ -229,6 +226,18 @@ def _mark_beam(
             _bound_block(grids, layout, block, entry >> LEVEL)
             _bound_block(grids, layout, block, row >> LEVEL)
     return new, new_wanted
+
+
+@njit(fastmath=FUSED, forceinline=True)
+def _clip_beam(p: float, q: float, dp: float, dq: float, length: int, breadth: int, t_end: float) -> float:
+    """Return the end of a beam within the grid."""
+    per_p, per_q = inverse(dp), inverse(dq)
+    t_end = min(
+        t_end, (length * (1 if dp > 0.0 else 0) - p) * per_p + (0.0 if per_p != 0.0 else FAR_DISTANCE)
+    )
+    if per_q != 0.0:
+        t_end = min(t_end, ((breadth if dq > 0.0 else 0) - q) * per_q)
+    return t_end
 
 
 @njit
