@@ -35,7 +35,7 @@ GOAL_GROUPS = ("goal", "goal_direction")
 COUNT = 3
 """Robots of a vector."""
 SEED = 11
-SHOWN = 6
+MAX_NUMBERS = 6
 """Size of the largest array that is stored as numbers; a larger one is stored as digest."""
 VARIANTS: dict[str, dict[str, Any]] = {
     "actors": {"world": "simple", "actors": 3, "odometry": "ekf", "noise": "datasheet", "sweep": True},
@@ -113,7 +113,7 @@ def plain(value: Any) -> Any:
     array = np.asarray(value)
     if array.dtype == object:
         return [None if item is None else plain(item) for item in array.ravel()]
-    if array.size <= SHOWN:
+    if array.size <= MAX_NUMBERS:
         numbers = array.tolist()
         return str(numbers) if array.dtype.kind == "f" and not np.isfinite(array).all() else numbers
     digest = hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()[:12]
