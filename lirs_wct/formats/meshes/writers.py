@@ -294,9 +294,6 @@ def _faces(corners: Int32Array, mesh: TriangleMesh) -> bytes:
     return _lines(b"f", text if mesh.uv is not None else text.replace(b"/", b"//"))
 
 
-_ROWS = 1 << 14
-
-
 def write_stl(path: Path, mesh: TriangleMesh, progress: Progress = no_progress) -> None:
     """Write a mesh as binary STL."""
     starts = range(0, len(mesh.faces), _ROWS)
