@@ -155,20 +155,30 @@ def recorded_config(entry: Entry) -> RunConfig:
     unknown += [name for name in build if name not in _names(BuildOptions)]
     if unknown:
         raise SourceError(f"{entry['name']}: options unknown to this version: {', '.join(sorted(unknown))}")
+    defaults = BuildOptions()
     try:
         for name, value in build.items():
             if name == "start" and value is not None:
                 build[name] = Pose2(**{key: float(number) for key, number in value.items()})
             elif name in world_json.TEXTURE_OPTIONS and value is not None:
                 build[name] = Path(value)
-            elif isinstance(value, list) and all(isinstance(part, int | float) for part in value):
-                build[name] = tuple(value)
-            elif not isinstance(value, int | float | str | None):
+            elif not _fits(value, getattr(defaults, name)):
                 raise TypeError(f"{name} is {value!r}")
+            elif isinstance(value, list):
+                build[name] = tuple(value)
         return RunConfig(**run, build=BuildOptions(**build))
     except (ConfigError, TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
         reason = " ".join(str(error).split())
         raise SourceError(f"{entry['name']}: damaged: an option cannot be used: {reason}") from error
+
+
+def _fits(value: object, default: object) -> bool:
+    """Return whether an option's value has its default's type; without a default, any plain type."""
+    if isinstance(value, list) and (default is None or isinstance(default, tuple)):
+        return all(isinstance(part, int | float) for part in value)
+    if default is None:
+        return isinstance(value, int | float | str | None)
+    return isinstance(value, str if isinstance(default, str) else int | float)
 
 
 def _names(options: type[Options]) -> set[str]:
