@@ -42,7 +42,7 @@ class Snapshot:
         return Snapshot(
             world=simulation.worlds[i],
             config=simulation.config,
-            qpos=simulation.qpos(i).copy(),
+            qpos=simulation.states[i].qpos.copy(),
             walkers=simulation.walkers(i),
             goal=goal,
         )

@@ -26,7 +26,6 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct import ConfigError, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
 from lirs_wct.checks import check_seed
-from lirs_wct.contact.grid import ContactGrid
 from lirs_wct.export.mjcf import write_heights
 
 ROW = np.zeros(1, np.int64)
@@ -80,6 +79,7 @@ class Simulation:
         body: MuJoCo's model of robot and world; own models may differ in friction, mass and heights.
         groups: Groups of robots; one thread at a time drives a group.
         places: Group and row in it of each robot.
+        states: True state of each robot, live; the positions hold those of the props as well.
         casters: Ray caster of each robot's lidar against world and props; usable by custom sensors.
         lidar_noise: Noise of each robot's lidar from its next start on.
         T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the last valid pose of each robot.
@@ -124,7 +124,7 @@ class Simulation:
             self.groups = make_groups(config, self.body, world, count, threads=threads, own_models=own_models)
         self.places = [(group, k) for group in self.groups for k in range(len(group.rows))]
         self.worlds = [world] * len(self.places)
-        self._views = [view for group in self.groups for view in group.bodies.views]
+        self.states = [view for group in self.groups for view in group.bodies.views]
         self._make_casters()
         self._make_rows()
         self._threads = WorkThreads(threads)
@@ -133,9 +133,9 @@ class Simulation:
         config = self.config
         data = self._ray_data = [self.body.data] * self.count
         # A batch has no data for MuJoCo's rays.
-        self._copies_rays = bool(config.props or config.rays == "mujoco") and self.body not in self._views
+        self._copies_rays = bool(config.props or config.rays == "mujoco") and self.body not in self.states
         if self._copies_rays:
-            data[:] = [mujoco.MjData(view.model) for view in self._views]
+            data[:] = [mujoco.MjData(view.model) for view in self.states]
         first = self._make_caster(0)
         alone = self._copies_rays or config.actors
         self.casters = [first, *((self._make_caster(i) if alone else first) for i in range(1, self.count))]
@@ -274,7 +274,7 @@ class Simulation:
             group, k = self.places[i]
             data.qpos[:], data.mocap_pos[:] = group.bodies.qpos[k], group.bodies.mocap_pos[k]
         lidars, self._stamps[rows] = self._lidars, self._ticks[rows] * self.period
-        lidars.scan(rows, self.T_world_base, self._views, self._stamps)
+        lidars.scan(rows, self.T_world_base, self.states, self._stamps)
         for i in rows.tolist() if self._faults else ():
             lidars.ranges[i], lidars.clouds[i] = self._faults[i].scan(lidars.ranges[i], lidars.clouds[i])
 
@@ -305,14 +305,6 @@ class Simulation:
     def time(self, i: int = 0) -> float:
         """Return the seconds since robot `i` was reset."""
         return float(self._ticks[i] * self.period)
-
-    def qpos(self, i: int = 0) -> FloatArray:
-        """Return (nq,) MuJoCo's positions of robot `i` and the props around it, live."""
-        return self._views[i].qpos
-
-    def qvel(self, i: int = 0) -> FloatArray:
-        """Return (nv,) MuJoCo's velocities of robot `i` and the props around it, live."""
-        return self._views[i].qvel
 
     def walkers(self, i: int = 0) -> FloatArray:
         """Return (n, 3) centers of the walkers around robot `i`, meters."""
@@ -415,21 +407,13 @@ class Simulation:
         return caster.met[self._lidars.lidars[0].returned]
 
     @property
-    def contact(self) -> ContactGrid:
-        """Contact grid of the wheels, with its deviation from the lidar's surface."""
-        return self.body.contact
-
-    @property
     def collisions(self) -> Collisions:
         """Contacts of the one robot since the reset."""
         return self._single.contacts.statistics()
 
     @property
     def controls(self) -> FloatArray:
-        """(n, 2) wheel speeds, left and right, rad/s, or (n, rotors) thrusts, newtons.
-
-        There is one row per control update.
-        """
+        """(n, 2) wheel speeds, left and right, rad/s, or (n, rotors) thrusts, newtons, of n updates."""
         return self._single.controls[:, [side[0] for side in self.body.actuators]]
 
     def replay(self, *, reference: bool = False, seconds: float = math.inf) -> PhysicsReplay:

@@ -219,7 +219,7 @@ def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]
     world, surface, terrain = scenario.world, scenario.world.surface, simulation.config.contact_geometry
     contact: dict[str, Any] = {"terrain": terrain}
     if terrain in ("hfield", "mesh"):
-        contact |= asdict(simulation.contact)
+        contact |= asdict(simulation.body.contact)
     else:
         model = simulation.body.model
         contact["parts"] = sum(model.geom(g).name.startswith("ground") for g in range(model.ngeom))

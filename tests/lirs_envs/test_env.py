@@ -156,7 +156,7 @@ def test_an_episode_that_diverges_ends_with_a_valid_observation(plane: World) ->
     env = RobotEnv("navigation", world=plane, observe=[*ALL_GROUPS, "goal"])
     env.reset(seed=0)
     env.step(np.zeros(2, np.float32))
-    env.episodes.simulation.qvel(0)[0] = np.inf
+    env.episodes.simulation.states[0].qvel[0] = np.inf
     observation, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert env.observation_space.contains(observation)
     assert np.isfinite(reward)

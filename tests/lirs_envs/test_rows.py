@@ -40,7 +40,7 @@ def same(one: Observation, two: Observation) -> bool:
 
 
 def positions(many: Simulation) -> bytes:
-    return b"".join(many.qpos(i).tobytes() for i in range(many.count))
+    return b"".join(many.states[i].qpos.tobytes() for i in range(many.count))
 
 
 def commands(robot: str, steps: int, count: int, seed: int = 1) -> np.ndarray:
@@ -183,7 +183,7 @@ def test_a_robot_that_diverges_stops_alone(plane: World) -> None:
     for i in range(2):
         many.place(i, START, seed=i)
     before = many.ranges[0].tobytes()
-    many.qvel(0)[0] = np.nan
+    many.states[0].qvel[0] = np.nan
     many.drive(np.arange(2), np.zeros((2, 3)))
     assert "diverged" in many.errors[0]
     assert not many.errors[1]

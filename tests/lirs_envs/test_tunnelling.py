@@ -88,7 +88,7 @@ def test_a_turtlebot_on_a_narrow_barrier_stays_or_falls(name: str, nodes_wide: i
     z[:, middle - nodes_wide // 2 : middle + nodes_wide // 2 + 1] = 0.5
     world = World("barrier", Terrain(HeightField.centered(z, (0.05, 0.05))), spawn_poses=(Pose2(),))
     sim = started(world, Pose2(-1.5, 0.0), robot=make_robot(name), lidar="lms111")
-    touched = sim.contact.heights(world.surface)
+    touched = sim.body.contact.heights(world.surface)
     for yaw in (0.0, 0.8, math.pi / 2):
         sim.body.settle(
             Pose3.from_rpy(across, 0.0, 0.5 + sim.robot.base_height + 0.02, 0, 0, yaw), seconds=0.02

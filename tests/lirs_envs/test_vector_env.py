@@ -163,7 +163,7 @@ def test_one_that_diverges_is_reset_alone(plane: World) -> None:
     env = RobotVectorEnv(N, "mapping", world=plane, threads=2)
     env.reset(seed=0)
     part, k = env.episodes.places[1]
-    part.simulation.qvel(k)[0] = np.nan
+    part.simulation.states[k].qvel[0] = np.nan
     observation, _, terminated, _, infos = env.step(np.zeros((N, 2)))
     assert terminated.tolist() == [False, True, False]
     assert infos["_error"].tolist() == [False, True, False]

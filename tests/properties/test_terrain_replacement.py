@@ -52,7 +52,7 @@ def test_rays_and_physics_are_those_of_a_simulation_made_anew(
     assert replaced.worlds[0].spawn_poses == (second.start,)
     fresh = simulation(second, robot)
     assert driven(replaced) == driven(fresh)
-    assert replaced.contact == fresh.contact
+    assert replaced.body.contact == fresh.body.contact
 
 
 @settings(max_examples=5)

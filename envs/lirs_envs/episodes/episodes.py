@@ -384,7 +384,7 @@ class Randomization:
             if PUSH in self._during and rng.random() < chance:
                 speed, angle = rng.uniform(*self._during[PUSH]), rng.uniform(-math.pi, math.pi)
                 # An impulse through the center of mass.
-                self._simulation.qvel(i)[:2] += np.array((math.cos(angle), math.sin(angle))) * speed
+                self._simulation.states[i].qvel[:2] += np.array((math.cos(angle), math.sin(angle))) * speed
             if SLIP in self._during and rng.random() < chance:
                 self._set_slip(i)
 

@@ -26,9 +26,9 @@ def speeds(env: RobotEnv, steps: int) -> np.ndarray:
     disturb = randomization.disturb
 
     def recorded(ids: Any) -> None:
-        before = env.episodes.simulation.qvel(0)[:2].copy()
+        before = env.episodes.simulation.states[0].qvel[:2].copy()
         disturb(ids)
-        found.append(np.hypot(*(env.episodes.simulation.qvel(0)[:2] - before)))
+        found.append(np.hypot(*(env.episodes.simulation.states[0].qvel[:2] - before)))
 
     randomization.disturb = recorded  # type: ignore[method-assign]
     for _ in range(steps):

@@ -21,14 +21,14 @@ TASKS = ("mapping", "navigation", "traverse")
 
 
 def turn_over(env: RobotEnv) -> None:
-    env.episodes.simulation.qpos(0)[2] += 1.0
-    env.episodes.simulation.qpos(0)[3:7] = (0.0, 1.0, 0.0, 0.0)
+    env.episodes.simulation.states[0].qpos[2] += 1.0
+    env.episodes.simulation.states[0].qpos[3:7] = (0.0, 1.0, 0.0, 0.0)
 
 
 def test_tipping_over_at_the_goal_is_no_success(plane: World) -> None:
     env = RobotEnv("navigation", observe=["attitude"], world=plane)
     _, info = env.reset(seed=1, options={"start": Pose2(), "goal": (3.0, 0.0)})
-    env.episodes.simulation.qpos(0)[:2] = (3.0, 0.0)
+    env.episodes.simulation.states[0].qpos[:2] = (3.0, 0.0)
     turn_over(env)
     _, _, terminated, _, info = env.step(STILL)
     assert (terminated, info["reason"], bool(info["success"])) == (True, "tipped over", False)
