@@ -158,6 +158,7 @@ class Lidars:
 
     def __init__(self, preset: LidarPreset, T_base_laser: Pose3, count: int, *, rolling_scan: bool) -> None:
         self._preset, self._mount, self._rolling = preset, T_base_laser, rolling_scan
+        self._planar = preset.rings == 1
         self._fan = T_base_laser.position[None], preset.directions @ T_base_laser.rotation.T
         self.lidars: dict[int, Lidar] = {}
         self._rngs = [np.random.default_rng(0) for _ in range(count)]
@@ -186,7 +187,7 @@ class Lidars:
             stamp: (N,) seconds.
         """
         together: dict[RayCaster, list[int]] = {}
-        joins = len(self.ranges) > 1 and self._preset.rings == 1 and not self._rolling
+        joins = len(self.ranges) > 1 and self._planar and not self._rolling
         for i in rows.tolist():
             lidar = self.lidars[i]
             if joins and isinstance(lidar.caster, RayCaster):
@@ -194,7 +195,7 @@ class Lidars:
                 continue
             body, T = bodies[i], Pose3(*T_world_base[i].tolist())
             velocity = BaseVelocity(body.velocity(), body.rates()) if self._rolling else None
-            if self._preset.rings == 1:
+            if self._planar:
                 self.ranges[i] = lidar.ranges(T, velocity)
             else:
                 planar, self.clouds[i] = lidar.sweep(T, float(stamp[i]), velocity)

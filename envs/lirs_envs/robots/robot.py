@@ -16,10 +16,11 @@ import math
 import tomllib
 from dataclasses import dataclass, field
 from importlib.resources import files
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from lirs_wct.checks import is_finite, require_within
+from lirs_wct.checks import require_within
 from lirs_wct.display import html_table
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.geometry import Pose3
@@ -167,7 +168,8 @@ def check_command(robot: Robot, command: object) -> None:
     if not isinstance(command, Twist | Waypoint):
         raise ConfigError(f"a command must be a Twist or a Waypoint, got {command!r}")
     c = command
-    if not all(map(is_finite, (c.v, c.omega, c.climb) if isinstance(c, Twist) else (c.x, c.y, c.z, c.yaw))):
+    numbers: list[object] = [c.v, c.omega, c.climb] if isinstance(c, Twist) else [c.x, c.y, c.z, c.yaw]
+    if not all(isinstance(n, Real) and math.isfinite(n) for n in numbers):
         raise ConfigError(f"a command must be finite, got {command}")
 
 
