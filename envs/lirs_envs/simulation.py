@@ -116,6 +116,7 @@ class Simulation:
         self.config, self.robot, self._seed = config, config.robot, seed
         self.preset = config.preset if count is None else config.preset.planar
         self.period = self.preset.period if period is None else period
+        self._in_step = self.period == self.preset.period  # each period ends with a scan
         self.body = RobotModel(world, config, self.period, contact_sensors=count is not None)
         if count is None:
             self.groups = [RobotGroup(config, range(1), SingleBody(config.robot, self.body), world)]
@@ -251,7 +252,7 @@ class Simulation:
         rows = local + first
         self._ticks[rows] += 1
         self._slip(rows)
-        if self.period == self.preset.period:
+        if self._in_step:
             return rows
         scans, ticks = self.period * self.preset.rate, self._ticks[rows]
         # Robots whose lidar has begun a new scan in the period.
