@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import partial
 from os import getpid
-from typing import Any
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -323,6 +323,12 @@ class Simulation:
         place = self.T_world_base[:, :2]
         inside = (place >= self._bounds[:, :2]) & (place <= self._bounds[:, 2:])
         return np.asarray(~inside.all(axis=1))
+
+    def mishap(self, i: int = 0) -> Literal["", "tipped", "off world"]:
+        """Return the mishap that ends a drive of robot `i`; empty without one."""
+        if self.find_tipped()[i]:
+            return "tipped"
+        return "off world" if self.off_world()[i] else ""
 
     def reading(self, i: int = 0) -> Observation:
         """Return the last sensor readings of robot `i` as arguments of a mapper."""

@@ -113,10 +113,10 @@ def _map(
 
 
 def _failure(simulation: Simulation, driver: Driver, now: float) -> tuple[Status, str] | None:
-    if simulation.find_tipped()[0]:
-        return "tipped", f"the robot tipped over at {now:.1f} s"
-    if simulation.off_world()[0]:
-        return "off world", f"the robot left the world at {now:.1f} s"
+    mishap = simulation.mishap()
+    if mishap:
+        what = "tipped over" if mishap == "tipped" else "left the world"
+        return mishap, f"the robot {what} at {now:.1f} s"
     if driver.stuck:
         return "stuck", f"the robot made no progress and gave up at {now:.1f} s"
     return None

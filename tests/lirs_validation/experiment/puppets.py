@@ -39,11 +39,8 @@ class Puppet:
     def pose(self) -> Pose3:
         return Pose3()
 
-    def find_tipped(self) -> list[bool]:
-        return [self._failing("tipped")]
-
-    def off_world(self) -> list[bool]:
-        return [self._failing("off world")]
+    def mishap(self) -> str:
+        return self.fails if self.fails in ("tipped", "off world") and self.ticks >= self.at else ""
 
     def reset(self, start: Pose2) -> Observation:
         return self.advance(Twist())
