@@ -129,7 +129,7 @@ def test_a_worker_does_many_jobs_and_an_error_is_raised() -> None:
         assert [half for half, _ in ended.values()] == [2, 4]  # type: ignore[misc]
         with pytest.raises(ConfigError, match=r"^3: is odd\n") as raised:
             list(pool.run([Halve(3), Halve(6)]))
-        assert "test_workers.py" in raised.value.__notes__[0]
+        assert "test_engines.py" in raised.value.__notes__[0]
         assert len({pid for _, pid in (*ended.values(), *dict(pool.run([Halve(2)])).values())}) == 1  # type: ignore[misc]
 
 
