@@ -63,10 +63,11 @@ class Frames:
 
     Attributes:
         skipped: Number of transforms that are not finite.
+        disputed: Frames whose static transforms differ.
     """
 
     def __init__(self) -> None:
-        self.skipped = 0
+        self.skipped, self.disputed = 0, set[str]()
         self._fixed: dict[str, tuple[str, Pose3]] = {}
         self._moving: dict[str, dict[str, list[Step]]] = {}
         self._edges: dict[str, tuple[FloatArray, list[Pose3]]] = {}
@@ -80,6 +81,10 @@ class Frames:
             if not is_finite(T):
                 self.skipped += 1
             elif static:
+                above, before = self._fixed.get(child, (parent, T))
+                turned = abs(float(before.quaternion @ T.quaternion)) < 1.0 - 1e-6
+                if above != parent or turned or math.dist(before.position, T.position) > 1e-3:
+                    self.disputed.add(child)
                 self._fixed[child] = (parent, T)
             else:
                 stamp = seconds(t.header.stamp) if received is None else received

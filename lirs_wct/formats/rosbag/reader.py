@@ -241,6 +241,8 @@ def _contents(bag: Bag, topics: Topics, *, by_header: bool, lag: float = 0.0) ->
             raise SourceError(f"{bag.path}: --odom-topic must say which; {list_topics(bag.kinds)}")
     if contents.frames.skipped:
         contents.skipped["transform that is not finite"] = contents.frames.skipped
+    for frame in sorted(contents.frames.disputed):
+        contents.repaired[f"static transforms of {frame} differ: the last one is taken"] = 1
     return contents
 
 

@@ -50,6 +50,12 @@ def up(t: float) -> Pose3:
 FIXED = Pose3(0.2, 0.0, 0.3)
 
 
+def test_static_transforms_that_differ_are_told() -> None:
+    for second, disputed in ((FIXED, set()), (Pose3(0.3, 0.0, 0.3), {"laser"}), (ahead(1.0), {"laser"})):
+        frames = tree(("base_link", "laser", FIXED), ("base_link", "laser", second))
+        assert frames.disputed == disputed
+
+
 ON_BASE, IN_ODOM = ("base_link", "laser", FIXED), ("odom", "base_link", ahead)
 FOOTPRINT = ("odom", "base_footprint", ahead)
 
