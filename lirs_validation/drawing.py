@@ -22,8 +22,7 @@ from lirs_validation.metrics.trajectory import Accuracy
 from lirs_validation.record.map_record import MapRecord, map_lines
 from lirs_validation.record.metric_catalog import WORSE, picture_lines, worse_than_odometry
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
-from lirs_wct import OccupancyGrid, Trajectory, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct import FloatArray, OccupancyGrid, Trajectory, World
 from lirs_wct.drawing.canvas import (
     BLACK,
     BLUE,

@@ -265,3 +265,18 @@ def load_average() -> float | None:
 def is_shared(load: float | None) -> bool:
     """Whether more processes than cores wanted to run."""
     return load is not None and load > (os.cpu_count() or 1)
+
+
+@contextmanager
+def importable(folder: Path) -> Iterator[None]:
+    """Put a folder first on `sys.path` in a block, unless it is there already."""
+    entry = str(folder)
+    if entry in sys.path:
+        yield
+        return
+    sys.path.insert(0, entry)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            sys.path.remove(entry)

@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
     from lirs_wct.errors import (
         ConfigError,
         MapperError,
@@ -36,6 +37,12 @@ if TYPE_CHECKING:
     from lirs_wct.world import World
 
 _HOMES = {
+    "BoolArray": "arrays",
+    "ByteArray": "arrays",
+    "Float32Array": "arrays",
+    "FloatArray": "arrays",
+    "Int32Array": "arrays",
+    "IntArray": "arrays",
     "BuildOptions": "sources.source",
     "ConfigError": "errors",
     "HeightField": "geometry.heightfield",
@@ -62,11 +69,17 @@ _HOMES = {
 }
 
 __all__ = [
+    "BoolArray",
     "BuildOptions",
+    "ByteArray",
     "ConfigError",
+    "Float32Array",
+    "FloatArray",
     "HeightField",
     "Imu",
     "ImuReadings",
+    "Int32Array",
+    "IntArray",
     "LaserScan",
     "MapperError",
     "OccupancyGrid",

@@ -1,11 +1,19 @@
-"""Errors that a user can cause and correct: one sentence each, exit code 2."""
+"""Errors that a user can cause and correct, and the checks of values that raise them.
+
+An error is one sentence with name, legal values and given value; the exit code is 2.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
+from numbers import Integral, Real
+from types import UnionType
+from typing import Any, ClassVar, TypeGuard, TypeVar
 
 
 class WctError(Exception):
@@ -92,3 +100,133 @@ def did_you_mean(name: str, legal: Iterable[str]) -> str:
     """Return a clause with the most similar legal name; empty if none is similar."""
     similar = get_close_matches(str(name), tuple(legal), n=1)
     return f"; did you mean {similar[0]}?" if similar else ""
+
+
+_KEY = "check"
+T = TypeVar("T")
+
+Check = Callable[[Any, str], None]
+"""Function of a value and its name that raises ConfigError for an illegal value."""
+Names = Collection[Any] | Callable[[], Collection[Any]]
+"""Legal values, or a function that returns them if their import is slow."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checked:
+    """Base of configurations; each value passes the check of its field.
+
+    A subclass names its owner in messages: `class LaserConfig(Checked, of="the laser")`.
+
+    Raises:
+        ConfigError: a value is not legal.
+    """
+
+    _owner: ClassVar[str] = ""
+
+    def __init_subclass__(cls, of: str | None = None) -> None:
+        super().__init_subclass__()
+        if of is not None:
+            cls._owner = f" of {of}"
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            if _KEY in entry.metadata:
+                value = getattr(self, entry.name)
+                if value is not None or entry.default is not None:
+                    entry.metadata[_KEY](value, f"{entry.name}{self._owner}")
+
+
+def limited(default: T, legal: str, unit: str = "", *, whole: bool = False) -> T:
+    """Return a field whose number lies in an interval (see `within`).
+
+    None is legal only if it is the default.
+    """
+    return field(default=default, metadata={_KEY: within(legal, unit, whole=whole)})
+
+
+def check_field(check: Check, **given: Any) -> Any:
+    """Return a dataclass field with a check; the arguments are those of `dataclasses.field`."""
+    return field(metadata={_KEY: check}, **given)
+
+
+def within(legal: str, unit: str = "", *, whole: bool = False) -> Check:
+    """Return a check that a number lies in an interval.
+
+    The interval is a text such as "(0, 360]", "[0, inf)" or, if infinity is legal, "(0, inf]". NaN and a
+    bool are never legal.
+    """
+    low, high = (float(bound) for bound in legal[1:-1].split(","))
+    from_low, to_high = legal[0] == "[", legal[-1] == "]"
+    words = f"within {legal}" if high < math.inf else f"{'at least' if from_low else 'above'} {low:g}"
+
+    def holds(value: Any) -> bool:
+        if not is_number(value, Integral if whole else Real):
+            return False
+        return (value >= low if from_low else value > low) and (value <= high if to_high else value < high)
+
+    def check(value: Any, label: str) -> None:
+        if not holds(value):
+            finite = high == math.inf and not to_high and not isinstance(value, Integral)
+            kind = "a whole number " if whole else "a finite number " if finite else ""
+            got = value if is_number(value) else repr(value)
+            raise ConfigError(f"{label} must be {kind}{words}{unit and f' {unit}'}, got {got}")
+
+    return check
+
+
+def positive(value: Any, label: str) -> None:
+    """Check that a number, or each of several numbers, is finite and above 0."""
+    for number in value if isinstance(value, Iterable) else (value,):
+        within("(0, inf)")(number, label)
+
+
+def check_seed(seed: Any, label: str = "seed") -> None:
+    """Check that a seed is a whole number of at least 0."""
+    within("[0, inf)", whole=True)(seed, label)
+
+
+def one_of(legal: Names) -> Check:
+    """Return a check that a value is one of the legal names."""
+
+    def check(value: Any, label: str) -> None:
+        names = legal() if callable(legal) else legal
+        if value not in names:
+            raise unknown_name(label, value, names)
+
+    return check
+
+
+def of_type(kind: type | UnionType) -> Check:
+    """Return a check that a value has a type."""
+
+    def check(value: Any, label: str) -> None:
+        if not isinstance(value, kind):
+            legal = getattr(kind, "__name__", str(kind))
+            raise ConfigError(f"{label} must be of type {legal}, got {value!r}")
+
+    return check
+
+
+def require_within(config: Any, legal: str, *names: str, of: str = "", unit: str = "") -> None:
+    """Raise ConfigError unless every named field lies in an interval that only its dataclass knows.
+
+    Args:
+        config: the dataclass.
+        legal: interval (see `within`).
+        *names: names of its fields.
+        of: name of the owner in messages, such as "the motion filter".
+        unit: unit of the values.
+    """
+    check = within(legal, unit)
+    for name in names:
+        check(getattr(config, name), f"{name} of {of}" if of else name)
+
+
+def is_finite(value: object) -> bool:
+    """Whether a value is a finite number."""
+    return is_number(value) and math.isfinite(value)
+
+
+def is_number(value: object, kind: type = Real) -> TypeGuard[float]:
+    """Whether a value is a number (of a kind) and not a bool."""
+    return isinstance(value, kind) and not isinstance(value, bool)

@@ -15,8 +15,16 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from lirs_wct.checks import Check, Names, one_of as one_of, positive as positive, within as within
-from lirs_wct.errors import ConfigError, did_you_mean, unknown_name
+from lirs_wct.errors import (
+    Check,
+    ConfigError,
+    Names,
+    did_you_mean,
+    one_of as one_of,
+    positive as positive,
+    unknown_name,
+    within as within,
+)
 
 _KEY = "option"
 MAX_NUMBERS = 100_000

@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 from numpy.typing import ArrayLike, NDArray
 
-from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.display import ShownAsPicture
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.world_json import (
@@ -22,7 +21,7 @@ from lirs_wct.formats.world_json import (
     read_world,
     write_world,
 )
-from lirs_wct.geometry import OccupancyGrid, Pose2, Pose3, WallGrid
+from lirs_wct.geometry import BoolArray, FloatArray, OccupancyGrid, Pose2, Pose3, WallGrid
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh

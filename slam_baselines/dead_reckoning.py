@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, njit
-from lirs_wct.checks import Checked, limited
+from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry import Imu, Pose2, Pose3, wrap_angle
 from slam_baselines.linalg import moved_covariance
 

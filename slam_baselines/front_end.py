@@ -14,9 +14,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, IntArray
-from lirs_wct.checks import limited
-from lirs_wct.geometry import Pose2, Trajectory, wrap_angle
+from lirs_wct.errors import limited
+from lirs_wct.geometry import ByteArray, FloatArray, IntArray, Pose2, Trajectory, wrap_angle
 from slam_baselines.dead_reckoning import PoseEstimate
 from slam_baselines.ground_filter import GroundFilterConfig
 from slam_baselines.leveling import LeveledScan, ScanLeveler

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_wct.checks import limited, within
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, limited, within
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.dead_reckoning import (
     CalibrationConfig,

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import Imu, PointCloud, Pose3, Trajectory
+from lirs_wct.errors import Checked, limited
+from lirs_wct.geometry import FloatArray, Imu, PointCloud, Pose3, Trajectory
 from slam_baselines.mapper import MapperStats, Stopwatch
 
 Register = Callable[[FloatArray, FloatArray], FloatArray]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.checks import limited
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2
+from lirs_wct.errors import limited
+from lirs_wct.geometry import ByteArray, FloatArray, Imu, LaserScan, OccupancyGrid, Pose2
 from slam_baselines.front_end import MotionFilter
 from slam_baselines.ground_filter import GroundFilter, GroundFilterConfig
 from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interpolate_hits

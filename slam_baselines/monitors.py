@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_wct.checks import Checked, limited, require_within
+from lirs_wct.errors import Checked, limited, require_within
 from lirs_wct.geometry import wrap_angle
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, njit
-from lirs_wct.checks import Checked, limited
+from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from slam_baselines.leveling import ScanPoints
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray, njit
-from lirs_wct.checks import limited, require_within
+from lirs_wct.errors import limited, require_within
 from lirs_wct.geometry import Pose2, wrap_angle
 from slam_baselines.dead_reckoning import PoseEstimate
 from slam_baselines.linalg import invert3, solve3

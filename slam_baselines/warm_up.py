@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import unknown_name
-from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3
+from lirs_wct.geometry import FloatArray, Imu, LaserScan, Pose2, Pose3
 from slam_baselines.mapper import MAPPERS, make_mapper
 
 BEAMS, FOV, RANGE = 541, math.radians(270), 20.0

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import RADIUS
-from lirs_wct import LaserScan, Pose2, Pose3, World
-from lirs_wct.arrays import ByteArray, FloatArray, Int32Array
+from lirs_wct import ByteArray, FloatArray, Int32Array, LaserScan, Pose2, Pose3, World
 from lirs_wct.meshing.texture import ground_texture
 
 

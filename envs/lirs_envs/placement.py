@@ -7,9 +7,8 @@ import math
 import numpy as np
 
 from lirs_envs.robots.robot import Robot
-from lirs_wct import ConfigError, Pose2, Pose3, SimulationError, WallGrid, World
-from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import is_finite
+from lirs_wct import ConfigError, FloatArray, Pose2, Pose3, SimulationError, WallGrid, World
+from lirs_wct.errors import is_finite
 
 SLACK = math.radians(2)
 """Margin of a start's slope above the robot's `max_slope`: plans measure slopes over a shorter distance."""

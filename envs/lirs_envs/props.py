@@ -11,7 +11,7 @@ import mujoco
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct import ConfigError, Pose2, Pose3, World
-from lirs_wct.checks import Checked, check_field, is_finite, limited, one_of
+from lirs_wct.errors import Checked, check_field, is_finite, limited, one_of
 
 PROP_GROUP = 1
 """Geom group of props, which the lidar sees through MuJoCo's rays; no robot uses it."""

@@ -27,8 +27,16 @@ from lirs_envs.map_view import MapView, Snapshot
 from lirs_envs.props import add_props
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import add_walkers
-from lirs_wct import ConfigError, LaserScan, Pose2, SimulationError, TriangleMesh, World
-from lirs_wct.arrays import ByteArray, Float32Array
+from lirs_wct import (
+    ByteArray,
+    ConfigError,
+    Float32Array,
+    LaserScan,
+    Pose2,
+    SimulationError,
+    TriangleMesh,
+    World,
+)
 from lirs_wct.export.appearance import world_parts
 from lirs_wct.geometry.mesh import MUJOCO_FACES, split_tiles
 from lirs_wct.meshing.simplify import simplified_solid

@@ -12,8 +12,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from lirs_envs.env import RobotEnv
 from lirs_envs.episodes.episodes import EpisodeView
 from lirs_envs.vector_env import RobotVectorEnv, split_infos
-from lirs_wct.arrays import ByteArray
-from lirs_wct.errors import ConfigError
+from lirs_wct import ByteArray, ConfigError
 
 PICTURES = {None: None, "rgb_array": "rgb_array", "map": "rgb_array"}
 """Render modes and their names in Stable-Baselines3."""

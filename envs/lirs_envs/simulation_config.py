@@ -14,8 +14,8 @@ from lirs_envs.sensing.imu import InertialNoise
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.walkers import TOUCHABLE
 from lirs_wct import ConfigError, Pose2
-from lirs_wct.checks import Checked, check_field, is_finite, limited, of_type, one_of
 from lirs_wct.contact import CONTACT_GEOMETRIES, ContactGeometry
+from lirs_wct.errors import Checked, check_field, is_finite, limited, of_type, one_of
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,7 @@ from gymnasium.vector.utils import batch_space
 from lirs_envs.env import LimitedEpisodes, Observed, make_config, snapshot_of
 from lirs_envs.episodes.episodes import Episodes, EpisodeView, action_array, check_options
 from lirs_envs.rendering import RENDER_MODES, Views, check_render_mode
-from lirs_wct import ConfigError, Pose2, unknown_name
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
+from lirs_wct import BoolArray, ConfigError, FloatArray, IntArray, Pose2, unknown_name
 
 Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 

@@ -13,8 +13,7 @@ from gymnasium.vector import VectorWrapper
 from lirs_envs.episodes.observations import Group
 from lirs_envs.tasks.task import Stage, Task
 from lirs_envs.vector_env import split_infos
-from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2
-from lirs_wct.arrays import ByteArray, FloatArray, IntArray
+from lirs_wct import ByteArray, ConfigError, FloatArray, Imu, IntArray, LaserScan, OccupancyGrid, Pose2
 
 
 class Curriculum(VectorWrapper):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lirs_validation.cli.progress import manifest_of_command, note, out, run_sweep, say
+from lirs_validation.cli.progress import command_line, note, out, run_sweep, say
 from lirs_validation.config import EngineOptions
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 from lirs_wct.option import Options, argument, option, read_pairs
@@ -53,7 +53,7 @@ def bench(options: BenchCommand, engine: EngineOptions) -> None:
     """
     from lirs_extensions.bench.episode import EpisodeTask
     from lirs_extensions.bench.tasks import task_set
-    from lirs_validation.sweep.sweep import Sweep
+    from lirs_validation.sweep.sweep import Manifest, Sweep
 
     tasks, data, output = task_set(options.set), options.data, options.output
     chosen = _with_sources(tasks.chosen(options.task, options.split), data)
@@ -70,7 +70,8 @@ def bench(options: BenchCommand, engine: EngineOptions) -> None:
         for policy in choices
         for each in chosen
     ]
-    sweep = Sweep(episodes, output, manifest=manifest_of_command(), retry_failed=engine.retry_failed)
+    manifest = Manifest(command=command_line())
+    sweep = Sweep(episodes, output, manifest=manifest, retry_failed=engine.retry_failed)
     try:
         run_sweep(sweep, engine, lambda: _show(output, tasks, chosen, choices))
     except OutputError:

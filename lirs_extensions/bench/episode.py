@@ -26,8 +26,7 @@ from lirs_validation.processes import is_interrupt
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import plain
 from lirs_validation.sweep.sweep import Outcome, SweepTask, read_status
-from lirs_wct.arrays import Float32Array, FloatArray
-from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct import ConfigError, Float32Array, FloatArray, SourceError
 from lirs_wct.files import atomic_folder
 from lirs_wct.progress import Progress, no_progress
 

@@ -30,8 +30,17 @@ from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver,
 from lirs_validation.driving.paths import Path as DrivenPath, penalize_behind
 from lirs_validation.driving.routes import FreeGround, WaypointRoute
 from lirs_validation.experiment.loading import make_own, own_class, own_source_file
-from lirs_wct import ConfigError, HeightField, OccupancyGrid, Pose2, unknown_name
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from lirs_wct import (
+    BoolArray,
+    ConfigError,
+    Float32Array,
+    FloatArray,
+    HeightField,
+    IntArray,
+    OccupancyGrid,
+    Pose2,
+    unknown_name,
+)
 from lirs_wct.formats.drive_files import RoutePoint
 from lirs_wct.geometry.grid_search import Reach, search
 from slam_baselines.mapper import make_mapper

@@ -22,10 +22,16 @@ from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES, fractal, with_rocks
 from lirs_envs.generators.terrain import KINDS, generate
 from lirs_envs.robots.robot import make_robot
-from lirs_wct import BuildOptions, HeightField, World, build_world
-from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import check_seed, require_within
-from lirs_wct.errors import ConfigError, SourceError, WctError, reason_of, unknown_name
+from lirs_wct import BuildOptions, FloatArray, HeightField, World, build_world
+from lirs_wct.errors import (
+    ConfigError,
+    SourceError,
+    WctError,
+    check_seed,
+    reason_of,
+    require_within,
+    unknown_name,
+)
 from lirs_wct.files import digest
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import RECIPES

@@ -18,10 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_extensions.clouds.packages import TimedOdometry, TimedSystem, matrix_of
-from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import require_within
-from lirs_wct.errors import ConfigError, unknown_name
-from lirs_wct.geometry import ImuReadings, PointCloud
+from lirs_wct.errors import ConfigError, require_within, unknown_name
+from lirs_wct.geometry import FloatArray, ImuReadings, PointCloud
 
 GRAVITY = 9.80665
 THREADS = {"max_num_threads": 1, "num_threads": 1, "ls_num_threads": 1, "numberOfCores": 1}

@@ -15,9 +15,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import Imu, ImuReadings, PointCloud, Pose3, Trajectory
+from lirs_wct.errors import Checked, limited
+from lirs_wct.geometry import FloatArray, Imu, ImuReadings, PointCloud, Pose3, Trajectory
 from slam_baselines.kiss_icp import CloudOdometry, pose_of, sweep_times
 from slam_baselines.mapper import MapperStats, Stopwatch
 

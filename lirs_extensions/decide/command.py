@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import common
-from lirs_validation.cli.progress import ExitCode, note, out, say
+from lirs_validation.cli.progress import ExitCode, command_line, note, out, say
 from lirs_validation.cli.sources import World, map_logs, sources_argument
 from lirs_validation.config import EngineOptions, RunConfig
 from lirs_wct import ConfigError
@@ -74,7 +72,7 @@ def verdict(
     sources, build = map_logs(options.sources, build, options.output)
     configs = cross(sources, build=build, **run)
     answers = decide(configs, options.output, engine, budget=options.budget, report=_print_state)
-    page = write_decision(options.output, answers, shlex.join(["lirs-wct", *sys.argv[1:]]))
+    page = write_decision(options.output, answers, command_line())
     out.print(methods_table(answers))
     if any(answer.changed for answer in answers):
         out.print(changes_table(answers))

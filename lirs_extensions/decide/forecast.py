@@ -17,8 +17,7 @@ from lirs_envs.robots.robot import Robot
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import plan_tour
 from lirs_validation.metrics.world_geometry import cast_beams, count_hits, standing_on
-from lirs_wct import Pose2, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct import FloatArray, Pose2, World
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS
 
 TOURS = 3

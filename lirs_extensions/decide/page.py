@@ -18,8 +18,7 @@ from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import VerdictClass
 from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
 from lirs_validation.report.table import ReportTable
-from lirs_wct import SourceError, Trajectory
-from lirs_wct.arrays import FloatArray
+from lirs_wct import FloatArray, SourceError, Trajectory
 from lirs_wct.drawing.canvas import (
     BLACK,
     Canvas,

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray, njit
-from lirs_wct.checks import Checked, limited
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import Checked, ConfigError, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.linalg import solve3
 from slam_baselines.mapper import MapperStats, PlanarMapper

@@ -19,8 +19,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from lirs_validation.sweep.workers import Failure, WorkerPool
-from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, OutputError, WctError
+from lirs_wct import ConfigError, FloatArray, OutputError, WctError
 from lirs_wct.progress import Progress
 
 DIGITS = 3

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +9,7 @@ from typing import Annotated, Any
 from lirs_extensions.search.options import FalsifyOptions, TuneOptions
 from lirs_validation.cli.command import common
 from lirs_validation.cli.commands.worlds import LogInOut
-from lirs_validation.cli.progress import note, progress_bar, say
+from lirs_validation.cli.progress import command_line, note, progress_bar, say
 from lirs_validation.cli.sources import OneSource, World
 from lirs_validation.config import MapConfig, RunConfig
 from lirs_wct import BuildOptions, ConfigError
@@ -65,7 +63,7 @@ def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
     with process_pool(options.jobs) as pool:
         drives = CaseDrives(options, limits, output, pool)
         found = search.falsify(drives, note)
-    page = write_results(output, drives, found, shlex.join(["lirs-wct", *sys.argv[1:]]))
+    page = write_results(output, drives, found, command_line())
     _show(page, *(output / f"case-{k}" for k in range(1, len(found) + 1)), *conclusion(drives, found))
 
 
@@ -90,15 +88,14 @@ def tune(
     lirs-wct tune medium --robot husky --mapper gmapping_original --seconds 40 -o tune/
     lirs-wct tune examples/data/office.clf.gz --mapper hector_original --unseen 4 -o tune/
     """
-    from lirs_extensions.search import tuning as search
-    from lirs_extensions.search.case_search import process_pool, require_cma
+    from lirs_extensions.search import case_search, tuning as search
 
     output, target = where.output, _tune_target(where.source, run, tuning, build)
     limits = None if tuning.limits is None else Path(tuning.limits)
     space = search.search_space(target.mapper, target.parameters, limits)
     if tuning.search == "cma":
-        require_cma()
-    with process_pool(tuning.jobs) as pool:
+        case_search.require_cma()
+    with case_search.process_pool(tuning.jobs) as pool:
         drives = search.TuneDrives(target, tuning, space, output, pool)
         tuned = search.tune(drives, note)
         found = search.compare(drives, tuned)
@@ -157,7 +154,7 @@ def twin(options: TwinCommand, given: Annotated[dict[str, Any], MapConfig]) -> N
             out=options.output,
             replayed=parse_mappers(options.replay),
             draws=options.draws,
-            command=shlex.join(["lirs-wct", *sys.argv[1:]]),
+            command=command_line(),
             progress=progress,
         )
     _show(*result.sentences, folder / "twin.html")

@@ -21,8 +21,7 @@ from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RUN_AXES, RunConfig
 from lirs_validation.record.metric_catalog import Entry, Metric
 from lirs_validation.record.run_record import succeeded
-from lirs_wct.arrays import FloatArray
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct import ConfigError, FloatArray, unknown_name
 from lirs_wct.option import declared, defaults
 
 FIELDS = ("world", *(name for name in RUN_AXES if name != "seed"), "seconds")

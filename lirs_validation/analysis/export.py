@@ -20,8 +20,7 @@ from lirs_envs.sensing.imu import STANDARD_GRAVITY, InertialNoise
 from lirs_validation.analysis.results import RunFolder, read_sensors, recorded_config
 from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.record.run_record import maps_clouds
-from lirs_wct import Pose2, Pose3, SourceError, unknown_name
-from lirs_wct.arrays import FloatArray
+from lirs_wct import FloatArray, Pose2, Pose3, SourceError, unknown_name
 from lirs_wct.files import atomic_write
 from lirs_wct.formats import carmen_log, drive_files, map_server
 from lirs_wct.formats.rosbag.messages import BagDrive, BagTick

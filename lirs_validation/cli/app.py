@@ -18,8 +18,7 @@ import click
 
 from lirs_validation.cli.command import Command, paragraphs, render
 from lirs_validation.cli.progress import ExitCode, note
-from lirs_validation.experiment.loading import importable
-from lirs_validation.processes import is_interrupt, raise_interrupts
+from lirs_validation.processes import importable, is_interrupt, raise_interrupts
 from lirs_wct.errors import ConfigError, MapperError, WctError, did_you_mean
 
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

@@ -28,7 +28,7 @@ from lirs_wct.progress import Progress
 
 if TYPE_CHECKING:
     from lirs_validation.config import EngineOptions
-    from lirs_validation.sweep.sweep import Executor, Manifest, Outcome, Sweep
+    from lirs_validation.sweep.sweep import Executor, Outcome, Sweep
 
 
 class ExitCode(IntEnum):
@@ -76,11 +76,9 @@ def note(text: object, style: str | None = None) -> None:
     err.print(str(text), markup=False, highlight=False, soft_wrap=True, style=style)
 
 
-def manifest_of_command(suite: str | None = None) -> Manifest:
-    """Return the manifest of this process's command line."""
-    from lirs_validation.sweep.sweep import Manifest
-
-    return Manifest(command=shlex.join(["lirs-wct", *sys.argv[1:]]), suite=suite)
+def command_line() -> str:
+    """Return the command of this process, quoted for a shell."""
+    return shlex.join(["lirs-wct", *sys.argv[1:]])
 
 
 def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> None:

@@ -12,7 +12,7 @@ from lirs_validation.cli.progress import note, progress_bar
 from lirs_validation.config import WORLD_FLAGS
 from lirs_wct.formats.suffixes import Storage
 from lirs_wct.option import Options, argument, option
-from lirs_wct.sources.source import BuildOptions
+from lirs_wct.sources.source import BuildOptions, is_log
 
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
 World = Annotated[BuildOptions, Few(WORLD_FLAGS)]
@@ -63,9 +63,6 @@ def map_logs(
     Raises:
         WctError: a log cannot be mapped, or its map cannot be written.
     """
-    # The import loads much of SciPy, which would delay `--help`.
-    from lirs_wct.sources.source import is_log
-
     logs = [source for source in sources if is_log(Path(source))]
     folder = Path() if output is None else output.parent if output.suffix else output
     maps = {log: _map_log(log, options, folder) for log in logs}

@@ -22,8 +22,7 @@ from lirs_envs.robots.control import make_controllers
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.simulation import ROW
 from lirs_validation.driving.choice import no_room
-from lirs_wct import Pose2, SimulationError, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct import FloatArray, Pose2, SimulationError, World
 from lirs_wct.navigation import largest_area
 
 MAX_DEPTH = 0.010

@@ -45,11 +45,10 @@ from lirs_validation.collision.drives import (
     drive_at_random,
 )
 from lirs_validation.metrics.world_geometry import mesh_error
-from lirs_wct import TriangleMesh, WallGrid, World
-from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.checks import check_seed, positive
+from lirs_wct import BoolArray, FloatArray, TriangleMesh, WallGrid, World
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.contact.parts import PRISM_ERROR, touching_volume
+from lirs_wct.errors import check_seed, positive
 from lirs_wct.files import write_csv, write_json
 
 STREAM = 21

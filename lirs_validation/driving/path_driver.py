@@ -11,9 +11,8 @@ from typing import Literal, Protocol
 
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_validation.driving.paths import SPACING, Path, PursuitConfig
-from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import LaserScan, Pose2
+from lirs_wct.errors import Checked, limited
+from lirs_wct.geometry import FloatArray, LaserScan, Pose2
 
 Frame = Literal["world", "map"]
 """Frame of a driver's poses: `T_world_base`, the truth, or `T_map_base`, the mapper's latest answer."""

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
-from lirs_wct.checks import Checked, limited
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import Checked, ConfigError, limited
 from lirs_wct.geometry import OccupancyGrid, Pose2
 
 COMFORTABLE = 0.6

@@ -20,8 +20,7 @@ from lirs_validation.experiment.mapper_under_test import Estimate, MapperUnderTe
 from lirs_validation.metrics.consistency import LostRule
 from lirs_validation.metrics.elevation import CloudSample
 from lirs_validation.record.run_record import Status
-from lirs_wct import Imu, LaserScan, Pose2, Pose3, SimulationError, Trajectory
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct import BoolArray, FloatArray, Imu, LaserScan, Pose2, Pose3, SimulationError, Trajectory
 from slam_baselines.dead_reckoning import spatial_odometry
 
 T = TypeVar("T")

@@ -21,8 +21,7 @@ from lirs_validation.metrics.world_geometry import observed_support
 from lirs_validation.record.provenance import versions
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord
 from lirs_validation.record.verdict import incompleteness
-from lirs_wct import OccupancyGrid, SimulationError, World
-from lirs_wct.arrays import FloatArray
+from lirs_wct import FloatArray, OccupancyGrid, SimulationError, World
 from slam_baselines.map_builder import KnownPoseMapper
 
 REPLAYED = 10.0

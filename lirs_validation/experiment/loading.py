@@ -7,8 +7,7 @@ import inspect
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib.machinery import PathFinder
 from importlib.metadata import distributions
@@ -17,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from lirs_validation.processes import importable
 from lirs_wct.errors import ConfigError, unknown_name
 from slam_baselines.mapper import (
     ALL_CLOUD_MAPPERS,
@@ -66,21 +66,6 @@ def mapper_named(name: str, seed: int, parameters: str = "") -> Mapper | CloudMa
         raise ConfigError(f"mapper {name!r}: lacks {', '.join(lacking)}; a mapper has {needed}")
     own: Mapper | CloudMapper = mapper
     return own
-
-
-@contextmanager
-def importable(folder: Path) -> Iterator[None]:
-    """Put a folder first on `sys.path` in a block, unless it is there already."""
-    entry = str(folder)
-    if entry in sys.path:
-        yield
-        return
-    sys.path.insert(0, entry)
-    try:
-        yield
-    finally:
-        with suppress(ValueError):
-            sys.path.remove(entry)
 
 
 def own_class(name: str, what: str, method: str) -> Callable[..., Any]:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeVar
 
 import numpy as np
 
-from lirs_validation.config import DRIVERS, Attitude, RunConfig, driver_parts
+from lirs_validation.config import DRIVERS, Attitude, MapConfig, RunConfig, driver_parts
 from lirs_validation.experiment.loading import interpreter_of, mapper_named
 from lirs_validation.processes import ChildProcess, Cost, CostMeter, is_interrupt
 from lirs_wct import (
@@ -48,7 +48,6 @@ from slam_baselines.mapper import (
 
 if TYPE_CHECKING:  # mapping a log does not load the simulator
     from lirs_envs.sensing.sensors import Observation
-    from lirs_validation.config import MapConfig
 
 READ_ONLY = re.compile(r"read-?only", re.IGNORECASE)
 """Matches messages of NumPy and Numba about a write into a read-only array."""

@@ -28,8 +28,18 @@ from lirs_validation.gui.construction import Facts, with_own_picture
 from lirs_validation.metrics.alignment import rigid_alignment, rms
 from lirs_validation.processes import CostMeter
 from lirs_validation.record.run_record import SUCCEEDED, maps_clouds, read_record, succeeded
-from lirs_wct import LaserScan, MapperError, OccupancyGrid, Pose2, Pose3, SourceError, WctError, World
-from lirs_wct.arrays import Float32Array, FloatArray
+from lirs_wct import (
+    Float32Array,
+    FloatArray,
+    LaserScan,
+    MapperError,
+    OccupancyGrid,
+    Pose2,
+    Pose3,
+    SourceError,
+    WctError,
+    World,
+)
 from lirs_wct.formats import carmen_log, drive_files, map_server
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES

@@ -21,8 +21,7 @@ from trimesh.visual.material import PBRMaterial
 from lirs_envs.robots.robot import Robot, make_robot
 from lirs_validation.gui.playback import MapSnapshot, Moment
 from lirs_validation.report.pictures import with_paths
-from lirs_wct import HeightField, Pose3, TriangleMesh, World
-from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct import ByteArray, FloatArray, HeightField, Pose3, TriangleMesh, World
 from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of
 from lirs_wct.export.appearance import world_parts
 from lirs_wct.geometry.heightfield import fewer_nodes

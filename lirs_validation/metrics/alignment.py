@@ -9,9 +9,7 @@ import numpy as np
 import scipy  # its modules load on first use
 from scipy.spatial.transform import Rotation, Slerp
 
-from lirs_wct import SourceError
-from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.geometry import Pose2, Pose3, Trajectory
+from lirs_wct import FloatArray, IntArray, Pose2, Pose3, SourceError, Trajectory
 
 MAX_GAP = 0.02
 """Poses whose stamps differ by more than this (seconds) are not the same moment."""

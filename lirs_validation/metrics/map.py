@@ -18,9 +18,16 @@ from scipy.spatial import cKDTree
 
 from lirs_validation.metrics.alignment import StartAlignment
 from lirs_validation.metrics.world_geometry import near_obstacle
-from lirs_wct import HeightField, OccupancyGrid, WallGrid
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from lirs_wct.geometry import wrap_angle
+from lirs_wct import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    HeightField,
+    IntArray,
+    OccupancyGrid,
+    WallGrid,
+    wrap_angle,
+)
 
 TOLERANCE = 0.10
 """Two occupied cells agree where their centers are at most this far apart, meters."""

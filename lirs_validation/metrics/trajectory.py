@@ -30,8 +30,7 @@ from lirs_validation.metrics.alignment import (
     spatial_alignment,
     wrap_angles,
 )
-from lirs_wct import ConfigError, Pose2, Trajectory
-from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct import ConfigError, FloatArray, IntArray, Pose2, Trajectory
 
 PROPAGATION_GAP = 0.1
 """A pose farther than this from a constraint's stamp is propagated there by odometry, seconds."""

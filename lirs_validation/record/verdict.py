@@ -19,8 +19,7 @@ import yaml
 
 from lirs_validation.config import CLIENT, FRONTIER
 from lirs_validation.record.metric_catalog import Entry, is_worse, text_at, value_at
-from lirs_wct.checks import within
-from lirs_wct.errors import ConfigError, reason_of
+from lirs_wct.errors import ConfigError, reason_of, within
 from slam_baselines.mapper import short_name
 
 MIN_COVERAGE = 0.95

@@ -30,8 +30,7 @@ from lirs_validation.metrics.map import contradicted
 from lirs_validation.record.metric_catalog import Entry, Metric, rtf_counts, value_at
 from lirs_validation.record.run_record import maps_clouds, succeeded
 from lirs_validation.report.page import PageFigure, data_url
-from lirs_wct import WctError
-from lirs_wct.arrays import ByteArray, FloatArray
+from lirs_wct import ByteArray, FloatArray, WctError
 from lirs_wct.drawing.canvas import BLUE, GREEN, VERMILLION, Canvas, Drawing, bounds_shown, shaded_heights
 from lirs_wct.formats import drive_files, map_server
 

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from lirs_validation.config import EngineOptions, RunConfig
-from lirs_validation.experiment.loading import importable
 from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_scenario
+from lirs_validation.processes import importable
 from lirs_validation.sweep.sweep import Executor, Outcome, ProgressOf, Serial, SweepTask, outcome_of
 from lirs_validation.sweep.workers import ONE_THREAD, Failure, WorkerPool
 from lirs_wct.errors import ConfigError

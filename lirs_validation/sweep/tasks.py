@@ -10,9 +10,10 @@ from dataclasses import asdict, dataclass, fields
 from functools import cache, cached_property
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from lirs_envs.robots.robot import make_robot
+from lirs_validation.collision.validation import CollisionVerdict, check_collisions, write_verdicts
 from lirs_validation.config import FRONTIER, NOISE_FILES, RUN_AXES, TOUR, RunConfig, run_name
 from lirs_validation.driving.choice import check_driver, driver_files
 from lirs_validation.experiment.loading import own_source_file, package_versions
@@ -29,9 +30,6 @@ from lirs_wct.files import atomic_folder
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.progress import Progress
 from lirs_wct.sources.source import SourceKind, find_source
-
-if TYPE_CHECKING:
-    from lirs_validation.collision.validation import CollisionVerdict
 
 
 @dataclass(frozen=True)
@@ -198,8 +196,6 @@ class CollisionTask(SweepTask):
 
     def run(self, out: Path, scenarios: ScenarioCache, progress: Progress, *, concurrent: bool) -> Outcome:
         """Check the contacts. A metric over its limit is no failure of the task."""
-        from lirs_validation.collision.validation import check_collisions, write_verdicts
-
         robot = make_robot(self.robot)
         progress("build", 0.0)
         world = scenarios.scenario(self.world_config).world
@@ -228,8 +224,6 @@ class CollisionTask(SweepTask):
 
 def read_verdict(folder: Path) -> CollisionVerdict:
     """Read the verdict that a collision validation wrote."""
-    from lirs_validation.collision.validation import CollisionVerdict
-
     path = folder / "collisions.json"
     try:
         entry = json.loads(path.read_text(encoding="utf-8"))["collisions"][0]

@@ -22,9 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
-from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.geometry import OccupancyGrid, Trajectory, WallGrid
-from lirs_wct.geometry.grid import mask_at
+from lirs_wct.geometry import BoolArray, FloatArray, OccupancyGrid, Trajectory, WallGrid, mask_at
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.world import World
 

@@ -17,7 +17,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Wedge
 from matplotlib.patheffects import withStroke
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.drawing.canvas import (
     BLACK,
     BLUE,
@@ -46,7 +45,7 @@ from lirs_wct.drawing.canvas import (
     shaded_surface,
     title,
 )
-from lirs_wct.geometry import LaserScan, OccupancyGrid, Trajectory
+from lirs_wct.geometry import FloatArray, LaserScan, OccupancyGrid, Trajectory
 from lirs_wct.geometry.heightfield import HeightField, fewer_nodes
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
 from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, camera_axes

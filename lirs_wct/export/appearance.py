@@ -9,12 +9,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray
 from lirs_wct.formats.picture import read_picture, write_image
 from lirs_wct.formats.world_json import texture_path
-from lirs_wct.geometry import WallGrid
+from lirs_wct.geometry import ByteArray, FloatArray, Pose2, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.texture import (
     FLOOR_SPAN,
     cube_uv,

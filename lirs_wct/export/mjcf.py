@@ -20,7 +20,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, ByteArray, FloatArray
 from lirs_wct.contact import ContactGeometry, check_contact_geometry
 from lirs_wct.contact.grid import ContactGrid
 from lirs_wct.contact.parts import contact_parts
@@ -29,10 +28,10 @@ from lirs_wct.export.appearance import Wear, ground_wear, world_extent, world_pa
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.writers import write_obj
 from lirs_wct.formats.picture import write_image
-from lirs_wct.geometry import WallGrid
+from lirs_wct.geometry import BoolArray, ByteArray, FloatArray, Viewpoint, WallGrid
 from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import MUJOCO_FACES, TriangleMesh, split_tiles
-from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, Viewpoint, overview
+from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, overview
 from lirs_wct.meshing.solid import merged_rectangles
 from lirs_wct.world import World
 

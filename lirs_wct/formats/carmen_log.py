@@ -23,7 +23,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import read_gzipped, readable_lines, write_gzipped
 from lirs_wct.formats.laser_log import (
@@ -36,7 +35,7 @@ from lirs_wct.formats.laser_log import (
     odometry_of,
 )
 from lirs_wct.formats.range_codes import NO_RETURN, RANGE_MIN, no_return, usual_reading
-from lirs_wct.geometry import LaserScan, Pose2, Pose3
+from lirs_wct.geometry import Float32Array, LaserScan, Pose2, Pose3
 
 
 def read_carmen(path: Path, *, fov: float | None = None, range_max: float | None = None) -> LaserLog:

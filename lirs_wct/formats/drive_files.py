@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError
 from lirs_wct.files import atomic_write, read_text, write_gzipped
 from lirs_wct.formats.yaml_text import load_yaml
-from lirs_wct.geometry import Imu, Pose2, Trajectory
+from lirs_wct.geometry import FloatArray, Imu, Pose2, Trajectory
 
 COMMANDS_HEADER = "time,v,omega"
 """Time of the command since the start, seconds; m/s; rad/s."""

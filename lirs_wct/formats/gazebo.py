@@ -13,12 +13,11 @@ from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.picture import write_image
+from lirs_wct.geometry import ByteArray, Pose3, Viewpoint
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField, resample
-from lirs_wct.geometry.pose import Pose3, Viewpoint
 
 VERSION = "1.6"
 GRAVITY = 9.80665

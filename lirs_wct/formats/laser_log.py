@@ -19,8 +19,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
-from lirs_wct.geometry import Imu, ImuReadings, LaserScan, PointCloud, Pose2, Trajectory
+from lirs_wct.geometry import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    Imu,
+    ImuReadings,
+    LaserScan,
+    PointCloud,
+    Pose2,
+    Trajectory,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,13 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.picture import MAX_PIXELS, read_picture, write_image
 from lirs_wct.formats.yaml_text import load_yaml
-from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.geometry import FREE, OCCUPIED, FloatArray, OccupancyGrid, Pose2
 
 Entry = str | list[str]
 """A value in a map's YAML, not yet read as number."""

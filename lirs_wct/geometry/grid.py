@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from lirs_wct.checks import require_within
 from lirs_wct.display import ShownAsPicture
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, require_within
 from lirs_wct.geometry.pose import Pose2
 
 OCCUPIED = 0.65

@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry import FloatArray, OccupancyGrid, Pose2
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.heightfield import HeightField, sample_surface
 from lirs_wct.ground import Ground, Terrain

@@ -19,7 +19,7 @@ import scipy  # its modules load on first use
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.checks import Checked, limited
+from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry.heightfield import nearest_values
 
 SMOOTH = 2.0

@@ -17,8 +17,8 @@ from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError, SourceError, did_you_mean
 from lirs_wct.files import read_manifest
-from lirs_wct.formats import map_server, picture, point_clouds, suffixes
-from lirs_wct.geometry.pose import Pose2
+from lirs_wct.formats import map_server, picture, suffixes
+from lirs_wct.geometry import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.option import Options, Slider, changed, declared, documented, option, positive, within
 from lirs_wct.sources.bundled import RECIPES
@@ -360,6 +360,12 @@ def warn_without_effect(source: Source, options: BuildOptions) -> None:
         )
 
 
+def _holds_points(path: Path) -> bool:
+    from lirs_wct.formats.point_clouds import is_cloud_ply  # loads the kernels of meshes
+
+    return is_cloud_ply(path)
+
+
 def _kind(path: Path, options: BuildOptions) -> SourceKind:
     suffix = path.suffix.lower()
     if is_bag(path):
@@ -372,7 +378,7 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
     if suffix in suffixes.MAPS:
         return SourceKind.MAP
-    if suffix in suffixes.CLOUDS or (suffix == ".ply" and point_clouds.is_cloud_ply(path)):
+    if suffix in suffixes.CLOUDS or (suffix == ".ply" and _holds_points(path)):
         return SourceKind.CLOUD
     if suffix in suffixes.MESHES:
         return SourceKind.MESH

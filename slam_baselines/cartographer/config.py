@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from lirs_wct.checks import limited, require_within
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import ConfigError, limited, require_within
 from lirs_wct.geometry import OccupancyGrid, Pose2
 from slam_baselines.dead_reckoning import MotionConfig
 from slam_baselines.front_end import FrontEndConfig

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, IntArray
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import ByteArray, FloatArray, IntArray, Pose2
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.local_slam import NOWHERE, LocalSlam, Node, compose_estimates
 from slam_baselines.cartographer.loop_closure import (

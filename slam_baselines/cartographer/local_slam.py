@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.geometry import Imu, LaserScan, Pose2, wrap_angle
+from lirs_wct.geometry import ByteArray, FloatArray, Imu, LaserScan, Pose2, wrap_angle
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.submap import Submaps
 from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate

@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from lirs_wct.arrays import FloatArray
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
+from lirs_wct.geometry import FloatArray, Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
 from slam_baselines.cartographer.branch_and_bound import BoundGrids, Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.dead_reckoning import DeadReckoning, PoseEstimate

@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry import Pose2, wrap_angle
+from lirs_wct.geometry import FloatArray, Pose2, wrap_angle
 from slam_baselines.cartographer.branch_and_bound import Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.submap import Submap

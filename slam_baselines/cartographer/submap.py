@@ -17,8 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import ByteArray, FloatArray
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import ByteArray, FloatArray, Pose2
 from slam_baselines.cartographer.branch_and_bound import BoundGrids
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.leveling import ScanPoints

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lirs_wct.checks import limited, require_within
+from lirs_wct.errors import limited, require_within
 from slam_baselines.dead_reckoning import MotionConfig
 from slam_baselines.front_end import FrontEndConfig
 from slam_baselines.gmapping.increment import GyroBiasConfig

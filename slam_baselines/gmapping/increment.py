@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import Imu, Pose2
+from lirs_wct.errors import Checked, limited
+from lirs_wct.geometry import FloatArray, Imu, Pose2
 from slam_baselines.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate, yaw_rate
 from slam_baselines.linalg import solve3
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
+from lirs_wct.geometry import ByteArray, Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.dead_reckoning import PoseEstimate
 from slam_baselines.front_end import Keyframe, StartUp
 from slam_baselines.gmapping.config import GmappingConfig

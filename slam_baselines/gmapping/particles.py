@@ -6,8 +6,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, Int32Array, IntArray
-from lirs_wct.geometry import Pose2, Trajectory
+from lirs_wct.geometry import FloatArray, Int32Array, IntArray, Pose2, Trajectory
 from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.gmapping.patches import PatchTables
 

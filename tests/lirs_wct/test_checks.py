@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from lirs_wct.checks import Checked, check_field, check_seed, limited, of_type, one_of, require_within, within
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import (
+    Checked,
+    ConfigError,
+    check_field,
+    check_seed,
+    limited,
+    of_type,
+    one_of,
+    require_within,
+    within,
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from lirs_wct.checks import Checked
-from lirs_wct.errors import ConfigError
+from lirs_wct.errors import Checked, ConfigError
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, make_mapper
 
 PACKAGES = ("slam_baselines", "lirs_extensions")

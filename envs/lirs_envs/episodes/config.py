@@ -15,8 +15,8 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.tasks.task import Rewards
 from lirs_wct import ConfigError, Pose2, World, unknown_name
-from lirs_wct.checks import Checked, is_finite, limited, of_type
 from lirs_wct.contact import ContactGeometry
+from lirs_wct.errors import Checked, is_finite, limited, of_type
 
 RANDOMIZED: dict[str, tuple[float, float] | None] = {
     "friction": (0.7, 1.3),

@@ -22,7 +22,7 @@ from lirs_envs.tasks.site import make_site
 from lirs_envs.tasks.task import DRAWS, MIXED, TASKS, CourseScale, Stage, TraverseTask, course_scale
 from lirs_wct import ConfigError, Pose3, SimulationError, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
-from lirs_wct.checks import within
+from lirs_wct.errors import within
 
 Factors = dict[str, tuple[float, float] | None]
 """Randomized quantities with their ranges."""

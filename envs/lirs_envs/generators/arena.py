@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lirs_envs.generators.natural import fractal
-from lirs_wct import HeightField, Pose2, World
-from lirs_wct.arrays import BoolArray, FloatArray
-from lirs_wct.checks import Checked, check_field, check_seed, limited
+from lirs_wct import BoolArray, FloatArray, HeightField, Pose2, World
+from lirs_wct.errors import Checked, check_field, check_seed, limited
 from lirs_wct.ground import Terrain
 
 CELL = 0.1

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lirs_wct import HeightField, Pose2, WallGrid
-from lirs_wct.arrays import BoolArray
+from lirs_wct import BoolArray, HeightField, Pose2, WallGrid
 from lirs_wct.ground import LaserMap
 
 CELL = 0.05

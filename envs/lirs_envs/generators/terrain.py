@@ -18,7 +18,7 @@ import numpy as np
 from lirs_envs.generators.natural import NODES, fractal, with_rocks
 from lirs_wct import HeightField, Pose2, World, unknown_name
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
-from lirs_wct.checks import positive, within
+from lirs_wct.errors import positive, within
 from lirs_wct.ground import Terrain
 
 CELL = 0.1

@@ -12,8 +12,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import Float32Array, FloatArray, njit
-from lirs_wct.checks import Checked, limited, require_within
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import Checked, ConfigError, limited, require_within, unknown_name
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,9 +20,8 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from lirs_wct.checks import require_within
 from lirs_wct.display import html_table
-from lirs_wct.errors import ConfigError, unknown_name
+from lirs_wct.errors import ConfigError, require_within, unknown_name
 from lirs_wct.geometry import Pose3
 
 ASSETS = Path(__file__).parent / "assets"

@@ -22,7 +22,7 @@ from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import Odometry, OdometryConfig, integrated_pose, yaw_rate
 from lirs_wct import ConfigError, Pose2
 from lirs_wct.arrays import FloatArray, Vector3
-from lirs_wct.checks import Checked, limited
+from lirs_wct.errors import Checked, limited
 
 X, Y, YAW, BIAS, SCALE = range(5)
 BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, IntArray, njit
-from lirs_wct.checks import Checked, limited
+from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry import Imu, ImuReadings
 
 RATE_BLOCK = 256

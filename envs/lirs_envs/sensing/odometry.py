@@ -13,7 +13,7 @@ import numpy as np
 from lirs_envs.robots.control import WheelJoints, mean_angle
 from lirs_wct import Pose2, Pose3
 from lirs_wct.arrays import FloatArray, IntArray, Vector3, njit
-from lirs_wct.checks import Checked, check_field, limited, one_of
+from lirs_wct.errors import Checked, check_field, limited, one_of
 
 Method = Literal["gyro", "ekf"]
 METHODS: tuple[Method, ...] = get_args(Method)

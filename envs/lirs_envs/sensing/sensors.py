@@ -18,12 +18,22 @@ from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray
-from lirs_wct.checks import Checked, check_field, limited, of_type
-from lirs_wct.errors import ConfigError, SourceError, unknown_name
+from lirs_wct import (
+    ConfigError,
+    Float32Array,
+    FloatArray,
+    Imu,
+    ImuReadings,
+    IntArray,
+    LaserScan,
+    PointCloud,
+    Pose2,
+    SourceError,
+    unknown_name,
+)
+from lirs_wct.errors import Checked, check_field, limited, of_type
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.yaml_text import load_yaml
-from lirs_wct.geometry import Imu, ImuReadings, LaserScan, PointCloud, Pose2
 
 FAULT_STREAM = 16
 """Random stream of the faults."""

@@ -15,9 +15,8 @@ from lirs_envs.robots.robot import ROBOTS, Robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.tasks.seen_ground import SeenGround
 from lirs_envs.tasks.site import SEEN_CELL, SeenFrame, Site, draw_goal, seen_frame
-from lirs_wct import ConfigError, Pose2, SimulationError, unknown_name
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray
-from lirs_wct.checks import Checked, limited
+from lirs_wct import BoolArray, ConfigError, FloatArray, IntArray, Pose2, SimulationError, unknown_name
+from lirs_wct.errors import Checked, limited
 
 DRAWS = 100
 """Number of draws of start and goal before a reset fails."""

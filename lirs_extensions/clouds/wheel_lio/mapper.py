@@ -25,9 +25,8 @@ from lirs_extensions.clouds.wheel_lio.registration import (
     thin,
 )
 from lirs_extensions.clouds.wheel_lio.voxel_map import LineMap, LocalMap, PlaneMap
-from lirs_wct.arrays import FloatArray
-from lirs_wct.checks import Checked, limited
-from lirs_wct.geometry import Imu, ImuReadings, PointCloud, Pose2, Pose3, Trajectory
+from lirs_wct.errors import Checked, limited
+from lirs_wct.geometry import FloatArray, Imu, ImuReadings, PointCloud, Pose2, Pose3, Trajectory
 from slam_baselines.dead_reckoning import climb
 from slam_baselines.mapper import MapperStats, Stopwatch, required_odometry
 

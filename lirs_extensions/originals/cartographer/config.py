@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from lirs_wct.checks import Checked, limited
+from lirs_wct.errors import Checked, limited
 
 
 class CeresMatcher(NamedTuple):

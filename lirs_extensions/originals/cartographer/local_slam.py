@@ -21,8 +21,7 @@ from lirs_extensions.originals.cartographer.probability_grid import (
     update_table,
 )
 from lirs_extensions.originals.cartographer.scan_matching import match_scan, search_online
-from lirs_wct.arrays import Float32Array
-from lirs_wct.geometry import LaserScan, Pose2, wrap_angle
+from lirs_wct.geometry import Float32Array, LaserScan, Pose2, wrap_angle
 
 MIN_INTERVAL = 0.001
 """Poses closer in time than this give no velocity, seconds."""

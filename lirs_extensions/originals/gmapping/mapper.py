@@ -18,7 +18,7 @@ import numpy as np
 from lirs_extensions.originals.gmapping.hit_maps import HitMaps, MatchingParameters, match_scan
 from lirs_extensions.originals.hector import line_cells
 from lirs_wct.arrays import BoolArray, FloatArray, njit
-from lirs_wct.checks import Checked, limited
+from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
 from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.gmapping.particles import Particles, normalize

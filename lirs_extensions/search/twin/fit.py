@@ -16,8 +16,7 @@ from scipy.stats import ks_2samp
 from lirs_envs.lidar.presets import LidarNoise
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_extensions.search.twin.surface import LogComparison, compare, simulate_scans
-from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.errors import SourceError
+from lirs_wct import FloatArray, IntArray, SourceError
 
 BINS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, np.inf)
 """Bounds of the ranges whose residuals are counted together, meters."""

@@ -33,8 +33,7 @@ from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
 from lirs_validation.logs.read_log import read_truth, truth_in_time
 from lirs_validation.metrics.trajectory import RelativePoseConstraint, trajectory_accuracy
-from lirs_wct import LaserScan, Pose2, SourceError, Trajectory, unknown_name
-from lirs_wct.arrays import FloatArray
+from lirs_wct import FloatArray, LaserScan, Pose2, SourceError, Trajectory, unknown_name
 from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.progress import Progress
 from slam_baselines.mapper import MAPPERS

@@ -30,8 +30,7 @@ from lirs_extensions.search.twin.surface import (
 )
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
-from lirs_wct import LaserScan, Pose2, SourceError, Trajectory
-from lirs_wct.arrays import FloatArray
+from lirs_wct import FloatArray, LaserScan, Pose2, SourceError, Trajectory
 from lirs_wct.files import atomic_folder, check_writable, write_json
 from lirs_wct.progress import Progress, no_progress
 

@@ -11,8 +11,7 @@ from rich.table import Table
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.logs.preflight import Preflight
 from lirs_validation.metrics.world_geometry import ScanSupport, mesh_error, scan_support
-from lirs_wct import HeightField, WallGrid, World
-from lirs_wct.arrays import Float32Array
+from lirs_wct import Float32Array, HeightField, WallGrid, World
 
 CELLS, MAP_CELLS = 1000, 2000
 """Cells along the longer side, at most, of the grid on which drivable ground is counted: of a terrain, and of

@@ -11,18 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from click.exceptions import Exit
 
 from lirs_validation.cli.command import common
-from lirs_validation.cli.progress import (
-    ExitCode,
-    manifest_of_command,
-    note,
-    out,
-    progress_bar,
-    run_sweep,
-    say,
-)
+from lirs_validation.cli.progress import ExitCode, command_line, note, out, progress_bar, run_sweep, say
 from lirs_validation.cli.sources import BagOptions, World, map_logs, sources_argument
 from lirs_validation.config import DRIVABLE, RUN_AXES, STAND, EngineOptions, RunConfig, run_name
-from lirs_validation.record.verdict import LIMITS, VerdictLimits
+from lirs_validation.record.run_record import read_record
+from lirs_validation.record.verdict import LIMITS, Verdict, VerdictLimits, read_limits, stored_verdict
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError, OutputError, SourceError, WctError
 from lirs_wct.option import Options, option
@@ -30,7 +23,6 @@ from lirs_wct.sources.source import BuildOptions
 
 if TYPE_CHECKING:
     from lirs_validation.collision.validation import CollisionVerdict
-    from lirs_validation.record.verdict import Verdict
     from lirs_validation.sweep.sweep import Sweep, SweepTask
     from lirs_validation.sweep.tasks import RunTask
 
@@ -109,8 +101,6 @@ def validate(
     lirs-wct validate simple medium --robot husky,jackal --mapper hector,gmapping --seed 1-5 -o out/
     lirs-wct validate medium --lidar vlp16 --mapper kiss-icp,genz-icp,hector --seed 1-3 -o out/
     """
-    from lirs_validation.record.verdict import read_limits
-
     accepted = read_limits(options.limits) if options.limits is not None else (LIMITS, frozenset[str]())
     tasks = read_tasks(options, run, build)
     found = _run(tasks, engine, options.output, options.suite, limits=accepted[0])
@@ -190,9 +180,9 @@ def _run(
     limits: VerdictLimits = LIMITS,
 ) -> list[Verdict]:
     """Run tasks, print their tables and verdicts; return the verdicts."""
-    from lirs_validation.sweep.sweep import Sweep
+    from lirs_validation.sweep.sweep import Manifest, Sweep
 
-    manifest = manifest_of_command(suite)
+    manifest = Manifest(command=command_line(), suite=suite)
     sweep = Sweep(tasks, out, manifest=manifest, listed=listed, retry_failed=engine.retry_failed)
     verdicts: list[Verdict] = []
     run_sweep(sweep, engine, lambda: verdicts.extend(_show(sweep, limits)))
@@ -205,8 +195,6 @@ def _check_free(folder: Path, task: RunTask) -> None:
     Raises:
         OutputError: it does.
     """
-    from lirs_validation.record.run_record import read_record
-
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
     wanted = run_name(task.config, task.world)
@@ -220,8 +208,6 @@ def _check_free(folder: Path, task: RunTask) -> None:
 
 def _show(sweep: Sweep, limits: VerdictLimits) -> list[Verdict]:
     """Print tables, folders and verdicts of a sweep; return the verdicts."""
-    from lirs_validation.record.run_record import read_record
-    from lirs_validation.record.verdict import stored_verdict
     from lirs_validation.report.run_tables import sweep_tables, verdict_lines
 
     if not sweep.outcomes:

@@ -15,7 +15,7 @@ from lirs_validation.cli.sources import OneSource, map_logs
 from lirs_validation.config import LogOptions, MapConfig
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
 from lirs_wct.option import Options, argument, option
-from lirs_wct.sources.source import BuildOptions
+from lirs_wct.sources.source import BuildOptions, is_log
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -107,7 +107,6 @@ def info(
     from lirs_validation.cli.commands.info import facts_table, preflight_table
     from lirs_wct.drawing.pictures import view_figure
     from lirs_wct.files import atomic_write
-    from lirs_wct.sources.source import is_log
 
     source, robot, output = options.source, options.robot, options.output
     if is_log(Path(source)):

@@ -14,8 +14,17 @@ from functools import cache
 
 import numpy as np
 
-from lirs_wct.geometry import Imu, ImuReadings, LaserScan, OccupancyGrid, PointCloud, Pose2, Pose3
-from lirs_wct.geometry.grid import FREE, OCCUPIED
+from lirs_wct.geometry import (
+    FREE,
+    OCCUPIED,
+    Imu,
+    ImuReadings,
+    LaserScan,
+    OccupancyGrid,
+    PointCloud,
+    Pose2,
+    Pose3,
+)
 from lirs_wct.geometry.scan import POINT
 
 ENCAPSULATION = b"\x00\x01\x00\x00"

@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray
 from lirs_wct.formats.rosbag.frames import seconds
 from lirs_wct.formats.rosbag.open_bag import open_bag
-from lirs_wct.geometry import PointCloud, Pose3
+from lirs_wct.geometry import BoolArray, Float32Array, FloatArray, PointCloud, Pose3
 
 ANGLE_TOLERANCE = 1e-4
 """Largest difference between angle_max and the sum of increments, both float32, radians."""

@@ -110,7 +110,9 @@ def test_your_own_mapper_runs_in_a_given_interpreter(tmp_path: Path, monkeypatch
     python.chmod(0o755)
     (tmp_path / "own_elsewhere.py").write_text(
         "import os\nfrom slam_baselines.hector import HectorMapper\n"
-        "class Own(HectorMapper):\n    lost = os.environ.get('OTHER') == 'yes'\n"
+        "class Own(HectorMapper):\n    def process(self, *reading):\n"
+        "        pose = super().process(*reading)\n"
+        "        self.lost = os.environ.get('OTHER') == 'yes'\n        return pose\n"
     )
     monkeypatch.chdir(tmp_path)
     config = RunConfig(source="medium", mapper="own_elsewhere:Own", mapper_python=str(python))
