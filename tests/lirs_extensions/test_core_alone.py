@@ -20,7 +20,8 @@ main()
 @pytest.mark.slow
 def test_the_core_runs_without_extensions(tmp_path: Path) -> None:
     run = ["validate", "simple", "--mapper", "hector,gmapping,cartographer", "--seconds", "2", "-o", "out"]
-    for command in (run, ["report", "out"], ["verdict", "simple", "--budget", "0s", "-o", "verdict"]):
+    compare = ["compare", "out:mapper=hector", "out:mapper=gmapping", "--across", "mapper"]
+    for command in (run, ["report", "out"], compare):
         subprocess.run([sys.executable, "-c", ALONE, *command], cwd=tmp_path, check=True)
     assert len(list(tmp_path.glob("out/*/record.json"))) == 3
     assert (tmp_path / "report.html").exists()
