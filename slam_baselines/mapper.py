@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from importlib.util import find_spec
 from numbers import Integral, Real
 from types import MappingProxyType
@@ -309,7 +309,7 @@ def parameters(name: str) -> tuple[str, ...]:
     Raises:
         ConfigError: no mapper has that name.
     """
-    return tuple(_config_class(name).__dataclass_fields__)
+    return tuple(each.name for each in fields(_config_class(name)))
 
 
 def make_mapper(
@@ -370,8 +370,8 @@ def _config_class(name: str) -> Any:
 
 def _make(name: str, seed: int | None, values: dict[str, Any]) -> Any:
     """Return a new mapper whose configuration has some values other than the defaults."""
-    config_class = _config_class(name)
-    method, legal = _METHODS[name], config_class.__dataclass_fields__
+    config_class, legal = _config_class(name), parameters(name)
+    method = _METHODS[name]
     if seed is not None and "seed" in legal:
         values["seed"] = seed
     defaults = config_class(**method.options)

@@ -81,6 +81,7 @@ def test_a_text_that_is_no_list_is_refused(text: str) -> None:
     ("mapper", "options", "message"),
     [
         ("hektor", {}, "unknown mapper 'hektor'; legal: .*hector"),
+        ("hector", {"_owner": "me"}, "unknown parameter of hector '_owner'; legal: angular_search_window"),
         ("hector", {"cell_size": 1}, "unknown parameter of hector 'cell_size'; legal: .*map_resolution"),
         ("hector", {"match_iterations": (3,)}, "match_iterations are needed for 3 levels"),
         ("gmapping", {"particle": 3}, "did you mean particles"),
