@@ -3,6 +3,7 @@
 import copy
 import gc
 import hashlib
+import json
 import pickle
 import resource
 import subprocess
@@ -16,7 +17,14 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers import (
+    FlattenObservation,
+    FrameStackObservation,
+    NormalizeObservation,
+    RecordEpisodeStatistics,
+)
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.env import RobotEnv
@@ -66,6 +74,28 @@ def digest(name: str) -> str:
 )
 def test_check_env(name: str, robot: str) -> None:
     check_env(gym.make(name, robot=robot, world="simple").unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("name", IDS)
+def test_a_spec_survives_pickle_and_json(name: str) -> None:
+    options = {"observe": ["scan", "seen_map"], "randomize": {"friction": [0.5, 1.0]}, "control_hz": 20}
+    env = gym.make(name, **options)
+    assert env.spec is not None
+    assert pickle.loads(pickle.dumps(env.spec)) == env.spec
+    assert json.loads(env.spec.to_json())["kwargs"]["control_hz"] == 20
+    assert episode(gym.make(EnvSpec.from_json(env.spec.to_json())), 1, 5) == episode(env, 1, 5)
+
+
+def test_wrappers_of_gymnasium(plane: World) -> None:
+    env: Any = RecordEpisodeStatistics(RobotEnv("navigation", world=plane, time_limit=0.5))
+    env = NormalizeObservation(FrameStackObservation(FlattenObservation(env), 3))
+    env.reset(seed=0)
+    total, ended = 0.0, False
+    while not ended:
+        observation, reward, terminated, truncated, info = env.step(np.array((0.5, 0.1), np.float32))
+        total, ended = total + reward, terminated or truncated
+    assert np.isfinite(observation).all()
+    assert info["episode"]["r"] == pytest.approx(total)
 
 
 @pytest.mark.slow
