@@ -34,14 +34,8 @@ from lirs_validation.experiment.recording import bag_tick
 from lirs_validation.processes import Cost
 from lirs_wct import ConfigError, LaserScan, OccupancyGrid, Pose2, Pose3, Trajectory
 from lirs_wct.formats.rosbag import frames, messages
-from lirs_wct.formats.rosbag.messages import (
-    MAP_TOPIC,
-    BagTick,
-    SensorErrors,
-    TickMessages,
-    nanoseconds,
-    occupancy_grid,
-)
+from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors, TickMessages, nanoseconds, occupancy_grid
+from lirs_wct.formats.rosbag.topics import MAP_TOPIC
 from slam_baselines.mapper import CloudMapper, Mapper, MapperStats
 
 MAP_PERIOD = 2.0

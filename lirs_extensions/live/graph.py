@@ -19,7 +19,7 @@ from rosbags.typesys.store import Typestore
 
 from lirs_extensions.live.options import Distribution
 from lirs_wct.errors import ConfigError
-from lirs_wct.formats.rosbag.messages import LATCHED, TOPICS
+from lirs_wct.formats.rosbag.topics import LATCHED, TOPICS
 
 STORES: dict[Distribution, Stores] = {
     "humble": Stores.ROS2_HUMBLE,

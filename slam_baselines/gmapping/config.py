@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from lirs_wct.errors import limited, require_within
 from slam_baselines.dead_reckoning import MotionConfig
 from slam_baselines.front_end import FrontEndConfig
-from slam_baselines.gmapping.increment import GyroBiasConfig
+from slam_baselines.gmapping.motion import GyroBiasConfig
 
 
 @dataclass(frozen=True, kw_only=True)

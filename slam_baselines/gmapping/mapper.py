@@ -18,9 +18,9 @@ from slam_baselines.dead_reckoning import PoseEstimate
 from slam_baselines.front_end import Keyframe, StartUp
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
-from slam_baselines.gmapping.increment import GyroBias, GyroBiasConfig, MotionIncrement, remove_bias
+from slam_baselines.gmapping.motion import GyroBias, GyroBiasConfig, MotionIncrement, propagate, remove_bias
 from slam_baselines.gmapping.particles import Particles, normalize
-from slam_baselines.gmapping.proposal import First, Proposal, Proposer, propagate
+from slam_baselines.gmapping.proposal import First, Proposal, Proposer
 from slam_baselines.gmapping.scan_matching import ScanBeams
 from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interpolate_hits

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import FloatArray, njit
-from lirs_wct.geometry import Pose2
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps, PatchMapView
+from slam_baselines.gmapping.motion import PoseDistributions
 from slam_baselines.gmapping.scan_matching import (
     ALWAYS,
     IF_POOR,
@@ -62,18 +62,6 @@ class First(NamedTuple):
 
     particle: int
     wide: bool
-
-
-class PoseDistributions(NamedTuple):
-    """Distributions of the particles' poses by odometry.
-
-    Attributes:
-        poses: (particles, 3) x, y, yaw.
-        covariances: (particles, 3, 3) of these in the map frame.
-    """
-
-    poses: FloatArray
-    covariances: FloatArray
 
 
 class Proposer:
@@ -137,19 +125,6 @@ class Proposer:
             view, beams, expected, covariance, ALWAYS if wide else NEVER, self._tuning
         )
         return pose if hit >= max(self.config.search_threshold * known, self.config.min_beams) else None
-
-
-def propagate(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDistributions:
-    """Return the particles' distributions after a step `T_before_now`.
-
-    Args:
-        poses: (n, 3) x, y, yaw before.
-        step: common to all.
-        covariance: (3, 3) of the step, in the frame before it.
-    """
-    c, s, o = np.cos(poses[:, 2]), np.sin(poses[:, 2]), np.zeros(len(poses))
-    R = np.stack((c, -s, o, s, c, o, o, o, o + 1), axis=-1).reshape(-1, 3, 3)
-    return PoseDistributions(poses + R @ step.as_array(), R @ covariance @ R.transpose(0, 2, 1))
 
 
 def _points(n: int) -> FloatArray:

@@ -10,8 +10,9 @@ import pytest
 import trimesh
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar
+from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.obstacle_rays import GROUND
-from lirs_envs.lidar.presets import LidarNoise, LidarPreset
+from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import MeshCaster, Rays, mujoco_hits
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.sensors import SensorNoise

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from lirs_envs.lidar.presets import NoiseLevel
+from lirs_envs.lidar.noise import NoiseLevel
 from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.props import Prop
 from lirs_envs.robots.robot import Robot, make_robot

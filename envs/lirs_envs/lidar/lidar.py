@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lirs_envs.lidar.noise import LidarNoise, NoiseParameters, draw_noise, lidar_noise, measure
 from lirs_envs.lidar.obstacle_rays import WallCells, intensities
-from lirs_envs.lidar.presets import LidarNoise, LidarPreset, NoiseParameters, draw_noise, lidar_noise, measure
+from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
 from lirs_envs.lidar.terrain_rays import TerrainMipmap
 from lirs_envs.robots.control import BodyState

@@ -15,18 +15,17 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.presets import (
+from lirs_envs.lidar.noise import (
     DATASHEET,
     LEVELS,
     NO_DRAWS,
     LidarNoise,
-    LidarPreset,
     NoiseLevel,
     draw_noise,
     lidar_noise,
-    make_lidar_preset,
     measure,
 )
+from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
 from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, side_ranges, terrain_ranges
 from lirs_wct import ConfigError, HeightField, SimulationError, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit

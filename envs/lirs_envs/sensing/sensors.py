@@ -12,7 +12,8 @@ from typing import Any, get_args
 import numpy as np
 import yaml
 
-from lirs_envs.lidar.presets import LidarNoise, LidarPreset, NoiseLevel, lidar_noise
+from lirs_envs.lidar.noise import LidarNoise, NoiseLevel, lidar_noise
+from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.robots.control import BodyState
 from lirs_envs.robots.robot import Robot
 from lirs_envs.sensing.ekf import EkfOdometry

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.stats import ks_2samp
 
-from lirs_envs.lidar.presets import LidarNoise
+from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_extensions.search.twin.surface import LogComparison, compare, simulate_scans
 from lirs_wct import FloatArray, IntArray, SourceError

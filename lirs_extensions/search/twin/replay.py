@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import kendalltau
 
-from lirs_envs.lidar.presets import LidarNoise
+from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.odometry import DistanceNoise
 from lirs_envs.sensing.sensors import SensorNoise

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from lirs_envs.lidar.presets import LidarNoise, lidar_noise, make_lidar_preset
+from lirs_envs.lidar.noise import LidarNoise, lidar_noise
+from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_extensions.search.twin.fit import FittedNoise, FittedOdometry, curve
 from lirs_extensions.search.twin.replay import FACTOR, Replay

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_envs.lidar.presets import LidarNoise, draw_noise, measure
+from lirs_envs.lidar.noise import LidarNoise, draw_noise, measure
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2, Trajectory

@@ -10,7 +10,8 @@ from click.exceptions import Exit
 
 import lirs_wct
 from lirs_validation.cli.command import Few, common
-from lirs_validation.cli.progress import ExitCode, err, out, progress_bar, say
+from lirs_validation.cli.exit_codes import ExitCode
+from lirs_validation.cli.progress import err, out, progress_bar, say
 from lirs_validation.cli.sources import OneSource, map_logs
 from lirs_validation.config import LogOptions, MapConfig
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions

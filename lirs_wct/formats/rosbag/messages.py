@@ -89,22 +89,6 @@ UNKNOWN = 1e6
 Edges = tuple[tuple[str, str], ...]
 """Parent and child frame of each transform of a message."""
 
-TOPICS = {
-    "/clock": "rosgraph_msgs/msg/Clock",
-    "/tf_static": "tf2_msgs/msg/TFMessage",
-    "/tf": "tf2_msgs/msg/TFMessage",
-    "/odom": "nav_msgs/msg/Odometry",
-    "/imu": "sensor_msgs/msg/Imu",
-    "/imu/data_raw": "sensor_msgs/msg/Imu",
-    "/scan": "sensor_msgs/msg/LaserScan",
-    "/points": "sensor_msgs/msg/PointCloud2",
-    "/ground_truth": "geometry_msgs/msg/PoseStamped",
-    "/map": "nav_msgs/msg/OccupancyGrid",
-}
-"""Topics and their types; a bag has only topics with messages."""
-MAP_TOPIC = "/map"
-LATCHED = ("/tf_static", MAP_TOPIC)
-"""Topics whose last message also reaches late subscribers."""
 MOUNTED, DRIVEN, MAPPED = ((BASE, LASER),), ((ODOM, BASE),), ((ODOM, BASE), (MAP, ODOM))
 """Parents and children of the transforms: the sensor's mount, the odometry, and the map."""
 Message = tuple[str, float, bytearray]

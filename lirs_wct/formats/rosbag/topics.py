@@ -1,4 +1,4 @@
-"""Selection of a bag's topics by message type."""
+"""Topics of a bag: those that are written, and the choice of those that are read."""
 
 from __future__ import annotations
 
@@ -7,6 +7,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lirs_wct.errors import SourceError
+
+TOPICS = {
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/tf": "tf2_msgs/msg/TFMessage",
+    "/odom": "nav_msgs/msg/Odometry",
+    "/imu": "sensor_msgs/msg/Imu",
+    "/imu/data_raw": "sensor_msgs/msg/Imu",
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/points": "sensor_msgs/msg/PointCloud2",
+    "/ground_truth": "geometry_msgs/msg/PoseStamped",
+    "/map": "nav_msgs/msg/OccupancyGrid",
+}
+"""Topics and their types; a bag has only topics with messages."""
+MAP_TOPIC = "/map"
+LATCHED = ("/tf_static", MAP_TOPIC)
+"""Topics whose last message also reaches late subscribers."""
 
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 SCAN, ODOMETRY, IMU = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"

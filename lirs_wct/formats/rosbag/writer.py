@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder
-from lirs_wct.formats.rosbag import messages
+from lirs_wct.formats.rosbag import messages, topics
 from lirs_wct.formats.rosbag.messages import BagDrive, BagTick, SensorErrors
 from lirs_wct.formats.suffixes import Storage
 from lirs_wct.geometry import OccupancyGrid
@@ -79,7 +79,7 @@ class BagWriter:
             self._write_waiting()
             if grid is not None and self._last is not None:
                 stamp = self._last.scan.stamp
-                self._write(messages.MAP_TOPIC, stamp, messages.occupancy_grid(stamp, grid))
+                self._write(topics.MAP_TOPIC, stamp, messages.occupancy_grid(stamp, grid))
             self._writer.close()
 
     def abort(self) -> None:
@@ -97,9 +97,9 @@ class BagWriter:
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 topic,
-                messages.TOPICS[topic],
+                topics.TOPICS[topic],
                 typestore=self._store,
-                offered_qos_profiles=[_qos(topic in messages.LATCHED)],
+                offered_qos_profiles=[_qos(topic in topics.LATCHED)],
             )
         self._writer.write(self._connections[topic], messages.nanoseconds(stamp), memoryview(message))
 

@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from lirs_envs.lidar.lidar import Lidar
-from lirs_envs.lidar.presets import DATASHEET, LIDARS, LidarNoise, draw_noise, lidar_noise, measure
+from lirs_envs.lidar.noise import DATASHEET, LidarNoise, draw_noise, lidar_noise, measure
+from lirs_envs.lidar.presets import LIDARS
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.heightfield import HeightField

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, moved_frames
-from lirs_envs.lidar.presets import LIDARS, RING_LIDARS, LidarNoise, lidar_noise
+from lirs_envs.lidar.noise import LidarNoise, lidar_noise
+from lirs_envs.lidar.presets import LIDARS, RING_LIDARS
 from lirs_envs.props import Prop
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.lidar import BaseVelocity, Lidar, moved_frames
-from lirs_envs.lidar.presets import LIDARS, LidarNoise, LidarPreset, ring_directions
+from lirs_envs.lidar.noise import LidarNoise
+from lirs_envs.lidar.presets import LIDARS, LidarPreset, ring_directions
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation

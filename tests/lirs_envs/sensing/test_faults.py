@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.arena import ArenaConfig, arena
-from lirs_envs.lidar.presets import LidarNoise, make_lidar_preset
+from lirs_envs.lidar.noise import LidarNoise
+from lirs_envs.lidar.presets import make_lidar_preset
 from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.sensing.sensors import (
     DUST_RANGES,

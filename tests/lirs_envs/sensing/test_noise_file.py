@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_envs.lidar.presets import LidarNoise
+from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig

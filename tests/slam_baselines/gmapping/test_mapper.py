@@ -13,13 +13,13 @@ from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.dead_reckoning import PoseEstimate
-from slam_baselines.gmapping.increment import GyroBiasConfig, remove_bias
 from slam_baselines.gmapping.mapper import (
     BiasedRegistration,
     GmappingConfig,
     GmappingKeyframe,
     GmappingMapper,
 )
+from slam_baselines.gmapping.motion import GyroBiasConfig, remove_bias
 from slam_baselines.gmapping.particles import TrajectoryTree
 from slam_baselines.gmapping.proposal import Proposer
 from slam_baselines.ground_filter import GroundFilter

@@ -6,8 +6,9 @@ import pytest
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
+from slam_baselines.gmapping.motion import PoseDistributions
 from slam_baselines.gmapping.particles import effective_number, normalize, systematic_resample
-from slam_baselines.gmapping.proposal import First, PoseDistributions, Proposal, Proposer
+from slam_baselines.gmapping.proposal import First, Proposal, Proposer
 from slam_baselines.gmapping.scan_matching import ScanBeams, log_likelihood, near_beams
 from slam_baselines.leveling import ScanPoints
 

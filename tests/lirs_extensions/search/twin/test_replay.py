@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.stats import kendalltau
 
-from lirs_envs.lidar.presets import LidarNoise
+from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.sensing.imu import ImuConfig
 from lirs_envs.sensing.odometry import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise

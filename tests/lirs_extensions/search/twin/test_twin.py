@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from lirs_envs.lidar.presets import LidarNoise, draw_noise, measure
+from lirs_envs.lidar.noise import LidarNoise, draw_noise, measure
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.robot_model import CONTROL_PERIOD
 from lirs_envs.sensing.odometry import DistanceNoise, OdometryConfig

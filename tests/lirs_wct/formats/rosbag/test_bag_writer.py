@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from lirs_wct.formats.rosbag.messages import LATCHED, TOPICS, BagDrive, SensorErrors, body_velocity
+from lirs_wct.formats.rosbag.messages import BagDrive, SensorErrors, body_velocity
+from lirs_wct.formats.rosbag.topics import LATCHED, TOPICS
 from lirs_wct.formats.rosbag.writer import write_bag
 from lirs_wct.geometry.pose import Pose2, Pose3
 from tests.lirs_wct.formats.rosbag import drives

@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
 from slam_baselines.dead_reckoning import MotionConfig
-from slam_baselines.gmapping.increment import GYRO, GyroBias, GyroBiasConfig, MotionIncrement, remove_bias
+from slam_baselines.gmapping.motion import GYRO, GyroBias, GyroBiasConfig, MotionIncrement, remove_bias
 
 BIAS = math.radians(0.03)
 

@@ -1,9 +1,10 @@
-"""Motion since the last processed scan, and bias of the gyro."""
+"""Motion model: motion since the last processed scan, bias of the gyro, and the particles' poses by both."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -177,3 +178,28 @@ def remove_bias(step: Pose2, bias: float, seconds: float) -> Pose2:
     """Return a step without the turn by a gyro's bias (rad/s)."""
     half = Pose2(yaw=-bias * seconds / 2)
     return half @ step @ half
+
+
+class PoseDistributions(NamedTuple):
+    """Distributions of the particles' poses by odometry.
+
+    Attributes:
+        poses: (particles, 3) x, y, yaw.
+        covariances: (particles, 3, 3) of these in the map frame.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+
+
+def propagate(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDistributions:
+    """Return the particles' distributions after a step `T_before_now`.
+
+    Args:
+        poses: (n, 3) x, y, yaw before.
+        step: common to all.
+        covariance: (3, 3) of the step, in the frame before it.
+    """
+    c, s, o = np.cos(poses[:, 2]), np.sin(poses[:, 2]), np.zeros(len(poses))
+    R = np.stack((c, -s, o, s, c, o, o, o, o + 1), axis=-1).reshape(-1, 3, 3)
+    return PoseDistributions(poses + R @ step.as_array(), R @ covariance @ R.transpose(0, 2, 1))
