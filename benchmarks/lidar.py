@@ -25,7 +25,7 @@ from rich.table import Table
 from benchmarks.steps import arguments, print_limits
 from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import RayCaster, mujoco_hits
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from lirs_envs.robots.robot import make_robot
 from lirs_extensions.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, WorldSpec, set_entry, task_set
 from lirs_validation.driving.choice import CLEARANCE
 from lirs_wct.errors import SimulationError, SourceError
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.world import World
 
 

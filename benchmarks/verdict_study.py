@@ -44,7 +44,7 @@ from lirs_validation.experiment.scenario import Scenario, ScenarioCache, build_s
 from lirs_wct import MapperError, WctError
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.files import atomic_write, write_json
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.option import read_names
 from lirs_wct.sources.source import BuildOptions

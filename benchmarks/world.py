@@ -32,7 +32,7 @@ from rich.table import Table
 from benchmarks.steps import arguments
 from lirs_wct.errors import WctError
 from lirs_wct.export.package import write_package
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import rasterize_heights
 from lirs_wct.meshing.simplify import triangulate
 from lirs_wct.meshing.solid import solid_mesh

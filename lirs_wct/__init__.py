@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     )
     from lirs_wct.export.package import write_package
     from lirs_wct.geometry import (
+        HeightField,
         Imu,
         ImuReadings,
         LaserScan,
@@ -27,10 +28,9 @@ if TYPE_CHECKING:
         Pose2,
         Pose3,
         Trajectory,
+        WallGrid,
         wrap_angle,
     )
-    from lirs_wct.geometry.grid import WallGrid
-    from lirs_wct.geometry.heightfield import HeightField
     from lirs_wct.geometry.mesh import TriangleMesh
     from lirs_wct.sources.build import build_world
     from lirs_wct.sources.source import BuildOptions
@@ -45,7 +45,7 @@ _HOMES = {
     "IntArray": "arrays",
     "BuildOptions": "sources.source",
     "ConfigError": "errors",
-    "HeightField": "geometry.heightfield",
+    "HeightField": "geometry.grid",
     "Imu": "geometry.scan",
     "ImuReadings": "geometry.scan",
     "LaserScan": "geometry.scan",

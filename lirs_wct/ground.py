@@ -6,8 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
-from lirs_wct.geometry import BoolArray, OccupancyGrid, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import BoolArray, HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.meshing.simplify import simplified_solid

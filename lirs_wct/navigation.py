@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
 from lirs_wct.errors import SourceError
-from lirs_wct.geometry import OccupancyGrid, Pose2, WallGrid
-from lirs_wct.geometry.heightfield import HeightField, sample_surface
+from lirs_wct.geometry import HeightField, OccupancyGrid, Pose2, WallGrid
+from lirs_wct.geometry.grid import sample_surface
 from lirs_wct.ground import Ground
 
 BASELINE = 0.3

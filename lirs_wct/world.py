@@ -21,9 +21,8 @@ from lirs_wct.formats.world_json import (
     read_world,
     write_world,
 )
-from lirs_wct.geometry import BoolArray, FloatArray, OccupancyGrid, Pose2, Pose3, WallGrid
+from lirs_wct.geometry import BoolArray, FloatArray, HeightField, OccupancyGrid, Pose2, Pose3, WallGrid
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.export_options import ExportOptions

@@ -30,8 +30,7 @@ from lirs_validation.driving.paths import (
     speed_profile,
 )
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
-from lirs_wct.geometry import OccupancyGrid, Pose2
-from lirs_wct.geometry.grid import OCCUPIED
+from lirs_wct.geometry import OCCUPIED, OccupancyGrid, Pose2
 from lirs_wct.geometry.grid_search import Reach, search
 
 RESOLUTION = 0.1

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from lirs_wct.arrays import BoolArray, Float32Array, njit
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 
 VERTICAL = 0.01
 """Largest vertical deviation at nodes that touch no steep triangle, meters."""

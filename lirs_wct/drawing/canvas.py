@@ -22,8 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
-from lirs_wct.geometry import BoolArray, FloatArray, OccupancyGrid, Trajectory, WallGrid, mask_at
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import BoolArray, FloatArray, HeightField, OccupancyGrid, Trajectory, WallGrid, mask_at
 from lirs_wct.world import World
 
 DPI, PAGE_DPI, SCREEN_DPI = 150, 100, 72

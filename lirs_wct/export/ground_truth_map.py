@@ -9,8 +9,7 @@ import numpy as np
 
 from lirs_wct.contact.grid import steep_nodes
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import BoolArray, FloatArray, OccupancyGrid, Pose2, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import BoolArray, FloatArray, HeightField, OccupancyGrid, Pose2, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
 from lirs_wct.world import World
 

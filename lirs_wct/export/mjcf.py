@@ -28,8 +28,7 @@ from lirs_wct.export.appearance import Wear, ground_wear, world_extent, world_pa
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.writers import write_obj
 from lirs_wct.formats.picture import write_image
-from lirs_wct.geometry import BoolArray, ByteArray, FloatArray, Viewpoint, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import BoolArray, ByteArray, FloatArray, HeightField, Viewpoint, WallGrid
 from lirs_wct.geometry.mesh import MUJOCO_FACES, TriangleMesh, split_tiles
 from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, overview
 from lirs_wct.meshing.solid import merged_rectangles

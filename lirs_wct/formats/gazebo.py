@@ -15,9 +15,9 @@ import numpy as np
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.picture import write_image
-from lirs_wct.geometry import ByteArray, Pose3, Viewpoint
+from lirs_wct.geometry import ByteArray, HeightField, Pose3, Viewpoint
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.heightfield import HeightField, resample
+from lirs_wct.geometry.grid import resample
 
 VERSION = "1.6"
 GRAVITY = 9.80665

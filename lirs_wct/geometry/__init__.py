@@ -4,7 +4,7 @@ The values that a mapper takes and returns, and the types of their arrays, are i
 """
 
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
-from lirs_wct.geometry.grid import FREE, OCCUPIED, OccupancyGrid, WallGrid, mask_at
+from lirs_wct.geometry.grid import FREE, OCCUPIED, HeightField, OccupancyGrid, WallGrid, mask_at
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory, Viewpoint, wrap_angle
 from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan, PointCloud
 
@@ -15,6 +15,7 @@ __all__ = [
     "ByteArray",
     "Float32Array",
     "FloatArray",
+    "HeightField",
     "Imu",
     "ImuReadings",
     "Int32Array",

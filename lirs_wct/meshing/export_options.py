@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.option import Options, documented, option, positive
 
 _PANEL: dict[str, Any] = {"panel": "Mesh files"}

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit
-from lirs_wct.geometry import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 
 MIN_THICKNESS = 0.1

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.picture import read_picture
-from lirs_wct.geometry import WallGrid, mask_at
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid, mask_at
 from lirs_wct.geometry.mesh import TriangleMesh
 
 EAST, WEST, NORTH, SOUTH, UP, DOWN = range(6)

@@ -12,7 +12,7 @@ import numpy as np
 from lirs_wct.errors import ConfigError, LogSourceError
 from lirs_wct.formats.elevation import MAX_RELIEF, MIN_RELIEF
 from lirs_wct.geometry import Float32Array, Pose2
-from lirs_wct.geometry.heightfield import fewer_nodes
+from lirs_wct.geometry.grid import fewer_nodes
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.meshing.texture import checked_texture
 from lirs_wct.navigation import FOOTPRINTS

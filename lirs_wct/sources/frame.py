@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import FloatArray, OccupancyGrid, Pose2
+from lirs_wct.geometry import FloatArray, HeightField, OccupancyGrid, Pose2
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.heightfield import HeightField, sample_surface
+from lirs_wct.geometry.grid import sample_surface
 from lirs_wct.ground import Ground, Terrain
 
 MAX_OFFSET = 10_000.0

@@ -9,9 +9,8 @@ import numpy as np
 
 from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.map_server import read_map, read_map_picture
-from lirs_wct.geometry import OccupancyGrid, Pose2, WallGrid
+from lirs_wct.geometry import HeightField, OccupancyGrid, Pose2, WallGrid
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import LaserMap
 from lirs_wct.sources.frame import Reading, cut_map, local_origin
 from lirs_wct.sources.source import UNKNOWN, BuildOptions, Source, SourceKind, Unknown

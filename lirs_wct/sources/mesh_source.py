@@ -12,8 +12,8 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.meshes.reader import read_upright
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.geometry.mesh import Grid, TriangleMesh, layers, rasterize_heights
 from lirs_wct.ground import Ground, MeshGround, Terrain
 from lirs_wct.sources.frame import Reading, Window, leveled, local_origin

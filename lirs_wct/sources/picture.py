@@ -24,8 +24,9 @@ from lirs_wct.formats.elevation import (
 )
 from lirs_wct.formats.picture import check_size
 from lirs_wct.formats.suffixes import ENCODINGS
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.heightfield import HeightField, nearest_values, resample
+from lirs_wct.geometry.grid import nearest_values, resample
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
 from lirs_wct.sources.frame import Reading, Window, cut_terrain

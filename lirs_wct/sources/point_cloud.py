@@ -12,8 +12,8 @@ import scipy  # its modules load on first use
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats import elevation, point_clouds
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.heightfield import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.frame import Reading, leveled, local_origin
 from lirs_wct.sources.smrf import NodeGrid, Smrf, fill_gaps, ground_points

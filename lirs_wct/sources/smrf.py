@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry.heightfield import nearest_values
+from lirs_wct.geometry.grid import nearest_values
 
 SMOOTH = 2.0
 """Standard deviation of the Gaussian that smooths slopes, nodes."""

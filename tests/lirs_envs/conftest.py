@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lirs_envs.robots.robot import Robot, make_robot
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.world import World

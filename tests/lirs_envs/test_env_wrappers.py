@@ -10,7 +10,7 @@ from lirs_envs.episodes.observations import GROUPS
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_envs.wrappers import FREE, OCCUPIED, UNKNOWN, Curriculum, local_map, map_groups
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.world import World

@@ -9,7 +9,7 @@ import pytest
 
 from lirs_envs.robots.robot import ROBOTS, Twist, make_robot
 from lirs_envs.simulation import Simulation
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.build import build_world

@@ -26,7 +26,7 @@ from lirs_envs.walkers import (
     walkable_ground,
 )
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World

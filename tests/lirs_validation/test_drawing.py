@@ -17,8 +17,7 @@ from lirs_validation.drawing import overview_figure, shown_bounds
 from lirs_validation.record.run_record import RunRecord
 from lirs_wct.drawing.canvas import Canvas, Drawing, bounds_of, shaded_heights, shaded_surface
 from lirs_wct.drawing.pictures import block_picture, mesh_view, view_figure
-from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, Pose2, Trajectory, camera_axes
 from lirs_wct.ground import LaserMap, Terrain

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 
 from lirs_wct.contact.grid import ContactGrid, contact_grid, steep_nodes
 from lirs_wct.contact.parts import FEW_FACES, _thickness, bodies, convex_parts, shell_parts, touching_volume
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.build import build_world
 

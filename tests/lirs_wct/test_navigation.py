@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.navigation import mapped_area, spawn_poses

@@ -5,7 +5,7 @@ from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from tests.reference.triangle_rays import triangle_ranges, triangles_of
 
 HEIGHTS = st.floats(-2.0, 2.0, width=32)

@@ -14,7 +14,7 @@ import pytest
 
 from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.formats.gazebo import heightmap_sdf, model_config, model_sdf, world_sdf, write_heightmap
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.texture import cube_uv
 

@@ -10,7 +10,7 @@ import pytest
 
 from lirs_envs.lidar.ray_casting import RayCaster, mujoco_hits
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 
 
 def compiled(surface: HeightField) -> tuple[mujoco.MjModel, mujoco.MjData]:

@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from tests.reference.triangle_rays import triangle_ranges, triangles_of, wall_ranges
 

@@ -19,7 +19,7 @@ from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import MeshGround

@@ -5,8 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 
 Array = NDArray[np.float64]
 

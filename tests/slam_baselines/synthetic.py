@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan
 from slam_baselines.mapper import Mapper

@@ -7,7 +7,7 @@ import pytest
 
 from lirs_validation.experiment.loading import mapper_named
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.mapper import (

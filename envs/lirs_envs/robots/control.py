@@ -20,8 +20,7 @@ import numpy as np
 from lirs_envs.robots.robot import Robot, Twist, Waypoint, clip
 from lirs_wct.arrays import FloatArray, IntArray, RecordArray, Vector3, njit
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import Pose3, wrap_angle
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, Pose3, wrap_angle
 
 
 class BodyState:

@@ -6,8 +6,7 @@ import numpy as np
 
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
 
 

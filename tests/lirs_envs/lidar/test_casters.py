@@ -13,7 +13,7 @@ from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 from tests.kit import started

@@ -11,7 +11,7 @@ from lirs_envs.lidar.noise import DATASHEET, LidarNoise, draw_noise, lidar_noise
 from lirs_envs.lidar.presets import LIDARS
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose3
 
 BEAMS = 100_000

@@ -7,8 +7,7 @@ from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_envs.lidar.terrain_rays import BUNDLE, SMALLEST_FIELD, safe_distance
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from tests.lirs_envs.lidar.room import rings
 

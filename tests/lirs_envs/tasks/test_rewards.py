@@ -8,8 +8,7 @@ import pytest
 from lirs_envs.env import RobotEnv
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap
 from lirs_wct.sources.laser_map import level_floor

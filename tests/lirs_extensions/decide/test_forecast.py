@@ -19,7 +19,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct import World
 from lirs_wct.arrays import FloatArray
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.ground import Terrain
 
 NOTHING = math.log10(MIN_INFORMATION)

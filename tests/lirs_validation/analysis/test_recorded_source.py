@@ -18,7 +18,7 @@ from lirs_validation.report.pictures import run_figure
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import write_map
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.sources.build import build_world
 
 pytestmark = pytest.mark.usefixtures("plain_pictures")

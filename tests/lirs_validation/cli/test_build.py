@@ -15,7 +15,7 @@ from lirs_wct import World
 from lirs_wct.files import MANIFEST
 from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.formats.suffixes import MESHES
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2
 from tests.command_line import run_command
 

@@ -19,7 +19,7 @@ from lirs_validation.config import MapConfig
 from lirs_wct.errors import OutputError
 from lirs_wct.formats.map_server import write_map
 from lirs_wct.formats.picture import write_image
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -28,8 +28,7 @@ from lirs_validation.collision.validation import (
 from lirs_validation.report.run_tables import verdicts_table
 from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.sources.build import build_world

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from lirs_validation.driving.path_driver import Driver
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 
 ROBOT, MARGIN = 0.61, 0.15

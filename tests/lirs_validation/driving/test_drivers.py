@@ -11,7 +11,7 @@ from lirs_validation.driving.path_driver import DriverConfig, PathDriver, driver
 from lirs_validation.driving.paths import room_at
 from lirs_validation.driving.routes import TourRoute
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.navigation import spawn_poses
 from lirs_wct.sources.build import build_world

@@ -16,7 +16,7 @@ from lirs_validation.driving.frontier_route import FrontierRoute, distance_in_si
 from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.experiment.drive import DriveLog
 from lirs_validation.experiment.mapper_under_test import LocalMapper
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu, LaserScan
 from lirs_wct.sources.build import build_world

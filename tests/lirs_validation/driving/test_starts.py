@@ -18,8 +18,7 @@ from lirs_validation.driving.choice import CLEARANCE, check_driver, make_driver,
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_wct.errors import ConfigError, SimulationError, SourceError
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.build import build_world

@@ -10,7 +10,7 @@ from lirs_validation.driving.path_driver import DriverConfig, PathDriver
 from lirs_validation.driving.routes import WaypointRoute, check_waypoints
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.drive_files import RoutePoint, read_waypoints
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from tests.kit import refused
 from tests.lirs_validation.driving.ride import DT, corridor, field, ride

@@ -246,7 +246,7 @@ def test_a_thinned_log_that_is_mapped_wrong_is_not_ok(
 
 
 OWN = """
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MapperStats

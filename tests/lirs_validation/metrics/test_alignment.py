@@ -20,8 +20,7 @@ from lirs_validation.metrics.alignment import (
     wrap_angles,
 )
 from lirs_validation.metrics.map import map_scores
-from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2, Trajectory, wrap_angle
 
 # Whole eighths: many stamps coincide and lie halfway, and nothing is rounded.

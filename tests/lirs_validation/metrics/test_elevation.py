@@ -16,8 +16,7 @@ from lirs_validation.metrics.elevation import (
     write_elevation,
 )
 from lirs_wct.errors import SourceError
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import PointCloud
 from lirs_wct.ground import Terrain

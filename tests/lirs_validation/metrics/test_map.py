@@ -30,8 +30,7 @@ from lirs_validation.metrics.map import (
 )
 from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct.formats.map_server import read_map, write_map
-from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2
 
 seeds = st.integers(0, 2**32 - 1)

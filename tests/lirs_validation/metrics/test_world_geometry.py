@@ -17,8 +17,7 @@ from lirs_validation.metrics.world_geometry import (
     scan_support,
     standing_on,
 )
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan

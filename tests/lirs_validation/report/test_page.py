@@ -21,7 +21,7 @@ from lirs_validation.report.run_tables import group_table, summary_table
 from lirs_validation.report.table import MetricSpread
 from lirs_wct.formats.drive_files import write_tum
 from lirs_wct.formats.map_server import write_map
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from tests.command_line import run_command
 from tests.lirs_validation.records import entry, saved

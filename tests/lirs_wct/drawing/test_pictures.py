@@ -21,8 +21,7 @@ from lirs_validation import validate
 from lirs_wct.display import html_table
 from lirs_wct.drawing.canvas import Drawing, new_figure, title
 from lirs_wct.drawing.pictures import figure_of, view_figure
-from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan

@@ -20,8 +20,7 @@ from lirs_wct.contact.grid import ContactGrid, contact_grid, steep_nodes
 from lirs_wct.contact.parts import contact_parts, prisms
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP, world_spec
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, MeshGround, Terrain

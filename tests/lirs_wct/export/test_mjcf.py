@@ -12,8 +12,7 @@ import pytest
 from lirs_wct import BuildOptions, build_world
 from lirs_wct.contact.grid import contact_grid
 from lirs_wct.export.mjcf import spread, world_spec, write_mjcf
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.meshing.texture import cube_uv

@@ -19,7 +19,7 @@ from lirs_wct.formats.gazebo import (
     world_sdf,
     write_heightmap,
 )
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2, Pose3, overview
 
 

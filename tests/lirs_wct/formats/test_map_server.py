@@ -17,7 +17,7 @@ from PIL import Image
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.map_server import MapMetadata, read_map, read_map_picture, read_metadata, write_map
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from tests.kit import refused
 

@@ -12,8 +12,7 @@ import pytest
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats.world_json import checked_content
-from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
 from lirs_wct.meshing.export_options import ExportOptions

@@ -13,8 +13,8 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import OccupancyGrid, WallGrid
-from lirs_wct.geometry.heightfield import resample
+from lirs_wct.geometry import OccupancyGrid, WallGrid
+from lirs_wct.geometry.grid import resample
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.solid import merged_rectangles
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 
 # 3 rows (north first) by 4 columns; 2 m eastward and 5 m northward between nodes.
 FIELD = HeightField(np.arange(12, dtype=np.float32).reshape(3, 4) ** 2, (2.0, 5.0), (-7.0, 100.0))

@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 
 from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.export_options import ExportOptions

@@ -12,8 +12,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from lirs_wct.formats.meshes.writers import write_stl
-from lirs_wct.geometry.grid import WallGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.meshing.solid import SLAB, base_height, solid_mesh, solid_triangles, wall_mesh
 

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.texture import cube_uv, draped_uv, wall_uv

@@ -16,7 +16,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.geometry.heightfield import resample
+from lirs_wct.geometry.grid import resample
 from lirs_wct.sources.build import build_world
 from lirs_wct.sources.bundled import BundledPicture
 from lirs_wct.sources.picture import apply_filters, read_terrain

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid
 from lirs_wct.ground import Ground, LaserMap, Terrain
 from lirs_wct.sources.build import unusual_figures
 from lirs_wct.sources.laser_map import level_floor, walls_of

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry.grid import OccupancyGrid
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.frame import cut_map, cut_surface, cut_terrain, leveled

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lirs_validation import validate
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map, write_map
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.cartographer.localization import KnownMap

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.mesh_writer import write_collada, write_parts
 from lirs_wct.formats.meshes.writers import MeshPart, write_obj
-from lirs_wct.geometry.heightfield import HeightField
+from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
 from lirs_wct.meshing.texture import cube_uv

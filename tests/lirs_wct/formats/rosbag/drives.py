@@ -11,7 +11,7 @@ from rosbags.interfaces import Connection
 
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.rosbag.messages import BagDrive, BagTick, SensorErrors
-from lirs_wct.geometry.grid import OccupancyGrid
+from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan, PointCloud
 
