@@ -24,8 +24,7 @@ from lirs_extensions.bench.scores import EpisodeLog, episode_metrics
 from lirs_extensions.bench.tasks import BenchTask
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
-from lirs_validation.record.provenance import versions
-from lirs_validation.record.run_record import plain
+from lirs_validation.record.run_record import plain, versions
 from lirs_validation.sweep.sweep import Outcome, SweepTask, read_status
 from lirs_wct import ConfigError, Float32Array, SourceError
 from lirs_wct.files import atomic_folder

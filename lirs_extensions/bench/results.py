@@ -15,7 +15,7 @@ from lirs_extensions.bench.episode import RECORD, read_episode
 from lirs_extensions.bench.policies import PolicyChoice
 from lirs_extensions.bench.tasks import BenchTask, TaskSet
 from lirs_validation.record.metric_catalog import NOTHING
-from lirs_validation.record.provenance import same_code
+from lirs_validation.record.run_record import same_code
 from lirs_validation.report.table import ReportTable
 from lirs_wct.errors import SourceError
 from lirs_wct.files import write_json

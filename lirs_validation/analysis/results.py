@@ -14,8 +14,7 @@ from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.config import RunConfig
 from lirs_validation.record.map_record import is_mapped_log
 from lirs_validation.record.metric_catalog import Entry
-from lirs_validation.record.provenance import with_recorded_source
-from lirs_validation.record.run_record import RECORD, read_whole_record
+from lirs_validation.record.run_record import RECORD, read_record, schema_error, source_files
 from lirs_validation.sweep.sweep import MANIFEST
 from lirs_validation.sweep.tasks import STATUS, read_verdict
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
@@ -26,6 +25,8 @@ from lirs_wct.option import Options
 from lirs_wct.sources.source import BuildOptions
 from slam_baselines.map_builder import KnownPoseMapper
 
+SHOWN_DIGITS = 12
+"""Hex digits of a digest that a message shows."""
 SAME_STAMP = 1e-4
 """Largest difference between stamps of the same scan in two files, seconds."""
 
@@ -65,7 +66,11 @@ def read_run(folder: Path) -> RunFolder:
     Raises:
         SourceError: it holds no record, or one that is damaged or of another version.
     """
-    return RunFolder(folder, read_whole_record(folder))
+    entry = read_record(folder)
+    problem = schema_error(entry)
+    if problem is not None:
+        raise SourceError(f"{folder / RECORD}: damaged: {problem}")
+    return RunFolder(folder, entry)
 
 
 def read_results(root: Path) -> ResultFolder:
@@ -186,12 +191,22 @@ def _names(options: type[Options]) -> set[str]:
 
 
 def recorded_world_config(entry: Entry) -> RunConfig:
-    """Return the config of a record with the path of the run's source.
+    """Return the config of a record, its source at the recorded place with the recorded content.
 
     Raises:
-        SourceError: it has options that this version does not know, or its source has changed.
+        SourceError: it has options that this version does not know, or its source is gone or has changed.
     """
-    return with_recorded_source(recorded_config(entry), entry["world"].get("files", ()))
+    config, recorded = recorded_config(entry), entry["world"].get("files", ())
+    if not recorded:  # a bundled world
+        return config
+    first = Path(recorded[0]["path"])
+    in_folder = first.name == "world.json" and Path(config.source).name != first.name
+    placed = replace(config, source=str(first.parent if in_folder else first))
+    for file in source_files(placed):
+        if file["sha256"] not in [known["sha256"] for known in recorded]:
+            changed = f"sha256 {file['sha256'][:SHOWN_DIGITS]}..."
+            raise SourceError(f"{file['path']}: is not what the run was made from: {changed}")
+    return placed
 
 
 def recorded_truth(folder: Path) -> Trajectory:

@@ -18,8 +18,7 @@ from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
 from lirs_validation.metrics.map import MapScores, map_scores
 from lirs_validation.metrics.trajectory import spatial_errors, trajectory_errors
 from lirs_validation.metrics.world_geometry import observed_support
-from lirs_validation.record.provenance import versions
-from lirs_validation.record.run_record import SUCCEEDED, RunRecord
+from lirs_validation.record.run_record import SUCCEEDED, RunRecord, versions
 from lirs_validation.record.verdict import incompleteness
 from lirs_wct import FloatArray, OccupancyGrid, SimulationError, World
 from slam_baselines.map_builder import KnownPoseMapper
@@ -234,6 +233,6 @@ def evaluate_world(scenario: Scenario, simulation: Simulation) -> dict[str, Any]
         "whole_size": scenario.whole_size,
         "sample_spacing": world.sample_spacing,
         "robot_length": 2 * simulation.config.robot.radius,
-        "files": [asdict(file) for file in scenario.files],
+        "files": list(scenario.files),
         "contact": contact,
     }

@@ -12,7 +12,7 @@ from lirs_envs.sensing.sensors import SensorNoise, resolve_noise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
-from lirs_validation.record.provenance import SourceFile, source_files
+from lirs_validation.record.run_record import source_files
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import LogSourceError
 from lirs_wct.sources.frame import Window, driven_window
@@ -27,14 +27,14 @@ class Scenario:
 
     Attributes:
         window: square that was cut out of a larger one, if any.
-        files: files of the world's source; none of a bundled world.
+        files: Path and digest of each file of the world's source; none of a bundled world.
         whole_size: eastward and northward, meters, of the world that the window was cut out of, if known.
     """
 
     config: RunConfig
     world: World
     window: Window | None
-    files: tuple[SourceFile, ...] = ()
+    files: tuple[dict[str, str], ...] = ()
     whole_size: tuple[float, float] | None = None
 
     def simulation(self, robot: Robot, *, inertial: bool = False) -> Simulation:

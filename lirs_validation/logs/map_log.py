@@ -45,8 +45,7 @@ from lirs_validation.metrics.trajectory import (
 )
 from lirs_validation.processes import CostMeter, compile_timer
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
-from lirs_validation.record.provenance import is_stale
-from lirs_validation.record.run_record import RECORD
+from lirs_validation.record.run_record import RECORD, same_code
 from lirs_validation.record.verdict import incompleteness
 from lirs_wct import (
     BuildOptions,
@@ -476,4 +475,4 @@ def _read_ending(folder: Path) -> tuple[str, str] | None:
     except (OSError, ValueError, KeyError, TypeError, RecursionError, SourceError):
         return None
     # The folder's name holds the digest of the log: another content is another folder.
-    return None if is_stale(path, written_by, inputs=()) else ended
+    return ended if same_code(written_by) else None

@@ -12,8 +12,7 @@ from typing import Any, Literal
 
 from lirs_validation.config import MapConfig
 from lirs_validation.record.metric_catalog import WORSE, is_worse
-from lirs_validation.record.provenance import machine, versions
-from lirs_validation.record.run_record import RECORD, plain
+from lirs_validation.record.run_record import RECORD, machine, plain, versions
 from lirs_validation.record.verdict import Verdict, judge_log
 from lirs_wct.files import write_json
 from lirs_wct.formats.laser_log import LaserLog

@@ -1,24 +1,34 @@
-"""Run record: config, versions, machine and metrics, as JSON by a schema."""
+"""Run record: config, metrics and provenance, as JSON by a schema; groups of runs; staleness."""
 
 from __future__ import annotations
 
+import hashlib
+import importlib.metadata
+import importlib.util
 import json
-from collections.abc import Mapping
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from lirs_validation.config import RunConfig, run_name
-from lirs_validation.record.metric_catalog import picture_lines
-from lirs_validation.record.provenance import machine, versions
+from lirs_envs.robots.robot import make_robot
+from lirs_validation.config import RUN_AXES, RunConfig, run_name
+from lirs_validation.record.metric_catalog import Entry, picture_lines
 from lirs_validation.record.verdict import Verdict, judge
+from lirs_wct import ConfigError, SourceError
 from lirs_wct.display import html_table
-from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.files import write_json
+from lirs_wct.errors import reason_of
+from lirs_wct.files import MANIFEST, digest, read_manifest, write_json
+from lirs_wct.formats.map_server import read_metadata
+from lirs_wct.option import declared, defaults
+from lirs_wct.sources.source import SourceKind, find_source
 
 if TYPE_CHECKING:
     from jsonschema import Draft202012Validator
@@ -27,6 +37,13 @@ SCHEMA = 3
 RECORD = "record.json"
 BAG = "bag"
 """Stem of the file of a run's bag, whose folder is the run's."""
+PACKAGES = ("lirs-wct", "mujoco", "gymnasium", "numpy", "scipy", "numba")
+OWN_PACKAGES = ("lirs_wct", "lirs_envs", "slam_baselines", "lirs_validation", "lirs_extensions")
+CODE_FILES = (".py", ".xml", ".npz")
+"""Endings of the files that decide a result."""
+FIELDS = ("world", *(name for name in RUN_AXES if name != "seed"), "seconds")
+"""Fields of a group: the world's name, and the options of its runs."""
+DEFAULT_OPTIONS = defaults(RunConfig)
 
 Status = Literal[
     "ok", "wall limit", "tipped", "stuck", "off world", "diverged", "lost", "incomplete", "error", "timeout"
@@ -40,11 +57,36 @@ def succeeded(entry: Mapping[str, Any]) -> bool:
     return entry["status"] in SUCCEEDED
 
 
+def versions() -> dict[str, str]:
+    """Return the versions of Python, relevant packages and our code (`code`)."""
+    packages = {name: importlib.metadata.version(name) for name in PACKAGES}
+    return {"python": platform.python_version()} | packages | {"code": code()}
+
+
+@cache
+def code() -> str:
+    """Return eight hex digits of our code, robots and weights, which tell two states of a version apart."""
+    state = hashlib.sha256()
+    for package in OWN_PACKAGES:
+        spec = importlib.util.find_spec(package)
+        for folder in (spec.submodule_search_locations or ()) if spec else ():
+            for path in sorted(path for path in Path(folder).rglob("*") if path.suffix in CODE_FILES):
+                state.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return state.hexdigest()[:8]
+
+
+def machine() -> dict[str, Any]:
+    """Return the machine's properties, on which a run's times depend."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    processor = names[0] if names else platform.processor() or platform.machine()
+    return {"system": platform.platform(), "processor": processor, "cores": os.cpu_count()}
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
     """Result of a run.
-
-    The design's definitions apply to its metrics.
 
     A run that came to nothing (`error`, `timeout`) has no metrics.
 
@@ -98,11 +140,7 @@ class RunRecord:
         return json.dumps(self.to_dict(), indent=1, default=plain, allow_nan=False) + "\n"
 
     def save(self, folder: Path) -> None:
-        """Write `record.json`.
-
-        Raises:
-            OutputError: the folder cannot be written.
-        """
+        """Write `record.json`."""
         write_json(folder / RECORD, self.to_dict(), plain)
 
     def _repr_html_(self) -> str:
@@ -115,7 +153,7 @@ def read_record(folder: Path) -> dict[str, Any]:
     Raises:
         SourceError: missing, damaged or of another schema.
     """
-    path = folder / "record.json"
+    path = folder / RECORD
     try:
         entry: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         schema = entry["schema"]
@@ -155,17 +193,166 @@ def _validator() -> Draft202012Validator:
     return Draft202012Validator(record_schema())
 
 
-def read_whole_record(folder: Path) -> dict[str, Any]:
-    """Read a run's `record.json`.
+@dataclass(frozen=True, order=True)
+class RunGroup:
+    """World and options that the runs of a group share.
+
+    Attributes:
+        values: Value of each of FIELDS.
+    """
+
+    values: tuple[Any, ...]
+
+    @staticmethod
+    def of(entry: Entry) -> RunGroup:
+        """Return the group of a record, with the robot's default lidar filled in."""
+        values = {"world": entry["world"]["name"], **DEFAULT_OPTIONS, **entry["config"]}
+        values |= {
+            "lidar": values["lidar"] or _own_lidar(values["robot"]),
+            "seconds": float(values["seconds"]),
+        }
+        return RunGroup(tuple(values[name] for name in FIELDS))
+
+    def __getitem__(self, name: str) -> Any:
+        return self.values[FIELDS.index(name)]
+
+    def replaced(self, **values: Any) -> RunGroup:
+        """Return the group with other values of some fields."""
+        return RunGroup(tuple(values.get(name, self[name]) for name in FIELDS))
+
+    def label(self, fields: Iterable[str] = FIELDS) -> str:
+        """Return the group's name: its fields, or some of them, in one line."""
+        forms = {name: option.shown for name, option in declared(RunConfig).items()}
+        wanted = set(fields)
+        return ", ".join(forms.get(f, "{}").format(self[f]) for f in FIELDS if f in wanted)
+
+
+def unusual_fields(groups: Iterable[RunGroup]) -> tuple[str, ...]:
+    """Return the axes in which a group differs from the default run."""
+    different = set[str]()
+    for group in groups:
+        usual = DEFAULT_OPTIONS | {"lidar": _own_lidar(group["robot"])}
+        different |= {name for name in RUN_AXES if name in FIELDS and group[name] != usual[name]}
+    return tuple(name for name in RUN_AXES if name in different)
+
+
+def by_group(entries: Iterable[Entry]) -> dict[RunGroup, list[Entry]]:
+    """Return the records of each group by seed, groups in order of appearance."""
+    groups: dict[RunGroup, list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault(RunGroup.of(entry), []).append(entry)
+    return {group: sorted(runs, key=lambda e: int(e["seed"])) for group, runs in groups.items()}
+
+
+def distinguishing_fields(groups: Iterable[RunGroup]) -> tuple[str, ...]:
+    """Return the fields in which groups differ; `world` where they do not differ at all.
+
+    The LRF is left out where each robot has its own.
+    """
+    kept = list(groups)
+    different = [f for f in FIELDS if len({group[f] for group in kept}) > 1]
+    if len({(g["robot"], g["lidar"]) for g in kept}) == len({g["robot"] for g in kept}):
+        different = [f for f in different if f != "lidar"]
+    return tuple(different) or ("world",)
+
+
+@cache
+def _own_lidar(robot: str) -> str:
+    try:
+        return make_robot(robot).lidar
+    except ConfigError:
+        return "the robot's own"
+
+
+def source_files(config: RunConfig) -> tuple[dict[str, str], ...]:
+    """Return `path` and `sha256` of a world's source files, the source first; empty for bundled worlds.
 
     Raises:
-        SourceError: missing, damaged, of another schema, or something in it does not fit the schema.
+        SourceError: there is no such source, or a file of it cannot be read.
     """
-    entry = read_record(folder)
-    problem = schema_error(entry)
-    if problem is not None:
-        raise SourceError(f"{folder / 'record.json'}: damaged: {problem}")
-    return entry
+    source = find_source(config.source, config.build)
+    if source.kind is SourceKind.BUNDLED:
+        return ()
+    paths = [source.path]
+    if source.kind is SourceKind.FOLDER:
+        paths = [source.path / "world.json", source.path / "world.npz"]
+    elif source.kind is SourceKind.MAP:
+        paths.append(read_metadata(source.path).image)
+    entries = []
+    for path in paths:
+        try:
+            state = path.stat()
+            content = _digest_of(path.absolute(), state.st_mtime_ns, state.st_size)
+        except OSError as error:
+            raise SourceError(f"{path}: cannot be read: {error.strerror or error}") from error
+        entries.append({"path": str(path.absolute()), "sha256": content})
+    return tuple(entries)
+
+
+@lru_cache(maxsize=256)
+def _digest_of(path: Path, changed: int, size: int) -> str:
+    """Return the digest of a file; one that did not change is read once."""
+    return digest(path)
+
+
+def same_source(config: RunConfig, recorded: Sequence[dict[str, str]]) -> bool:
+    """Return whether a config's source has the recorded content."""
+    try:
+        current = source_files(config) if recorded else ()
+    except SourceError:
+        return False
+    return [file["sha256"] for file in current] == [file["sha256"] for file in recorded]
+
+
+def same_code(recorded: Any) -> bool:
+    """Return whether this very code and package version made a result, by its recorded versions."""
+    own = {"code": code(), "lirs-wct": importlib.metadata.version("lirs-wct")}
+    return isinstance(recorded, dict) and own.items() <= recorded.items()
+
+
+def damaged_files(folder: Path, marker: str) -> list[str]:
+    """Return missing or changed files of a result's folder, by its manifest.
+
+    The marker is left out: who reads it notices damage. A manifest that does not name it is damaged.
+    """
+    manifest = read_manifest(folder)
+    if manifest.pop(marker, None) is None:
+        return [MANIFEST]
+    damaged = []
+    for name, digests in manifest.items():
+        with suppress(OSError):
+            if digest(folder / name) in digests:
+                continue
+        damaged.append(name)
+    return damaged
+
+
+def world_files(config: RunConfig) -> list[Path]:
+    """Return a source's files, judged by its name; empty for bundled worlds."""
+    path = Path(config.source)
+    if path.is_dir():
+        return [path / "world.json", path / "world.npz"]
+    siblings = path.parent.glob(f"{path.stem}.*") if path.suffix in (".yaml", ".yml") else ()
+    textures = (config.build.texture, config.build.wall_texture)
+    return [path, *siblings, *filter(None, textures)]
+
+
+def is_stale(result: Path, recorded: Any, inputs: Iterable[Path | None]) -> bool:
+    """Tell whether other code wrote a result, or an input is newer (written, moved or copied).
+
+    Args:
+        result: File that was written last.
+        recorded: Versions that the result states.
+        inputs: Files that it was made from, where they are known.
+    """
+    if not same_code(recorded):
+        return True
+    written = result.stat().st_mtime
+    for path in inputs:
+        with suppress(OSError):
+            if path is not None and max(path.stat().st_mtime, path.stat().st_ctime) > written:
+                return True
+    return False
 
 
 def plain(value: Any) -> Any:

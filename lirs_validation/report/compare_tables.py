@@ -8,10 +8,10 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from lirs_validation.analysis.compare import FIELDS, LEVEL, Comparison, Difference, distinguishing_fields
+from lirs_validation.analysis.compare import LEVEL, Comparison, Difference
 from lirs_validation.analysis.score import Score
 from lirs_validation.record.metric_catalog import NOTHING, WORSE, metrics_in, worse_than_odometry
-from lirs_validation.record.run_record import succeeded
+from lirs_validation.record.run_record import FIELDS, distinguishing_fields, succeeded
 from lirs_validation.record.verdict import Verdict
 from lirs_validation.report.table import ReportTable
 from lirs_wct.files import write_csv, write_json

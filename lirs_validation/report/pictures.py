@@ -21,14 +21,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.lib.stride_tricks import sliding_window_view
 
-from lirs_validation.analysis.compare import RunGroup, by_group, distinguishing_fields
 from lirs_validation.analysis.results import RunFolder, recorded_world_config
 from lirs_validation.drawing import error_picture, shown_bounds
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.metrics.elevation import ELEVATION, read_elevation
 from lirs_validation.metrics.map import contradicted
 from lirs_validation.record.metric_catalog import Entry, Metric, rtf_counts, value_at
-from lirs_validation.record.run_record import maps_clouds, succeeded
+from lirs_validation.record.run_record import (
+    RunGroup,
+    by_group,
+    distinguishing_fields,
+    maps_clouds,
+    succeeded,
+)
 from lirs_validation.report.page import PageFigure, data_url
 from lirs_wct import ByteArray, FloatArray, WctError
 from lirs_wct.drawing.canvas import BLUE, GREEN, VERMILLION, Canvas, Drawing, bounds_shown, shaded_heights

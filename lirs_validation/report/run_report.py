@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-from lirs_validation.analysis.compare import RunGroup, by_group, unusual_fields
 from lirs_validation.analysis.results import ResultFolder, RunFolder
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.metric_catalog import (
@@ -19,7 +18,7 @@ from lirs_validation.record.metric_catalog import (
     span,
     worse_than_odometry,
 )
-from lirs_validation.record.run_record import succeeded
+from lirs_validation.record.run_record import RunGroup, by_group, succeeded, unusual_fields
 from lirs_validation.report.page import PageFigure, PageSection, Tile, page_html
 from lirs_validation.report.paper import findings_table, paper_tables
 from lirs_validation.report.pictures import distribution_chart, rtf_chart, run_figure

@@ -11,15 +11,7 @@ from typing import Any
 from rich.console import RenderableType
 from rich.text import Text
 
-from lirs_validation.analysis.compare import (
-    FIELDS,
-    ORIGINAL,
-    RunGroup,
-    by_group,
-    distinguishing_fields,
-    repeats,
-    unusual_fields,
-)
+from lirs_validation.analysis.compare import ORIGINAL, repeats
 from lirs_validation.analysis.results import recorded_config
 from lirs_validation.collision.validation import Check, CollisionVerdict
 from lirs_validation.config import RUN_AXES, WORLD_FLAGS, RunConfig
@@ -41,7 +33,15 @@ from lirs_validation.record.metric_catalog import (
     worse_lines,
     worse_than_odometry,
 )
-from lirs_validation.record.run_record import read_record, succeeded
+from lirs_validation.record.run_record import (
+    FIELDS,
+    RunGroup,
+    by_group,
+    distinguishing_fields,
+    read_record,
+    succeeded,
+    unusual_fields,
+)
 from lirs_validation.record.verdict import LIMITS, VerdictLimits, class_counts, stored_verdict
 from lirs_validation.report.table import Content, MetricSpread, ReportTable
 from lirs_validation.sweep.sweep import Sweep

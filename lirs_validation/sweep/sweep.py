@@ -13,8 +13,15 @@ from typing import Any, ClassVar, Protocol, get_args
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.processes import is_interrupt
-from lirs_validation.record.provenance import damaged_files, is_stale, machine, versions
-from lirs_validation.record.run_record import SUCCEEDED, Status, plain
+from lirs_validation.record.run_record import (
+    SUCCEEDED,
+    Status,
+    damaged_files,
+    is_stale,
+    machine,
+    plain,
+    versions,
+)
 from lirs_wct.errors import MapperError, OutputError, SourceError, WctError, reason_of
 from lirs_wct.files import atomic_folder, check_writable, remove_leftovers, write_json
 from lirs_wct.progress import Progress, no_progress

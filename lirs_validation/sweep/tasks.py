@@ -20,8 +20,14 @@ from lirs_validation.experiment.loading import own_source_file, package_versions
 from lirs_validation.experiment.mapper_under_test import check_sensors, start_mapper
 from lirs_validation.experiment.run import run
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.record.provenance import same_source, versions, world_files
-from lirs_validation.record.run_record import RECORD, RunRecord, schema_error
+from lirs_validation.record.run_record import (
+    RECORD,
+    RunRecord,
+    same_source,
+    schema_error,
+    versions,
+    world_files,
+)
 from lirs_validation.sweep.sweep import Outcome, SweepTask
 from lirs_wct import BuildOptions, unknown_name
 from lirs_wct.contact import ContactGeometry

@@ -127,7 +127,7 @@ def test_nonsense_in_a_manifest_does_not_matter(
     "text", ["[]", '{"status": [], "reason": 1, "versions": {}}', "3", "{", '{"status": "ok"}']
 )
 def test_a_collision_check_that_is_nonsense_is_run_again(text: str, tmp_path: Path) -> None:
-    from lirs_validation.record.provenance import versions
+    from lirs_validation.record.run_record import versions
     from lirs_validation.sweep.tasks import CollisionTask
 
     check = CollisionTask(source="simple", robot="husky")

@@ -13,7 +13,7 @@ from lirs_validation.analysis.results import RunFolder, read_results, read_run, 
 from lirs_validation.analysis.score import score
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.record.provenance import same_source, source_files
+from lirs_validation.record.run_record import same_source, source_files
 from lirs_validation.report.pictures import run_figure
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import SourceError
@@ -75,10 +75,10 @@ def test_every_kind_of_source_has_its_files(tmp_path: Path) -> None:
     assert source_files(RunConfig(source="simple")) == ()
     write_map(tmp_path / "room", OccupancyGrid.from_probability(np.full((40, 40), 0.1), 0.1))
     of_map = source_files(RunConfig(source=str(tmp_path / "room.yaml")))
-    assert [Path(file.path).name for file in of_map] == ["room.yaml", "room.pgm"]
+    assert [Path(file["path"]).name for file in of_map] == ["room.yaml", "room.pgm"]
     build_world("simple").save(tmp_path / "built")
     built = RunConfig(source=str(tmp_path / "built"))
-    recorded = [vars(file) for file in source_files(built)]
+    recorded = source_files(built)
     assert [Path(file["path"]).name for file in recorded] == ["world.json", "world.npz"]
     assert same_source(built, recorded)
     assert same_source(RunConfig(source="gone"), ())

@@ -13,8 +13,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.loading import mapper_named, package_versions
 from lirs_validation.experiment.mapper_under_test import LocalMapper, SensorReadings
 from lirs_validation.metrics.elevation import MAX_CLOUDS, CloudSample, read_elevation
-from lirs_validation.record.provenance import damaged_files
-from lirs_validation.record.run_record import read_record, schema_error
+from lirs_validation.record.run_record import damaged_files, read_record, schema_error
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, MapperError
 from lirs_wct.formats.drive_files import read_tum

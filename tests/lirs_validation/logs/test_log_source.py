@@ -12,7 +12,7 @@ import pytest
 from lirs_validation import resolve_source
 from lirs_validation.analysis.results import read_results
 from lirs_validation.experiment.run import validate
-from lirs_validation.record.provenance import is_stale
+from lirs_validation.record.run_record import same_code
 from lirs_wct import BuildOptions, World
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry.pose import Pose2
@@ -71,7 +71,7 @@ def test_a_map_is_stale_where_a_run_would_be(changed: dict[str, str], again: boo
     entry = json.loads(record.read_text())
     versions = entry["versions"] | changed
     record.write_text(json.dumps(entry | {"versions": versions}))
-    assert is_stale(record, versions, ()) == again
+    assert same_code(versions) != again
     resolve_source("my room.clf", options, folder)
     assert (json.loads(record.read_text())["versions"] == entry["versions"]) == again
 

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lirs_validation.analysis.compare import RunGroup, by_group, repeats
+from lirs_validation.analysis.compare import repeats
 from lirs_validation.analysis.results import RunFolder, read_results
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.record.metric_catalog import metrics_named
+from lirs_validation.record.run_record import RunGroup, by_group
 from lirs_validation.report import pictures
 from lirs_validation.report.pictures import BUDGET, INK, MAX_BYTES, run_figure
 from lirs_validation.report.run_report import Report, report_of, report_page

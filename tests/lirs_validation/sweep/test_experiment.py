@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from lirs_validation.config import RunConfig
-from lirs_validation.record.provenance import source_files
-from lirs_validation.record.run_record import Status, read_record
+from lirs_validation.record.run_record import Status, read_record, source_files
 from lirs_validation.sweep.engines import Processes
 from lirs_validation.sweep.sweep import Outcome, Serial, Sweep
 from lirs_validation.sweep.tasks import RunTask
@@ -30,11 +29,7 @@ TIMES = {"rtf", "cost", "mapper", "versions"}
 def saved(experiment: RunTask, out: Path, status: Status = "ok") -> Path:
     """Write a folder as a finished run leaves it; return its record's file."""
     like = record(status=status)
-    world = {
-        **like.world,
-        "name": experiment.world,
-        "files": [vars(f) for f in source_files(experiment.config)],
-    }
+    world = {**like.world, "name": experiment.world, "files": list(source_files(experiment.config))}
     return saved_whole(out, replace(like, config=experiment.config, world=world)) / "record.json"
 
 
