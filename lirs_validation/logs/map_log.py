@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lirs_validation.config import MapConfig
+from lirs_validation.experiment.drive import LostRule
 from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.mapper_under_test import (
     LocalMapper,
@@ -36,7 +37,7 @@ from lirs_validation.logs.read_log import (
     with_recorded_mount,
 )
 from lirs_validation.metrics.alignment import associated, rms, scan_coverage
-from lirs_validation.metrics.consistency import LostRule, contradicted_share, inconsistency, scan_consistency
+from lirs_validation.metrics.consistency import contradicted_share, inconsistency, scan_consistency
 from lirs_validation.metrics.trajectory import (
     Accuracy,
     odometry_accuracy,

@@ -1,4 +1,4 @@
-"""Consistency of a trajectory with its scans: lost places, contradictions, residuals between passes.
+"""Consistency of a trajectory with its scans: contradictions, residuals between passes.
 
 Rays pass through no walls. Placed by a correct trajectory, the scan of one pass ends where the other passes
 see a wall as well, or where they cannot see. Placed by a wrong one, many of its beams end in space that the
@@ -31,12 +31,8 @@ from lirs_validation.metrics.alignment import associated, planar
 from lirs_wct.arrays import FloatArray, IntArray, njit
 from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory, wrap_angle
 
-LOST_SECONDS = 5.0
-LOST_SCANS = 10
-"""A mapper that does not know its place for so long, and during so many scans in a row, has lost it ..."""
-LOST_SHARE = 0.05
-"""... and so has one that does not know it for more than this share of the scans, or whose trajectory puts
-more than this share of them where they contradict other passes."""
+MAX_CONTRADICTED = 0.05
+"""Largest share of the scans that a trajectory may put where they contradict other passes."""
 FREE_DEPTH = 0.3
 """Distance by which a hit must lie in free space, meters: more than noise and small errors of a map."""
 MAX_RANGE = 10.0
@@ -59,54 +55,13 @@ LEVEL_SHARE = 0.95
 """Share of the scans that must be level."""
 
 
-class LostRule:
-    """Rule that decides scan by scan whether a mapper is lost."""
-
-    def __init__(self) -> None:
-        self._scans = self._lost = self._in_a_row = 0
-        self._begun = self._longest = self._longest_begun = 0.0
-
-    def observe(self, stamp: float, lost: bool) -> None:
-        """Take in whether the mapper knew its place after the scan of a stamp, seconds."""
-        self._scans += 1
-        if not lost:
-            self._in_a_row = 0
-            return
-        self._lost += 1
-        self._begun = self._begun if self._in_a_row else stamp
-        self._in_a_row += 1
-        seconds = stamp - self._begun
-        if self._in_a_row >= LOST_SCANS and seconds >= max(LOST_SECONDS, self._longest):
-            self._longest, self._longest_begun = seconds, self._begun
-
-    @property
-    def too_long(self) -> str | None:
-        """Message about the longest loss; None below 5 s or 10 scans."""
-        if self._longest == 0.0:
-            return None
-        return f"the mapper lost its place at {self._longest_begun:.1f} s for {self._longest:.1f} s"
-
-    def reason(self) -> str | None:
-        """Return why the mapper is lost; None if it is not.
-
-        The time and the share of all scans so far count.
-        """
-        share = self._lost / self._scans if self._scans else 0.0
-        if self.too_long is None and share <= LOST_SHARE:
-            return None
-        counted = f"{self._lost} of {self._scans} scans ({100 * share:.1f} %)"
-        if self.too_long is None:
-            return f"the mapper did not know its place during {counted}"
-        return f"{self.too_long}; it did not know it during {counted}"
-
-
 def inconsistency(contradicted: float | None) -> str | None:
     """Return why the share of contradicting scans is too high; None if acceptable."""
-    if contradicted is None or contradicted <= LOST_SHARE:
+    if contradicted is None or contradicted <= MAX_CONTRADICTED:
         return None
     return (
         f"{100 * contradicted:.1f} % of the scans end in space that other passes saw free, "
-        f"at most {100 * LOST_SHARE:g} % may"
+        f"at most {100 * MAX_CONTRADICTED:g} % may"
     )
 
 

@@ -8,7 +8,8 @@ from typing import Any, get_args
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lirs_validation.metrics.consistency import LostRule, inconsistency
+from lirs_validation.experiment.drive import LostRule
+from lirs_validation.metrics.consistency import inconsistency
 from lirs_validation.record.metric_catalog import is_worse
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import (
