@@ -28,8 +28,8 @@ from scipy.stats import spearmanr
 
 from benchmarks.slam import DATA, LOGS, REFERENCES, RELATIONS
 from lirs_validation import map_log
-from lirs_validation.metrics.alignment import rms
-from lirs_validation.metrics.trajectory import reference_errors
+from lirs_validation.metrics.mapped_log import reference_errors
+from lirs_validation.metrics.trajectory import rms
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.drive_files import read_tum, write_tum
 from lirs_wct.geometry import Pose2, Trajectory

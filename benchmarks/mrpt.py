@@ -29,7 +29,8 @@ from rich.table import Table
 from benchmarks.slam import DATA, LOGS, RELATIONS
 from benchmarks.steps import arguments
 from lirs_validation.logs.read_log import read_constraints
-from lirs_validation.metrics.trajectory import constraint_errors, trajectory_errors
+from lirs_validation.metrics.mapped_log import constraint_errors
+from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_wct import LaserScan, Pose2, Trajectory
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.drive_files import read_tum

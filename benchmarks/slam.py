@@ -29,7 +29,7 @@ from rich.table import Table
 
 from benchmarks.steps import arguments
 from lirs_validation.logs.read_log import read_constraints, read_reference
-from lirs_validation.metrics.trajectory import RelativePoseConstraint, constraint_errors, reference_errors
+from lirs_validation.metrics.mapped_log import RelativePoseConstraint, constraint_errors, reference_errors
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.pose import Trajectory

@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from lirs_validation.config import TOUR, driver_parts
 from lirs_validation.metrics.elevation import ElevationMap
 from lirs_validation.metrics.map import contradicted
-from lirs_validation.metrics.trajectory import Accuracy
+from lirs_validation.metrics.mapped_log import Accuracy
 from lirs_validation.record.map_record import MapRecord, map_lines
 from lirs_validation.record.metric_catalog import WORSE, picture_lines, worse_than_odometry
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord

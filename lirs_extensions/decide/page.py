@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 
 from lirs_extensions.decide.decide import Answer, Trial
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.metrics.alignment import associated
+from lirs_validation.metrics.trajectory import associated
 from lirs_validation.record.metric_catalog import NOTHING, Entry
 from lirs_validation.record.run_record import read_record
 from lirs_validation.record.verdict import VerdictClass

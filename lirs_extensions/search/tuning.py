@@ -30,8 +30,7 @@ from lirs_validation.experiment.run import run_unwritten
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.map_log import log_mapper, replay
 from lirs_validation.logs.read_log import check_log, inertial_readings, read_log, read_truth, truth_in_time
-from lirs_validation.metrics.consistency import scan_consistency
-from lirs_validation.metrics.trajectory import odometry_accuracy, trajectory_accuracy
+from lirs_validation.metrics.mapped_log import scan_consistency, trajectory_accuracy
 from lirs_validation.record.verdict import (
     AGREEING,
     LIMITS,
@@ -390,10 +389,11 @@ def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
         loss = math.log(MAX_RATIO if status == "lost" else max(residual / AGREEING, MIN_RATIO))
         return TuneScore(loss, residual, status == "ok" and residual <= AGREEING)
     odometry = _odometry(log)
+    alone = trajectory_accuracy(odometry, odometry, relations, reference).metrics() if len(odometry) else {}
     entry = {
         "status": status,
         "accuracy": trajectory_accuracy(path, odometry, relations, reference).metrics(),
-        "odometry": odometry_accuracy(odometry, relations, reference),
+        "odometry": alone,
     }
     return score_of(log_figures(entry | {"log": {}, "trajectory": {}, "map": {}}))
 

@@ -10,24 +10,24 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import scipy
+from scipy.spatial.transform import Rotation, Slerp
 
 from lirs_validation.analysis.results import RunFolder, recorded_truth, recorded_world_config, true_pose_map
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.logs.read_log import read_trajectory
-from lirs_validation.metrics.alignment import (
+from lirs_validation.metrics.map import agreement, as_stored, map_scores, sample_like
+from lirs_validation.metrics.trajectory import (
     MAX_GAP,
     StartAlignment,
     associated,
-    find_time_offset,
-    interpolate_poses,
+    nearest,
     rigid_alignment,
     start_alignment,
-    turn_upright,
+    trajectory_errors,
 )
-from lirs_validation.metrics.map import agreement, as_stored, map_scores, sample_like
-from lirs_validation.metrics.trajectory import trajectory_errors
 from lirs_validation.record.verdict import Verdict, incompleteness, judge
-from lirs_wct import ConfigError, Pose2, SourceError, Trajectory, wrap_angle
+from lirs_wct import ConfigError, FloatArray, Pose2, SourceError, Trajectory, wrap_angle
 from lirs_wct.formats import drive_files, map_server
 
 Frame = Literal["auto", "map", "world", "align"]
@@ -259,3 +259,147 @@ def _score_map(
         built, reference, surface=world.surface, walls=world.walls, truth=world.truth, alignment=alignment
     )
     return asdict(scores)
+
+
+SAME_STAMP = 1e-3
+"""Poses within this time of a scan are of the scan, seconds."""
+GAP_PERIODS, KEYFRAME_GAP = 1.5, 2.0
+"""Largest distance of two poses between which a scan's pose is interpolated, in periods of the scans, or
+seconds if that is more."""
+STEP, WINDOW = 0.05, 0.5
+"""Sampling of the motion, and time over which a speed and a turn are measured, seconds."""
+MIN_OVERLAP, MIN_COMMON, MAX_SPAN = 0.5, 3.0, 1e5
+"""Least share of the shorter trajectory within the other; least common and longest time, seconds."""
+MIN_CORRELATION, EQUAL_CORRELATION = 0.5, 0.02
+"""Least correlation of the motions at the right offset, and a difference that does not tell offsets apart."""
+UPRIGHT_PART, MIN_SPREAD = math.cos(math.radians(45)), 0.05
+"""Least vertical part of an upright z axis, and least ratio of a path's width to its length by which a fit in
+space finds the axes."""
+
+
+def interpolate_poses(trajectory: Trajectory, stamps: FloatArray) -> Trajectory:
+    """Return the poses at the stamps of scans (n,).
+
+    Stamps whose neighboring poses are too far apart are left out. A trajectory is returned as it is if all
+    scans have a pose, or most poses are too far apart.
+    """
+    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    most, gaps = max(GAP_PERIODS * period, KEYFRAME_GAP), np.diff(trajectory.stamps)
+    own = np.abs(trajectory.stamps[nearest(trajectory.stamps, stamps)] - stamps) <= SAME_STAMP
+    if not len(gaps) or np.median(gaps) > most or own.all():
+        return trajectory
+    after = np.clip(np.searchsorted(trajectory.stamps, stamps), 1, len(gaps))
+    inside = (stamps >= trajectory.stamps[0]) & (stamps <= trajectory.stamps[-1])
+    known = stamps[inside & (own | (gaps[after - 1] <= most))]
+    if not len(known):
+        return trajectory
+    positions, turns = _poses_at(trajectory, known)
+    return Trajectory(known, positions, turns.as_quat(scalar_first=True))
+
+
+def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
+    """Return the seconds that lead from the estimate's clock to that of the truth.
+
+    Speed and turn rate do not depend on the frame. Their correlation finds the offset to a step, and the
+    least squares of their differences refine it.
+
+    Raises:
+        SourceError: the motions do not agree at any offset.
+    """
+    span = float(np.ptp(estimate.stamps))
+    if span > MAX_SPAN:
+        raise SourceError(f"its stamps span {span:.4g} s, which has no time offset: give it in seconds")
+    start = float(truth.stamps[0] - estimate.stamps[0])
+    true, found = (_motion(t, np.arange(*_span(t), STEP)) for t in (truth, estimate))
+    if min(len(true), len(found)) * STEP < MIN_COMMON or not (true.std(axis=0) > 0).all():
+        raise SourceError("too short to find its time offset: give it in seconds")
+    a, b = ((m - m.mean(axis=0)) / np.maximum(m.std(axis=0), 1e-9) for m in (true, found))
+    lags = scipy.signal.correlation_lags(len(a), len(b))
+    common = scipy.signal.correlate(np.ones(len(a)), np.ones(len(b)))
+    total = sum(scipy.signal.correlate(a[:, k], b[:, k]) for k in range(2)) / (2 * np.maximum(common, 1))
+    total[common < max(MIN_OVERLAP * min(len(a), len(b)), MIN_COMMON / STEP)] = -1
+    equal = np.flatnonzero(total > total.max() - EQUAL_CORRELATION)
+    equal = equal[common[equal] >= common[equal].max() - 1]
+    if np.ptp(equal) * STEP > 2 * WINDOW:
+        found_at = ", ".join(f"{start + STEP * float(lags[k]):.1f}" for k in (equal[0], equal[-1]))
+        raise SourceError(
+            f"its motion fits the run's at several time offsets, {found_at} s: give it in seconds"
+        )
+    best = int(equal[np.argmax(total[equal])])
+    if total[best] < MIN_CORRELATION:
+        raise SourceError(
+            "no time offset found: at the best one, its motion and the run's correlate by "
+            f"{total[best]:.2f}, at least {MIN_CORRELATION:g} is needed"
+        )
+    coarse = start + STEP * float(lags[best])
+    near = replace(estimate, stamps=estimate.stamps + coarse)
+    fine = scipy.optimize.minimize_scalar(
+        lambda x: _difference(truth, near, x), bounds=(-2 * STEP, 2 * STEP), method="bounded"
+    )
+    return coarse + float(fine.x)
+
+
+def _span(trajectory: Trajectory) -> tuple[float, float]:
+    """Return first and last stamp at which the motion is known."""
+    return float(trajectory.stamps[0]) + WINDOW / 2, float(trajectory.stamps[-1]) - WINDOW / 2
+
+
+def _motion(trajectory: Trajectory, stamps: FloatArray) -> FloatArray:
+    """Return (n, 2) distance and angle within a window around each stamp, meters and radians.
+
+    Both are the same in any frame, also in that of a camera.
+    """
+    if len(trajectory) < 2:
+        return np.empty((0, 2))
+    ends = [np.clip(stamps + shift, *trajectory.stamps[[0, -1]]) for shift in (-WINDOW / 2, WINDOW / 2)]
+    (before, turn), (after, turned) = (_poses_at(trajectory, t) for t in ends)
+    return np.column_stack((np.linalg.norm(after - before, axis=1), (turn.inv() * turned).magnitude()))
+
+
+def _poses_at(trajectory: Trajectory, stamps: FloatArray) -> tuple[FloatArray, Rotation]:
+    """Return positions (n, 3) and attitudes, interpolated at stamps (n,) within the trajectory."""
+    positions = [np.interp(stamps, trajectory.stamps, column) for column in trajectory.positions.T]
+    turns = Slerp(trajectory.stamps, Rotation.from_quat(trajectory.quaternions, scalar_first=True))
+    return np.column_stack(positions), turns(stamps)
+
+
+def _difference(truth: Trajectory, estimate: Trajectory, offset: float) -> float:
+    """Return the mean square of the motions' differences at an offset."""
+    low, high = _span(truth)
+    first, last = _span(estimate)
+    stamps = np.arange(max(low, first + offset), min(high, last + offset), STEP / 2)
+    difference = _motion(truth, stamps) - _motion(estimate, stamps - offset)
+    return float(np.mean(difference**2))
+
+
+def turn_upright(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, str] | None:
+    """Return an estimate turned to z up, and its axes; None if it is upright.
+
+    The axes follow from the best fit in space, which a straight path does not have. Those of the body count
+    as named like those of the frame, as in the trajectories of cameras.
+    """
+    i, j = associated(truth.stamps, estimate.stamps)
+    true, found = (t.positions[k] - t.positions[k].mean(axis=0) for t, k in ((truth, i), (estimate, j)))
+    spread = np.linalg.svd(found, compute_uv=False)
+    width = np.ptp(found, axis=0)
+    if len(i) < 3 or spread[1] < MIN_SPREAD * spread[0] or width[2] < MIN_SPREAD * width[:2].min():
+        return None
+    turn, _ = Rotation.align_vectors(true, found)
+    up = turn.inv().apply((0.0, 0.0, 1.0))
+    if up[2] > UPRIGHT_PART:
+        return None
+    z, heading = _main_axis(up), truth.pose2(int(i[0])).yaw
+    x = _main_axis((1 - np.abs(z)) * turn.inv().apply((math.cos(heading), math.sin(heading), 0.0)))
+    names = [f"{'-' if axis.sum() < 0 else ''}{'xyz'[int(np.argmax(np.abs(axis)))]}" for axis in (x, z)]
+    body = Rotation.from_matrix(np.column_stack((x, np.cross(z, x), z)))
+    turned = turn * Rotation.from_quat(estimate.quaternions, scalar_first=True) * body
+    upright = Trajectory(estimate.stamps, turn.apply(estimate.positions), turned.as_quat(scalar_first=True))
+    return upright, f"{names[0]} ahead, {names[1]} up"
+
+
+def _main_axis(direction: FloatArray) -> FloatArray:
+    """Return the coordinate axis nearest to a direction (3,), with its sign."""
+    axis = np.zeros(3)
+    k = int(np.argmax(np.abs(direction)))
+    axis[k] = np.sign(direction[k])
+    return axis

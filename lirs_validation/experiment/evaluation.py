@@ -13,10 +13,16 @@ from lirs_validation.experiment.drive import DriveLog
 from lirs_validation.experiment.loading import RESOLUTION, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.scenario import Scenario
-from lirs_validation.metrics.alignment import StartAlignment, associated, scan_coverage, start_alignment
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
 from lirs_validation.metrics.map import MapScores, map_scores
-from lirs_validation.metrics.trajectory import spatial_errors, trajectory_errors
+from lirs_validation.metrics.trajectory import (
+    StartAlignment,
+    associated,
+    scan_coverage,
+    spatial_errors,
+    start_alignment,
+    trajectory_errors,
+)
 from lirs_validation.metrics.world_geometry import observed_support
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, versions
 from lirs_validation.record.verdict import incompleteness

@@ -25,7 +25,7 @@ from lirs_validation.experiment.evaluation import evaluate_drive, evaluate_maps
 from lirs_validation.experiment.run import Run, conclude, prepare
 from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.gui.construction import Facts, with_own_picture
-from lirs_validation.metrics.alignment import rigid_alignment, rms
+from lirs_validation.metrics.trajectory import rigid_alignment, rms
 from lirs_validation.processes import CostMeter
 from lirs_validation.record.run_record import SUCCEEDED, maps_clouds, read_record, succeeded
 from lirs_wct import (

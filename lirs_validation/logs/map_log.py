@@ -36,14 +36,15 @@ from lirs_validation.logs.read_log import (
     truth_in_time,
     with_recorded_mount,
 )
-from lirs_validation.metrics.alignment import associated, rms, scan_coverage
-from lirs_validation.metrics.consistency import contradicted_share, inconsistency, scan_consistency
-from lirs_validation.metrics.trajectory import (
+from lirs_validation.metrics.mapped_log import (
     Accuracy,
-    odometry_accuracy,
+    contradicted_share,
+    inconsistency,
     reference_errors,
+    scan_consistency,
     trajectory_accuracy,
 )
+from lirs_validation.metrics.trajectory import associated, rms, scan_coverage
 from lirs_validation.processes import CostMeter, compile_timer
 from lirs_validation.record.map_record import MapRecord, describe_log, describe_map
 from lirs_validation.record.run_record import RECORD, same_code
@@ -261,7 +262,9 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
         quality=quality | {"second": second},
-        odometry=odometry_accuracy(log.track, relations, reference),
+        odometry=trajectory_accuracy(log.track, log.track, relations, reference).metrics()
+        if len(log.track)
+        else {},
         cost=cost,
     )
     return MappedLog(record, log, grid, trajectory, reference, accuracy)

@@ -11,8 +11,8 @@ import numpy as np
 
 from lirs_validation.config import MapConfig
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
-from lirs_validation.metrics.alignment import MAX_GAP, associated
-from lirs_validation.metrics.trajectory import RelativePoseConstraint
+from lirs_validation.metrics.mapped_log import RelativePoseConstraint
+from lirs_validation.metrics.trajectory import MAX_GAP, associated
 from lirs_wct import ConfigError, FloatArray, Imu, Pose2, SourceError, Trajectory
 from lirs_wct.files import read_gzipped, readable_lines
 from lirs_wct.formats.carmen_log import read_carmen, read_mount

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lirs_validation.metrics.alignment import StartAlignment
+from lirs_validation.metrics.trajectory import StartAlignment
 from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct import (
     BoolArray,

@@ -1,4 +1,4 @@
-"""Trajectory errors: an estimate against truth, relations or reference, in the plane and in space.
+"""Trajectory errors: an estimate against the truth, in the plane and in space; association and alignment.
 
 The metrics are those of Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems" (IROS 2012):
 absolute trajectory error (ATE, Eq. 4) after rigid alignment, and relative pose error (RPE, Eqs. 1-3) of the
@@ -9,39 +9,22 @@ al., "On measuring the accuracy of SLAM algorithms" (Autonomous Robots 2009).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from lirs_validation.metrics.alignment import (
-    MAX_GAP,
-    associated,
-    motion,
-    move_poses,
-    nearest,
-    planar,
-    rigid_alignment,
-    rms,
-    scan_coverage,
-    spatial_alignment,
-    wrap_angles,
-)
-from lirs_wct import ConfigError, FloatArray, IntArray, Pose2, Trajectory
+from lirs_wct import ConfigError, FloatArray, IntArray, Pose2, Pose3, Trajectory
 
-PROPAGATION_GAP = 0.1
-"""A pose farther than this from a constraint's stamp is propagated there by odometry, seconds."""
+MAX_GAP = 0.02
+"""Poses whose stamps differ by more than this (seconds) are not the same moment."""
+MIN_PATH = 1.0
+"""Meters of path below which a trajectory does not say how it is turned."""
 CLOSE = 2.0
 """Constraints tie poses this near each other, meters: scans at both poses show the same places."""
 SPACING = 1.0
 """Path between two poses that constraints are made of, meters."""
-STAMP_MARGIN = 2.0
-"""Seconds around an estimate's time; constraints with a stamp outside are left out."""
-REFERENCE_GAP = 0.5
-"""A reference pose is compared with the nearest scan, at most so many seconds away."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,10 +118,7 @@ class SpatialErrors:
 
 
 def spatial_errors(truth: Trajectory, estimate: Trajectory) -> SpatialErrors:
-    """Compare an estimate with the truth, both in the world frame.
-
-    At least two poses share a moment.
-    """
+    """Compare an estimate with the truth, both in the world frame; two poses or more share a moment."""
     i, j = associated(truth.stamps, estimate.stamps)
     true, est = truth.positions[i], estimate.positions[j]
     T = spatial_alignment(est, true)
@@ -182,10 +162,7 @@ def relative_pose_error(
 
 
 def pairs_by_path(poses: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
-    """Return consecutive pairs of planar poses (n, 3), `delta` meters of path apart.
-
-    A distance may be just above `delta`.
-    """
+    """Return consecutive pairs of planar poses (n, 3), `delta` meters of path apart or just above."""
     steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
     marks, driven = [0], 0.0
     for k, step in enumerate(steps.tolist(), start=1):
@@ -215,45 +192,6 @@ def motion_errors(
     return np.linalg.norm(p[:, :2] - q[:, :2], axis=1), wrap_angles(p[:, 2] - q[:, 2])
 
 
-@dataclass(frozen=True)
-class RelativePoseConstraint:
-    """The true pose of the robot at `stamp_b` in its frame at `stamp_a`."""
-
-    stamp_a: float
-    stamp_b: float
-    T_ab: Pose2
-
-
-@dataclass(frozen=True)
-class ConstraintErrors:
-    """Errors of the constraints inside the trajectory's time, and how many lay outside.
-
-    Attributes:
-        translation: (n,) meters.
-        rotation: (n,) radians, not negative.
-        outside: Number of constraints that were left out.
-        stamps: (n,) seconds, the earlier stamp of each constraint.
-    """
-
-    translation: FloatArray
-    rotation: FloatArray
-    outside: int
-    stamps: FloatArray
-
-    def metrics(self) -> dict[str, Any]:
-        """Return the metrics as a record holds them."""
-        turn = np.degrees(self.rotation)
-        some = len(turn) > 0
-        return {
-            "translation_mean": float(self.translation.mean()) if some else None,
-            "translation_std": float(self.translation.std()) if some else None,
-            "rotation_mean_deg": float(turn.mean()) if some else None,
-            "rotation_std_deg": float(turn.std()) if some else None,
-            "used": len(turn),
-            "outside": self.outside,
-        }
-
-
 @dataclass(frozen=True, kw_only=True)
 class ConstraintErrorSummary:
     """Error of the constraints between poses that lie close together, whenever they were passed.
@@ -271,33 +209,6 @@ class ConstraintErrorSummary:
     rotation_mean: float
     rotation_std: float
     relations: int
-
-
-def constraint_errors(
-    estimate: Trajectory, constraints: Sequence[RelativePoseConstraint], odometry: Trajectory
-) -> ConstraintErrors:
-    """Compare the estimate with the constraints.
-
-    Args:
-        estimate: poses in any frame.
-        constraints: the truth.
-        odometry: raw odometry over the same time, any frame, that propagates poses to the stamps; where it is
-            empty, the estimate itself does.
-    """
-    low, high = estimate.stamps[0] - STAMP_MARGIN, estimate.stamps[-1] + STAMP_MARGIN
-    stamps = np.array([(c.stamp_a, c.stamp_b) for c in constraints]).reshape(-1, 2)
-    inside = (stamps.min(axis=1) >= low) & (stamps.max(axis=1) <= high)
-    stamps = stamps[inside]
-    true = np.array([c.T_ab.as_array() for c in constraints]).reshape(-1, 3)[inside]
-    propagator = odometry if len(odometry) else estimate
-    a, b = (poses_at(estimate, stamps[:, k], propagator) for k in (0, 1))
-    error = motion(true, motion(a, b))
-    return ConstraintErrors(
-        np.linalg.norm(error[:, :2], axis=1),
-        np.abs(wrap_angles(error[:, 2])),
-        int((~inside).sum()),
-        stamps.min(axis=1),
-    )
 
 
 def constraint_error_summary(true: FloatArray, estimate: FloatArray) -> ConstraintErrorSummary | None:
@@ -330,107 +241,135 @@ def close_pairs(poses: FloatArray) -> tuple[IntArray, IntArray]:
     return marks[ordered[:, 0]], marks[ordered[:, 1]]
 
 
-def poses_at(estimate: Trajectory, stamps: FloatArray, odometry: Trajectory) -> FloatArray:
-    """Return (n, 3) estimated poses at the stamps.
-
-    Distant ones are propagated from the nearest pose by odometry.
-
-    Args:
-        estimate: not empty.
-        stamps: (n,) seconds.
-        odometry: not empty, in any frame.
-    """
-    near = nearest(estimate.stamps, stamps)
-    poses, there = planar(estimate)[near], estimate.stamps[near]
-    step = motion(odometry.planar_at(there), odometry.planar_at(stamps))
-    step[np.abs(there - stamps) <= PROPAGATION_GAP] = 0.0
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    return poses + np.column_stack(
-        (c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1], step[:, 2])
-    )
-
-
-@dataclass(frozen=True)
-class ReferenceErrors:
-    """Errors at the reference poses with a scan near by, after rigid alignment without scale.
+@dataclass(frozen=True, kw_only=True)
+class StartAlignment:
+    """Rigid motion that aligns an estimate with the truth, as for the ATE.
 
     Attributes:
-        stamps: (n,) seconds.
-        position: (n,) meters.
-        yaw: (n,) radians, not negative.
-        outside: Number of reference poses without a scan near by.
-        T_map_reference: Place of the reference's frame in the map, so that the two can be drawn together.
+        T_world_aligned: Motion of the mapper's path and map, in the world frame, to the best fit.
+        shift: Distance by which it moves the start pose, meters.
+        turn: Angle by which it turns, radians, not negative.
     """
 
-    stamps: FloatArray
-    position: FloatArray
-    yaw: FloatArray
-    outside: int
-    T_map_reference: Pose2
-
-    def metrics(self) -> dict[str, Any]:
-        """Return the metrics as a record holds them."""
-        some = len(self.position) > 0
-        return {
-            "ate_rmse": rms(self.position) if some else None,
-            "ate_max": float(self.position.max()) if some else None,
-            "yaw_rmse_deg": math.degrees(rms(self.yaw)) if some else None,
-            "used": len(self.position),
-            "outside": self.outside,
-        }
+    T_world_aligned: Pose2
+    shift: float
+    turn: float
 
 
-@dataclass(frozen=True)
-class Accuracy:
-    """Errors of a trajectory; None if not requested, or nothing can be compared."""
+def start_alignment(truth: Trajectory, estimate: Trajectory) -> StartAlignment | None:
+    """Align an estimate with the truth; None without two poses and a meter in common.
 
-    constraints: ConstraintErrors | None = None
-    reference: ReferenceErrors | None = None
-
-    def metrics(self) -> dict[str, Any]:
-        """Return the metrics as a record holds them."""
-        return {
-            "relations": None if self.constraints is None else self.constraints.metrics(),
-            "reference": None if self.reference is None else self.reference.metrics(),
-        }
-
-
-def trajectory_accuracy(
-    estimate: Trajectory,
-    odometry: Trajectory,
-    constraints: Sequence[RelativePoseConstraint] | None,
-    reference: Trajectory | None,
-) -> Accuracy:
-    """Compare an estimate in the map frame with relations and reference."""
-    return Accuracy(
-        None if constraints is None else constraint_errors(estimate, constraints, odometry),
-        None if reference is None else reference_errors(estimate, reference),
-    )
+    Args:
+        truth: True poses in the world frame, from the start pose on.
+        estimate: Estimated poses in the world frame (moved by the true start pose).
+    """
+    i, j = associated(truth.stamps, estimate.stamps)
+    if len(i) < 2 or np.linalg.norm(np.diff(truth.xy[i], axis=0), axis=1).sum() < MIN_PATH:
+        return None
+    T = rigid_alignment(estimate.xy[j], truth.xy[i])
+    start = truth.pose2(0)
+    return StartAlignment(T_world_aligned=T, shift=(T @ start).distance(start), turn=abs(T.yaw))
 
 
-def odometry_accuracy(
-    odometry: Trajectory, constraints: Sequence[RelativePoseConstraint] | None, reference: Trajectory | None
-) -> dict[str, Any]:
-    """Return the accuracy of a log's raw odometry; empty without odometry."""
-    if len(odometry) == 0:
-        return {}
-    return trajectory_accuracy(odometry, odometry, constraints, reference).metrics()
+def associated(
+    first: FloatArray, second: FloatArray, *, max_gap: float = MAX_GAP
+) -> tuple[IntArray, IntArray]:
+    """Pair each stamp of the shorter list with the nearest of the longer, at most `max_gap` seconds away.
+
+    Args:
+        first: (n,) seconds, increasing.
+        second: (m,) seconds, increasing.
+        max_gap: Largest difference of a pair, seconds.
+
+    Returns:
+        Two index vectors of one length, into `first` and `second`.
+    """
+    if len(first) > len(second):
+        j, i = associated(second, first, max_gap=max_gap)
+        return i, j
+    if len(first) == 0:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    near = nearest(second, first)
+    kept = np.flatnonzero(np.abs(second[near] - first) <= max_gap)
+    return kept.astype(np.int64), near[kept]
 
 
-def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceErrors:
-    """Compare each reference pose with the nearest scan's (ATE of Sturm et al. 2012, Eq. 4, in the plane)."""
-    i, j = associated(reference.stamps, estimate.stamps, max_gap=REFERENCE_GAP)
-    outside = len(reference) - len(i)
-    if len(i) < 2:
-        nothing = np.empty(0)
-        return ReferenceErrors(nothing, nothing, nothing, outside, Pose2())
-    true, found = planar(reference)[i], planar(estimate)[j]
-    T_reference_map = rigid_alignment(found[:, :2], true[:, :2])
-    aligned = move_poses(found, T_reference_map)
-    return ReferenceErrors(
-        reference.stamps[i],
-        np.linalg.norm(aligned[:, :2] - true[:, :2], axis=1),
-        np.abs(wrap_angles(aligned[:, 2] - true[:, 2])),
-        outside,
-        T_reference_map.inverse(),
-    )
+def nearest(stamps: FloatArray, wanted: FloatArray) -> IntArray:
+    """Return (n,) indices of the nearest increasing stamps (m,), of two the earlier."""
+    after = np.minimum(np.searchsorted(stamps, wanted), len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(wanted - stamps[before] <= stamps[after] - wanted, before, after).astype(np.int64)
+
+
+def scan_coverage(scans: FloatArray, poses: FloatArray) -> float:
+    """Return the share of scans with a pose at their stamp; 0 of no scans.
+
+    A pose is at a scan's stamp where it is at most 0.02 s away, and nearer than half the scans' period: poses
+    of every second scan cover half of them, however fast they follow each other.
+
+    Args:
+        scans: (n,) stamps of the scans, seconds, increasing.
+        poses: (m,) stamps of the poses, seconds, increasing.
+    """
+    if len(scans) == 0 or len(poses) == 0:
+        return 0.0
+    steps = np.diff(scans)
+    steps = steps[steps > 0]
+    gap = min(MAX_GAP, 0.49 * float(np.median(steps))) if len(steps) else MAX_GAP
+    return float((np.abs(poses[nearest(poses, scans)] - scans) <= gap).mean())
+
+
+def planar(trajectory: Trajectory) -> FloatArray:
+    """Return (n, 3): x, y in meters, yaw in radians."""
+    return np.column_stack((trajectory.xy, trajectory.yaw))
+
+
+def move_poses(poses: FloatArray, T_new_frame: Pose2) -> FloatArray:
+    """Return planar poses (n, 3) expressed in another frame."""
+    return np.column_stack((T_new_frame.apply(poses[:, :2]), wrap_angles(poses[:, 2] + T_new_frame.yaw)))
+
+
+def wrap_angles(angles: FloatArray) -> FloatArray:
+    """Return angles in [-pi, pi]."""
+    result: FloatArray = np.remainder(angles + math.pi, math.tau) - math.pi
+    return result
+
+
+def motion(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return (n, 3) the poses b expressed in the poses a."""
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    d = b[:, :2] - a[:, :2]
+    return np.column_stack((c * d[:, 0] + s * d[:, 1], c * d[:, 1] - s * d[:, 0], b[:, 2] - a[:, 2]))
+
+
+def rigid_alignment(source: FloatArray, target: FloatArray) -> Pose2:
+    """Return the least-squares `T_target_source` from points (n, 2) to points (n, 2).
+
+    The plane's closed form of Umeyama (PAMI 1991, Eqs. 39-42) without scale: with both sets centered,
+    the best rotation has the angle of (sum of dot products, sum of cross products).
+    """
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    dot = float(np.sum(a * b))
+    cross = float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
+    turn = Pose2(yaw=math.atan2(cross, dot) if dot or cross else 0.0)
+    x, y = (target.mean(axis=0) - turn.apply(source.mean(axis=0))).tolist()
+    return Pose2(x, y, turn.yaw)
+
+
+def spatial_alignment(source: FloatArray, target: FloatArray) -> Pose3:
+    """Return the least-squares `T_target_source` from points (n, 3) to points (n, 3).
+
+    Umeyama (PAMI 1991), Eqs. 39-42 without scale. Points on a line leave the turn about it open; that of the
+    singular value decomposition is then taken.
+    """
+    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    U, _, Vt = np.linalg.svd(b.T @ a)
+    mirrored = np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    R = U @ np.diag((1.0, 1.0, mirrored)) @ Vt
+    t = target.mean(axis=0) - R @ source.mean(axis=0)
+    return Pose3.from_arrays(t, Rotation.from_matrix(R).as_quat(scalar_first=True))
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))

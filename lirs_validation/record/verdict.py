@@ -1,7 +1,7 @@
 """Verdict on a result: limits, class, one sentence for the user, and the reasons.
 
 The same rules hold for runs, mapped logs and scores; only mapped logs are tested for scans that contradict
-each other (`lirs_validation.metrics.consistency`): a run knows the truth, and its hillsides contradict.
+each other (`lirs_validation.metrics.mapped_log`): a run knows the truth, and its hillsides contradict.
 `judge` returns the verdict on a run, once; its record holds it. Every limit is a constant or a field of
 `VerdictLimits` in this file.
 """

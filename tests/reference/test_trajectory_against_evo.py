@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.alignment import planar
 from lirs_validation.metrics.trajectory import (
     close_pairs,
     constraint_error_summary,
     pairs_by_path,
     pairs_by_time,
+    planar,
     relative_pose_error,
     trajectory_errors,
 )

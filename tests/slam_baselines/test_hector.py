@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lirs_validation.logs.read_log import read_constraints, read_reference
 from lirs_validation.metrics.map import agreement, false_occupied
-from lirs_validation.metrics.trajectory import constraint_errors, reference_errors
+from lirs_validation.metrics.mapped_log import constraint_errors, reference_errors
 from lirs_wct.formats.carmen_log import read_carmen
 from slam_baselines.hector import HectorMapper
 from slam_baselines.map_builder import KnownPoseMapper

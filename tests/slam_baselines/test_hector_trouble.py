@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_validation.logs.read_log import read_reference
-from lirs_validation.metrics.trajectory import reference_errors
+from lirs_validation.metrics.mapped_log import reference_errors
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, wrap_angle
 from lirs_wct.geometry.scan import Imu, LaserScan

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lirs_extensions.search.twin.surface import fit_surfaces, scan_arrays
-from lirs_validation.metrics.consistency import contradicted_share, scan_consistency
+from lirs_validation.metrics.mapped_log import contradicted_share, scan_consistency
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan

@@ -32,7 +32,7 @@ from lirs_extensions.search.twin.surface import (
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
 from lirs_validation.logs.read_log import read_truth, truth_in_time
-from lirs_validation.metrics.trajectory import RelativePoseConstraint, trajectory_accuracy
+from lirs_validation.metrics.mapped_log import RelativePoseConstraint, trajectory_accuracy
 from lirs_wct import FloatArray, LaserScan, Pose2, SourceError, Trajectory, unknown_name
 from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.progress import Progress

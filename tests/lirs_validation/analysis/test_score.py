@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from lirs_validation.analysis.export import export_run
 from lirs_validation.analysis.results import RunFolder, read_run, recorded_config, true_pose_map
-from lirs_validation.analysis.score import score
-from lirs_validation.metrics.alignment import find_time_offset
+from lirs_validation.analysis.score import find_time_offset, score
 from lirs_validation.metrics.map import agreement, iou
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.drive_files import read_tum, write_tum

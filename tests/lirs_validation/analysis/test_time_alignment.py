@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lirs_validation.analysis.results import read_run
-from lirs_validation.analysis.score import score
-from lirs_validation.metrics.alignment import find_time_offset, interpolate_poses
+from lirs_validation.analysis.score import find_time_offset, interpolate_poses, score
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.drive_files import read_tum, write_tum
 from lirs_wct.geometry import Pose2, Trajectory

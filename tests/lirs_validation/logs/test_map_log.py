@@ -14,8 +14,8 @@ from benchmarks.log_quality import thinned
 from lirs_validation import drawing, map_log
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import run_mapping
-from lirs_validation.metrics.alignment import rms
-from lirs_validation.metrics.trajectory import reference_errors
+from lirs_validation.metrics.mapped_log import reference_errors
+from lirs_validation.metrics.trajectory import rms
 from lirs_validation.record.map_record import map_lines
 from lirs_validation.record.metric_catalog import WORSE
 from lirs_wct.errors import ConfigError, MapperError, SourceError

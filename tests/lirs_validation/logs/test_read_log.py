@@ -14,7 +14,7 @@ from lirs_validation import map_log
 from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import folder_name
 from lirs_validation.logs.read_log import read_reference, truth_in_time
-from lirs_validation.metrics.trajectory import RelativePoseConstraint
+from lirs_validation.metrics.mapped_log import RelativePoseConstraint
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats import carmen_log
 from lirs_wct.formats.drive_files import write_imu, write_tum

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
-from lirs_validation.metrics.alignment import (
+from lirs_validation.metrics.map import map_scores
+from lirs_validation.metrics.trajectory import (
     MAX_GAP,
     associated,
     motion,
@@ -19,7 +20,6 @@ from lirs_validation.metrics.alignment import (
     start_alignment,
     wrap_angles,
 )
-from lirs_validation.metrics.map import map_scores
 from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2, Trajectory, wrap_angle
 

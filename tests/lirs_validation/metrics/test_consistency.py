@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from lirs_validation.metrics.consistency import ScanConsistency, contradicted_share, scan_consistency
+from lirs_validation.metrics.mapped_log import ScanConsistency, contradicted_share, scan_consistency
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
 from tests.slam_baselines.synthetic import ranges_to

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 
-from lirs_validation.metrics.alignment import StartAlignment
 from lirs_validation.metrics.map import (
     Agreement,
     CellDistance,
@@ -28,6 +27,7 @@ from lirs_validation.metrics.map import (
     similarity,
     unknown_share,
 )
+from lirs_validation.metrics.trajectory import StartAlignment
 from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid

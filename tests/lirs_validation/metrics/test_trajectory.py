@@ -11,19 +11,22 @@ from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
 from lirs_validation.logs.read_log import read_constraints
-from lirs_validation.metrics.alignment import rms, spatial_alignment
-from lirs_validation.metrics.trajectory import (
+from lirs_validation.metrics.mapped_log import (
     Accuracy,
     ConstraintErrors,
     ReferenceErrors,
     RelativePoseConstraint,
-    close_pairs,
     constraint_errors,
-    pairs_by_path,
-    pairs_by_time,
     poses_at,
     reference_errors,
+)
+from lirs_validation.metrics.trajectory import (
+    close_pairs,
+    pairs_by_path,
+    pairs_by_time,
     relative_pose_error,
+    rms,
+    spatial_alignment,
     spatial_errors,
     trajectory_errors,
 )

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lirs_validation.experiment.drive import LostRule
-from lirs_validation.metrics.consistency import inconsistency
+from lirs_validation.metrics.mapped_log import inconsistency
 from lirs_validation.record.metric_catalog import is_worse
 from lirs_validation.record.run_record import Status
 from lirs_validation.record.verdict import (

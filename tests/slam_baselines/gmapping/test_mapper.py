@@ -8,7 +8,7 @@ import pytest
 
 from lirs_validation import validate
 from lirs_validation.logs.read_log import read_constraints
-from lirs_validation.metrics.trajectory import constraint_errors
+from lirs_validation.metrics.mapped_log import constraint_errors
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import LaserScan

@@ -1,4 +1,4 @@
-"""Consistency of a trajectory with its scans: contradictions, residuals between passes.
+"""Quality of a mapped log: errors of its trajectory, consistency with its scans.
 
 Rays pass through no walls. Placed by a correct trajectory, the scan of one pass ends where the other passes
 see a wall as well, or where they cannot see. Placed by a wrong one, many of its beams end in space that the
@@ -27,10 +27,25 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from lirs_validation.metrics.alignment import associated, planar
+from lirs_validation.metrics.trajectory import (
+    associated,
+    motion,
+    move_poses,
+    nearest,
+    planar,
+    rigid_alignment,
+    rms,
+    wrap_angles,
+)
 from lirs_wct.arrays import FloatArray, IntArray, njit
 from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory, wrap_angle
 
+PROPAGATION_GAP = 0.1
+"""A pose farther than this from a constraint's stamp is propagated there by odometry, seconds."""
+STAMP_MARGIN = 2.0
+"""Seconds around an estimate's time; constraints with a stamp outside are left out."""
+REFERENCE_GAP = 0.5
+"""A reference pose is compared with the nearest scan, at most so many seconds away."""
 MAX_CONTRADICTED = 0.05
 """Largest share of the scans that a trajectory may put where they contradict other passes."""
 FREE_DEPTH = 0.3
@@ -55,6 +70,157 @@ LEVEL_SHARE = 0.95
 """Share of the scans that must be level."""
 
 
+@dataclass(frozen=True)
+class RelativePoseConstraint:
+    """The true pose of the robot at `stamp_b` in its frame at `stamp_a`."""
+
+    stamp_a: float
+    stamp_b: float
+    T_ab: Pose2
+
+
+@dataclass(frozen=True)
+class ConstraintErrors:
+    """Errors of the constraints inside the trajectory's time, and how many lay outside.
+
+    Attributes:
+        translation: (n,) meters.
+        rotation: (n,) radians, not negative.
+        outside: Number of constraints that were left out.
+        stamps: (n,) earlier stamp of each constraint, seconds.
+    """
+
+    translation: FloatArray
+    rotation: FloatArray
+    outside: int
+    stamps: FloatArray
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics as a record holds them."""
+        turn = np.degrees(self.rotation)
+        some = len(turn) > 0
+        return {
+            "translation_mean": float(self.translation.mean()) if some else None,
+            "translation_std": float(self.translation.std()) if some else None,
+            "rotation_mean_deg": float(turn.mean()) if some else None,
+            "rotation_std_deg": float(turn.std()) if some else None,
+            "used": len(turn),
+            "outside": self.outside,
+        }
+
+
+def constraint_errors(
+    estimate: Trajectory, constraints: Sequence[RelativePoseConstraint], odometry: Trajectory
+) -> ConstraintErrors:
+    """Compare an estimate, in any frame, with the constraints.
+
+    Raw odometry over the same time propagates poses to the stamps; where it is empty, the estimate does.
+    """
+    low, high = estimate.stamps[0] - STAMP_MARGIN, estimate.stamps[-1] + STAMP_MARGIN
+    stamps = np.array([(c.stamp_a, c.stamp_b) for c in constraints]).reshape(-1, 2)
+    inside = (stamps.min(axis=1) >= low) & (stamps.max(axis=1) <= high)
+    stamps = stamps[inside]
+    true = np.array([c.T_ab.as_array() for c in constraints]).reshape(-1, 3)[inside]
+    propagator = odometry if len(odometry) else estimate
+    a, b = (poses_at(estimate, stamps[:, k], propagator) for k in (0, 1))
+    error = motion(true, motion(a, b))
+    return ConstraintErrors(
+        np.linalg.norm(error[:, :2], axis=1),
+        np.abs(wrap_angles(error[:, 2])),
+        int((~inside).sum()),
+        stamps.min(axis=1),
+    )
+
+
+def poses_at(estimate: Trajectory, stamps: FloatArray, odometry: Trajectory) -> FloatArray:
+    """Return (n, 3) estimated poses at stamps (n,), propagated from distant poses by odometry."""
+    near = nearest(estimate.stamps, stamps)
+    poses, there = planar(estimate)[near], estimate.stamps[near]
+    step = motion(odometry.planar_at(there), odometry.planar_at(stamps))
+    step[np.abs(there - stamps) <= PROPAGATION_GAP] = 0.0
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    return poses + np.column_stack(
+        (c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1], step[:, 2])
+    )
+
+
+@dataclass(frozen=True)
+class ReferenceErrors:
+    """Errors at the reference poses with a scan near by, after rigid alignment without scale.
+
+    Attributes:
+        stamps: (n,) seconds.
+        position: (n,) meters.
+        yaw: (n,) radians, not negative.
+        outside: Number of reference poses without a scan near by.
+        T_map_reference: Place of the reference's frame in the map, so that the two can be drawn together.
+    """
+
+    stamps: FloatArray
+    position: FloatArray
+    yaw: FloatArray
+    outside: int
+    T_map_reference: Pose2
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics as a record holds them."""
+        some = len(self.position) > 0
+        return {
+            "ate_rmse": rms(self.position) if some else None,
+            "ate_max": float(self.position.max()) if some else None,
+            "yaw_rmse_deg": math.degrees(rms(self.yaw)) if some else None,
+            "used": len(self.position),
+            "outside": self.outside,
+        }
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of a trajectory; None if not requested, or nothing can be compared."""
+
+    constraints: ConstraintErrors | None = None
+    reference: ReferenceErrors | None = None
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the metrics as a record holds them."""
+        return {
+            "relations": None if self.constraints is None else self.constraints.metrics(),
+            "reference": None if self.reference is None else self.reference.metrics(),
+        }
+
+
+def trajectory_accuracy(
+    estimate: Trajectory,
+    odometry: Trajectory,
+    constraints: Sequence[RelativePoseConstraint] | None,
+    reference: Trajectory | None,
+) -> Accuracy:
+    """Compare an estimate in the map frame with relations and reference."""
+    return Accuracy(
+        None if constraints is None else constraint_errors(estimate, constraints, odometry),
+        None if reference is None else reference_errors(estimate, reference),
+    )
+
+
+def reference_errors(estimate: Trajectory, reference: Trajectory) -> ReferenceErrors:
+    """Compare each reference pose with the nearest scan's (ATE of Sturm et al. 2012, Eq. 4, in the plane)."""
+    i, j = associated(reference.stamps, estimate.stamps, max_gap=REFERENCE_GAP)
+    outside = len(reference) - len(i)
+    if len(i) < 2:
+        nothing = np.empty(0)
+        return ReferenceErrors(nothing, nothing, nothing, outside, Pose2())
+    true, found = planar(reference)[i], planar(estimate)[j]
+    T_reference_map = rigid_alignment(found[:, :2], true[:, :2])
+    aligned = move_poses(found, T_reference_map)
+    return ReferenceErrors(
+        reference.stamps[i],
+        np.linalg.norm(aligned[:, :2] - true[:, :2], axis=1),
+        np.abs(wrap_angles(aligned[:, 2] - true[:, 2])),
+        outside,
+        T_reference_map.inverse(),
+    )
+
+
 def inconsistency(contradicted: float | None) -> str | None:
     """Return why the share of contradicting scans is too high; None if acceptable."""
     if contradicted is None or contradicted <= MAX_CONTRADICTED:
@@ -68,19 +234,14 @@ def inconsistency(contradicted: float | None) -> str | None:
 def contradicted_share(
     scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
 ) -> float | None:
-    """Return the share of scans that contradict other passes.
+    """Return the share of scans that contradict other passes; None of scans that are not level.
 
-    One scan per half meter is tested.
-
-    A scan that no other pass can test counts as consistent.
+    One scan per half meter is tested; one that no other pass can test counts as consistent.
 
     Args:
         scans: Scans of a planar laser.
         readings: Attitude at each scan; None where unknown.
-        trajectory: `T_map_base` of the scans, by their stamps.
-
-    Returns:
-        None where there is no test: fewer than two poses, or scans that are not level.
+        trajectory: `T_map_base` of two scans or more, by their stamps.
     """
     placed = _place_scans(scans, readings, trajectory)
     if placed is None:
@@ -269,11 +430,7 @@ def _compare(
 def _sees(ranges: FloatArray, turn: float, step: float, distance: float) -> int:
     """Return a scan's verdict on a point: 1 free, 0 wall, -1 unknown.
 
-    Args:
-        ranges: (beams,) of the scan, meters.
-        turn: Angle from its first beam to the point, radians.
-        step: Angle between beams, radians.
-        distance: Distance of the point, meters.
+    The point is `distance` meters away, `turn` radians from the first beam; `step` is the angle of two beams.
     """
     if ranges[int(turn / step + 0.5)] <= distance + FREE_DEPTH:
         return 0
@@ -296,13 +453,7 @@ def _residuals(
 ) -> tuple[IntArray, FloatArray]:
     """Return (n,) compared hits of each scan and (n,) the sum of their distances, meters.
 
-    Args:
-        ranges: (n, beams) NaN without return, meters.
-        angles: (n, 2) of the first beam, and between beams, radians.
-        sensors: (n, 3) poses of the laser in the map.
-        driven: (n,) meters driven up to each scan.
-        least: Least distance driven between two compared scans, meters.
-        most: Distance driven between two compared scans is smaller than this, meters.
+    The arrays are those of `_PlacedScans`; compared scans have `least` to `most` meters driven between them.
     """
     n, beams = ranges.shape
     compared, total = np.zeros(n, np.int64), np.zeros(n)
