@@ -16,7 +16,8 @@ from lirs_envs.lidar.ray_casting import Caster, MeshCaster, RayCaster
 from lirs_envs.robots.robot import Robot
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import plan_tour
-from lirs_validation.metrics.world_geometry import cast_beams, count_hits, standing_on
+from lirs_validation.metrics.map import count_hits
+from lirs_validation.metrics.world_geometry import cast_beams, standing_on
 from lirs_wct import FloatArray, Pose2, World
 from slam_baselines.mapper import ALL_CLOUD_MAPPERS
 

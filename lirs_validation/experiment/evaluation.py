@@ -14,7 +14,7 @@ from lirs_validation.experiment.loading import RESOLUTION, package_versions
 from lirs_validation.experiment.mapper_under_test import MapperUnderTest
 from lirs_validation.experiment.scenario import Scenario
 from lirs_validation.metrics.elevation import Elevations, evaluate_elevation
-from lirs_validation.metrics.map import MapScores, map_scores
+from lirs_validation.metrics.map import MapScores, map_scores, observed_support
 from lirs_validation.metrics.trajectory import (
     StartAlignment,
     associated,
@@ -23,7 +23,6 @@ from lirs_validation.metrics.trajectory import (
     start_alignment,
     trajectory_errors,
 )
-from lirs_validation.metrics.world_geometry import observed_support
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, versions
 from lirs_validation.record.verdict import incompleteness
 from lirs_wct import FloatArray, OccupancyGrid, SimulationError, World

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from lirs_validation.metrics.map import near_obstacle
 from lirs_validation.metrics.trajectory import associated, rms, spatial_alignment
-from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct import HeightField, PointCloud, Pose3, Trajectory, WallGrid, World
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.errors import SourceError, reason_of

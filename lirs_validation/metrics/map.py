@@ -1,4 +1,4 @@
-"""Agreement of a built map with a reference map and the world's geometry.
+"""Agreement of a built map, or of hits of scans, with a reference map and the world's geometry.
 
 All grids are given in the world frame: the built map moved by the true start pose and by nothing else. So an
 error of the first meters shifts or turns the whole map; the `_aligned` metrics are of the map moved by the
@@ -10,24 +10,29 @@ says: a cell that is neither occupied nor free (p < 0.25) is unknown.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
 from lirs_validation.metrics.trajectory import StartAlignment
-from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct import (
     BoolArray,
     Float32Array,
     FloatArray,
     HeightField,
     IntArray,
+    LaserScan,
     OccupancyGrid,
+    Pose3,
     WallGrid,
+    World,
     wrap_angle,
 )
+from lirs_wct.arrays import njit
 
 TOLERANCE = 0.10
 """Two occupied cells agree where their centers are at most this far apart, meters."""
@@ -39,6 +44,10 @@ WINDOW, SIGMA = 11, 1.5
 """Side and standard deviation of the Gaussian window, cells (Wang et al., Sec. III-C)."""
 K1, K2 = 0.01, 0.03
 """Constants that keep the quotients finite, as in the paper, for pictures in [0, 1]."""
+STEEP = math.radians(45)
+"""Faces steeper than this are obstacles, radians."""
+WALL_DISTANCE = 0.10
+"""Meters from a steep face or wall cell within which a hit is one of a wall, as in `map.false_occupied`."""
 BAND = 64
 """Rows of a map per block: intermediate arrays are ten times the size of the block."""
 
@@ -93,9 +102,7 @@ def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float =
 
 
 def cell_distance(asked: OccupancyGrid, other: OccupancyGrid) -> CellDistance | None:
-    """Return distances of a map's occupied cells to those of another map.
-
-    Only cells known in the other map count.
+    """Return distances of a map's occupied cells to those of another map, where that one knows.
 
     None where there is no cell to ask, or the other map has no occupied cell.
     """
@@ -106,10 +113,7 @@ def cell_distance(asked: OccupancyGrid, other: OccupancyGrid) -> CellDistance | 
 
 
 def contradicted(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = TOLERANCE) -> BoolArray:
-    """Return (rows, cols) occupied cells that the other map contradicts.
-
-    Only cells known in the other map count.
-    """
+    """Return (rows, cols) occupied cells that the other map contradicts where it knows."""
     cells, distance = nearest_occupied(asked, other)
     wrong = np.zeros(asked.shape, np.bool_)
     wrong[tuple(cells[distance > tolerance + ROUNDING].T)] = True
@@ -117,9 +121,7 @@ def contradicted(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = 
 
 
 def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArray, FloatArray]:
-    """Return (n, 2) comparable occupied cells and (n,) their distances in meters.
-
-    A cell is comparable if the other map knows it; the distance leads to the other's nearest occupied cell.
+    """Return (n, 2) occupied cells that the other map knows, and (n,) meters to its nearest occupied cell.
 
     The distance is infinite where the other map has no occupied cell at all.
     """
@@ -179,18 +181,13 @@ def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
 
 
 def _confirmed_share(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float:
-    """Return the share of occupied cells that the other map confirms.
-
-    Only cells known in the other map count; 0 without cells.
-    """
+    """Return the share of occupied cells that the other map confirms where it knows; 0 without cells."""
     _, distance = nearest_occupied(asked, other)
     return float((distance <= tolerance + ROUNDING).mean()) if len(distance) else 0.0
 
 
 def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
-    """Return the mean structural similarity over cells known in both maps.
-
-    None if there is none.
+    """Return the mean structural similarity over cells known in both maps; None if there is none.
 
     The built map is read at the centers of the reference's cells. Pictures hold 0 for occupied, 1 for
     free and 0.5 for unknown or undecided cells.
@@ -232,9 +229,7 @@ def _mean(picture: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class MapScores:
-    """Metrics of one built map.
-
-    None if neither map has an occupied cell, or there is no reference.
+    """Metrics of one built map; None if neither map has an occupied cell, or there is no reference.
 
     Attributes:
         f1: Agreement with the true-pose map, harmonic mean of precision and recall.
@@ -286,15 +281,15 @@ def map_scores(
     truth: OccupancyGrid | None = None,
     alignment: StartAlignment | None = None,
 ) -> MapScores:
-    """Score a built map.
+    """Score a built map; all maps are in the world frame.
 
     Args:
-        built: Map of the mapper, in the world frame.
-        true_pose: Map that our update makes of the same scans at the true poses, in the world frame.
+        built: Map of the mapper.
+        true_pose: Map that our update makes of the same scans at the true poses.
         surface: Ground of the world.
         walls: Walls of the world.
-        truth: Input laser map in the world frame; None without one.
-        alignment: Alignment of the built map's trajectory; None without one.
+        truth: Input laser map.
+        alignment: Alignment of the built map's trajectory.
     """
     built, true_pose = as_stored(built), as_stored(true_pose)
     seen = OccupancyGrid(sample_like(built, true_pose), true_pose.resolution, true_pose.origin)
@@ -361,3 +356,128 @@ def unknown_share(built: OccupancyGrid, reference: OccupancyGrid) -> float | Non
     if not reference.known.any():
         return None
     return float(np.isnan(sample_like(built, reference))[reference.known].mean())
+
+
+def near_obstacle(
+    points: FloatArray, surface: HeightField, walls: WallGrid | None, distance: float, steep: float = STEEP
+) -> BoolArray:
+    """Return (n,) whether points (n, 2) are near an obstacle: a steep face's footprint or a wall cell.
+
+    Args:
+        points: Points in the world frame, meters.
+        surface: Ground; each of its cells is two triangles.
+        walls: Wall cells.
+        distance: Largest distance in the plane, meters; 0 inside the footprint.
+        steep: Angle above which a face counts, radians.
+    """
+    xy = np.ascontiguousarray(points, dtype=np.float64)
+    near: BoolArray = _near_steep(
+        xy, surface.south_up, surface.cell, surface.origin, distance, math.tan(steep)
+    )
+    if walls is not None:
+        local = walls.origin.inverse().apply(xy)
+        near |= _near_wall(local, walls.solid, walls.resolution, distance)
+    return near
+
+
+@njit
+def _near_steep(
+    points: FloatArray, z: Any, cell: Any, origin: Any, distance: float, rise: float
+) -> BoolArray:
+    """Search the cells in a square of half side `distance` around each point; row 0 of z is south."""
+    rows, cols = z.shape
+    cx, cy = cell
+    near = np.zeros(len(points), np.bool_)
+    for k in range(len(points)):
+        # In meters from the south-west node.
+        x, y = points[k, 0] - origin[0], points[k, 1] - origin[1]
+        # A cell holds both of its edges: a point on the line between two is on either.
+        i0, i1 = max(0, math.ceil((x - distance) / cx) - 1), min(cols - 2, math.floor((x + distance) / cx))
+        j0, j1 = max(0, math.ceil((y - distance) / cy) - 1), min(rows - 2, math.floor((y + distance) / cy))
+        for j in range(j0, j1 + 1):
+            for i in range(i0, i1 + 1):
+                if near[k]:
+                    break
+                sw, se = float(z[j, i]), float(z[j, i + 1])
+                nw, ne = float(z[j + 1, i]), float(z[j + 1, i + 1])
+                west, south = i * cx, j * cy
+                east, north = west + cx, south + cy
+                if math.hypot((se - sw) / cx, (ne - se) / cy) > rise:
+                    near[k] = _to_triangle(x, y, west, south, east, south, east, north) <= distance
+                if not near[k] and math.hypot((ne - nw) / cx, (nw - sw) / cy) > rise:
+                    near[k] = _to_triangle(x, y, west, south, east, north, west, north) <= distance
+    return near
+
+
+@njit
+def _near_wall(points: FloatArray, solid: BoolArray, resolution: float, distance: float) -> BoolArray:
+    """Search the wall cells round points given in the wall grid's frame."""
+    rows, cols = solid.shape
+    near = np.zeros(len(points), np.bool_)
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        i0, i1 = math.ceil((x - distance) / resolution) - 1, math.floor((x + distance) / resolution)
+        j0, j1 = math.ceil((y - distance) / resolution) - 1, math.floor((y + distance) / resolution)
+        for j in range(max(0, j0), min(rows - 1, j1) + 1):
+            for i in range(max(0, i0), min(cols - 1, i1) + 1):
+                if solid[j, i]:
+                    dx = max(i * resolution - x, 0.0, x - (i + 1) * resolution)
+                    dy = max(j * resolution - y, 0.0, y - (j + 1) * resolution)
+                    near[k] |= math.hypot(dx, dy) <= distance
+    return near
+
+
+@njit
+def _to_triangle(
+    x: float, y: float, ax: float, ay: float, bx: float, by: float, cx: float, cy: float
+) -> float:
+    """Return the distance of a point to a triangle given counter-clockwise; 0 inside."""
+    inside = (
+        (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0
+        and (cx - bx) * (y - by) - (cy - by) * (x - bx) >= 0
+        and (ax - cx) * (y - cy) - (ay - cy) * (x - cx) >= 0
+    )
+    if inside:
+        return 0.0
+    nearest: float = min(
+        _to_segment(x, y, ax, ay, bx, by),
+        _to_segment(x, y, bx, by, cx, cy),
+        _to_segment(x, y, cx, cy, ax, ay),
+    )
+    return nearest
+
+
+@njit
+def _to_segment(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
+    """Return the distance of a point to a segment."""
+    dx, dy = bx - ax, by - ay
+    t = ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy)
+    t = min(1.0, max(0.0, t))
+    return math.hypot(x - ax - t * dx, y - ay - t * dy)
+
+
+def count_hits(world: World, hits: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Return (n,) hits on walls and on other ground of scans with hits (k, 2)."""
+    # All scans together: each call copies the surface.
+    near = near_obstacle(np.concatenate(hits), world.surface, world.walls, WALL_DISTANCE)
+    scan = np.repeat(np.arange(len(hits)), [len(points) for points in hits])
+    walls, ground = (np.bincount(scan[each], minlength=len(hits)) for each in (near, ~near))
+    return walls.astype(np.float64), ground.astype(np.float64)
+
+
+def observed_support(world: World, scans: Sequence[LaserScan], poses: Sequence[Pose3]) -> dict[str, float]:
+    """Count returns and hits on walls of recorded scans at poses `T_world_base`.
+
+    Returns:
+        beams, range_max (meters), returns_median and walls_median per scan.
+    """
+    points = [
+        (pose @ scan.T_base_laser).apply(scan.points)[:, :2] for scan, pose in zip(scans, poses, strict=True)
+    ]
+    walls, _ = count_hits(world, points)
+    return {
+        "beams": len(scans[0].ranges),
+        "range_max": scans[0].range_max,
+        "returns_median": float(np.median([len(each) for each in points])),
+        "walls_median": float(np.median(walls)),
+    }

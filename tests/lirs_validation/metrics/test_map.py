@@ -22,13 +22,13 @@ from lirs_validation.metrics.map import (
     iou,
     map_scores,
     map_ssim,
+    near_obstacle,
     nearest_occupied,
     sample_like,
     similarity,
     unknown_share,
 )
 from lirs_validation.metrics.trajectory import StartAlignment
-from lirs_validation.metrics.world_geometry import near_obstacle
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2

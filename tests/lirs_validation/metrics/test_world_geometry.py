@@ -8,15 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lirs_envs.robots.robot import make_robot
-from lirs_validation.metrics.world_geometry import (
-    POSES,
-    ScanSupport,
-    mesh_error,
-    near_obstacle,
-    observed_support,
-    scan_support,
-    standing_on,
-)
+from lirs_validation.metrics.map import near_obstacle, observed_support
+from lirs_validation.metrics.world_geometry import POSES, ScanSupport, mesh_error, scan_support, standing_on
 from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2, Pose3
