@@ -25,7 +25,7 @@ from rich.table import Table
 
 import lirs_envs  # noqa: F401  registers
 from lirs_envs.simulation import Simulation
-from lirs_validation.cli.app import PROGRAM
+from lirs_validation.cli.command import PROGRAM
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("lirs_wct", "envs", "slam_baselines", "lirs_validation", "lirs_extensions")

@@ -5,12 +5,12 @@ import shlex
 import click
 import pytest
 
-from lirs_validation.cli import app as cli
-from lirs_validation.cli.command import Command
+from lirs_validation.cli import app as cli, command
+from lirs_validation.cli.command import PROGRAM, Command
 
 COMMANDS: dict[str, Command] = {
-    name: cli.PROGRAM.get_command(click.Context(cli.PROGRAM), name)  # type: ignore[misc]
-    for name in cli.COMMANDS
+    name: PROGRAM.get_command(click.Context(PROGRAM), name)  # type: ignore[misc]
+    for name in command.COMMANDS
 }
 
 

@@ -27,7 +27,7 @@ def _fill(_: Sphinx, __: str, source: list[str]) -> None:
 
 def command_line_reference() -> str:
     """Return all commands of `lirs-wct` as Markdown, in the order of its help."""
-    from lirs_validation.cli.app import COMMANDS, PROGRAM
+    from lirs_validation.cli.command import COMMANDS, PROGRAM
 
     context = click.Context(PROGRAM, info_name="lirs-wct")
     return "\n".join(line for name in COMMANDS for line in _command(PROGRAM.get_command(context, name)))

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from lirs_extensions.live.options import LiveOptions
-from lirs_validation.cli.command import common
+from lirs_validation.cli.command import OneSource, World, common, map_logs
 from lirs_validation.cli.progress import err, out, progress_bar, say
-from lirs_validation.cli.sources import OneSource, World, map_logs
 from lirs_validation.config import CLIENT, RUN_AXES, RunConfig
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import option

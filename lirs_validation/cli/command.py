@@ -1,22 +1,57 @@
-"""Click commands of functions whose parameters are classes of options, and their help."""
+"""Commands of functions whose parameters are classes of options: their parser, their help, their sources."""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, replace
 from io import StringIO
-from typing import Any
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Annotated, Any
 
 import click
 from rich.console import Console, RenderableType
 from rich.panel import Panel
 from rich.table import Table
 
-from lirs_validation.cli.progress import out
-from lirs_wct.errors import ConfigError, did_you_mean, unknown_name
-from lirs_wct.option import Option, Options, declared
+from lirs_validation.cli.progress import note, out, progress_bar
+from lirs_validation.config import WORLD_FLAGS
+from lirs_wct import BuildOptions, ConfigError, unknown_name
+from lirs_wct.errors import did_you_mean
+from lirs_wct.formats.suffixes import Storage
+from lirs_wct.option import Option, Options, argument, declared, option
+from lirs_wct.sources.source import is_log
 
+COMMANDS: Mapping[str, str] = {
+    "verdict": "lirs_extensions.decide.command:verdict",
+    "validate": "lirs_validation.cli.commands.validate:validate",
+    "map": "lirs_validation.cli.commands.worlds:map_log",
+    "falsify": "lirs_extensions.search.commands:falsify",
+    "tune": "lirs_extensions.search.commands:tune",
+    "twin": "lirs_extensions.search.commands:twin",
+    "build": "lirs_validation.cli.commands.worlds:build",
+    "report": "lirs_validation.cli.commands.reports:report",
+    "compare": "lirs_validation.cli.commands.reports:compare",
+    "score": "lirs_validation.cli.commands.reports:score",
+    "info": "lirs_validation.cli.commands.worlds:info",
+    "gui": "lirs_validation.cli.commands.gui:gui",
+    "list": "lirs_validation.cli.commands.installation:list_names",
+    "export": "lirs_validation.cli.commands.reports:export",
+    "record": "lirs_validation.cli.commands.validate:record",
+    "live": "lirs_extensions.live.command:live",
+    "bench": "lirs_extensions.bench.command:bench",
+    "collide": "lirs_validation.cli.commands.validate:collide",
+    "convert": "lirs_validation.cli.commands.worlds:convert",
+    "doctor": "lirs_validation.cli.commands.installation:doctor",
+}
+"""Module and function of each command, in order of use."""
+MOVED: Mapping[str, str] = {
+    "view": "info SOURCE -o PICTURE.png",
+    "mappers": "list mappers",
+    "robot": "list robots NAME, or lirs-wct export NAME --to urdf",
+}
+"""New ways of old commands."""
 Row = tuple[str, str, str]
 """Flags, placeholder of the value, and description."""
 ARGUMENTS, OPTIONS, RARE = "Arguments", "Options", "Rare options: --option NAME=VALUE"
@@ -76,55 +111,47 @@ def common(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     return mark
 
 
-@dataclass(frozen=True)
-class OptionGroup:
-    """Class of options as a parameter of a command's function.
+class Program(click.Group):
+    """The program; the module of a command is loaded when the command is."""
 
-    Attributes:
-        parameter: Name of the parameter.
-        kind: Class of options.
-        as_dict: Whether the function takes the given values as a dict, without an instance.
-        flags: Options with a flag; None = all that are not rare.
-    """
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands, in order of use."""
+        return list(COMMANDS)
 
-    parameter: str
-    kind: type[Options]
-    as_dict: bool
-    flags: tuple[str, ...] | None
+    def get_command(self, ctx: click.Context, name: str) -> click.Command:
+        """Return a command of `COMMANDS`."""
+        if name in MOVED:
+            raise ConfigError(f"{name}: is now lirs-wct {MOVED[name]}")
+        if name not in COMMANDS:
+            raise ConfigError(f"no command {name!r}{did_you_mean(name, COMMANDS)}; lirs-wct --help lists all")
+        return Command(name, resolve_name(COMMANDS[name]))
 
-    def has_flag(self, option: Option) -> bool:
-        """Whether an option has a flag of its own."""
-        return not option.rare if self.flags is None else option.name in self.flags
-
-    def value(self, given: Mapping[str, Any]) -> Any:
-        """Return the options, or the given ones of them as a dict.
-
-        Raises:
-            ConfigError: a value is not legal, or two options contradict.
-        """
-        values = {name: given[name] for name in declared(self.kind) if name in given}
-        return values if self.as_dict else self.kind(**values)
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands, each with the first line of its help."""
+        helps = {name: inspect.getdoc(resolve_name(function)) or "" for name, function in COMMANDS.items()}
+        rows = [(name, "", text.partition("\n")[0]) for name, text in helps.items()]
+        usage = f"\n Usage: {ctx.command_path} COMMAND [ARGS]...\n"
+        flags = [(f"--{what}", "", f"Show the {what} and exit.") for what in ("version", "help")]
+        formatter.write(render([usage, *paragraphs(self.help), ("Options", flags), ("Commands", rows)]))
 
 
-def groups_of(function: Callable[..., Any]) -> Iterator[OptionGroup]:
-    """Yield the classes of options that a function takes.
-
-    `C` stands for an instance, `Annotated[C, Few(...)]` for one with few flags, and `Annotated[dict, C]` for
-    the given values.
-    """
-    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
-        kind = getattr(parameter.annotation, "__origin__", parameter.annotation)
-        (mark,) = getattr(parameter.annotation, "__metadata__", (None,))
-        as_dict = not issubclass(kind, Options)
-        options: Any = mark if as_dict else kind
-        yield OptionGroup(name, options, as_dict, mark.names if isinstance(mark, Few) else None)
+PROGRAM = click.version_option(package_name="lirs-wct", message="lirs-wct %(version)s")(
+    Program(
+        "lirs-wct",
+        no_args_is_help=True,
+        help="Turn a picture, a laser map or a mesh into a world, drive it with SLAM running, evaluate.",
+    )
+)
 
 
 class Command(click.Command):
     """Command of a function; its docstring is the help, with examples at the end.
 
+    A parameter `C` of the function stands for an instance of a class of options, `Annotated[C, Few(...)]` for
+    one with few flags, and `Annotated[dict, C]` for the given values alone.
+
     Attributes:
-        groups: Classes of options that the function takes.
+        kinds: Class of options of each parameter of the function, and whether it takes the given values.
         own: Options with a flag, and arguments, by name.
         rare: Options that `--option NAME=VALUE` takes, by name.
         common: Names of the options in the help; empty = all.
@@ -132,30 +159,33 @@ class Command(click.Command):
 
     def __init__(self, name: str, function: Callable[..., None]) -> None:
         text, _, examples = inspect.cleandoc(function.__doc__ or "").partition("\n\nExamples:\n")
-        self.groups, self._function = tuple(groups_of(function)), function
-        own: dict[str, Option] = {}
-        rare: dict[str, Option] = {}
-        for group in self.groups:
-            for option in declared(group.kind).values():
-                (own if group.has_flag(option) else rare)[option.name] = option
-        self.own: Mapping[str, Option] = own
-        self.rare: Mapping[str, Option] = rare
+        self.kinds: dict[str, tuple[type[Options], bool]] = {}
+        self.own: dict[str, Option] = {}
+        self.rare: dict[str, Option] = {}
         self.common: Sequence[str] = getattr(function, "common", ())
-        parameters = [_parameter(option) for option in self.own.values()]
-        if self.rare:
-            parameters.append(_rare_option(self.rare))
-        if self.common:
-            parameters.append(_help_all())
+        for parameter, hint in inspect.get_annotations(function, eval_str=True).items():
+            if hint is None:  # of the return value
+                continue
+            kind: Any = getattr(hint, "__origin__", hint)
+            mark: Any = getattr(hint, "__metadata__", (None,))[0]
+            as_dict = not issubclass(kind, Options)
+            self.kinds[parameter] = (mark if as_dict else kind), as_dict
+            for known in declared(self.kinds[parameter][0]).values():
+                has_flag = known.name in mark.names if isinstance(mark, Few) else not known.rare
+                (self.own if has_flag else self.rare)[known.name] = known
+        parameters = [_parameter(known) for known in self.own.values()]
+        parameters += [_rare_option(self.rare)] if self.rare else []
+        parameters += [_help_all()] if self.common else []
         super().__init__(
-            name, params=parameters, callback=self._call, help=text, epilog=inspect.cleandoc(examples)
+            name,
+            params=parameters,
+            callback=lambda **given: function(**self.arguments(**given)),
+            help=text,
+            epilog=inspect.cleandoc(examples),
         )
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse the arguments of a command line.
-
-        Raises:
-            ConfigError: the command has no such option; the message says what replaced it.
-        """
+        """Parse a command line; for an unknown option, ConfigError says what replaced it."""
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -163,7 +193,11 @@ class Command(click.Command):
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the help: common options, or all of them after `--help-all`."""
-        formatter.write(help_text(self, ctx, everything=not self.common or "--help-all" in ctx.meta))
+        everything = not self.common or "--help-all" in ctx.meta
+        usage = f"\n Usage: {ctx.command_path} {' '.join(self.collect_usage_pieces(ctx))}\n"
+        examples = f"Examples:\n\n{self.epilog}\n" if self.epilog else ""
+        texts = [usage, *paragraphs(self.help)]
+        formatter.write(render([*texts, *panels(self, everything=everything), examples]))
 
     def unknown(self, flag: str) -> str:
         """Return the message about a flag that the command does not have."""
@@ -186,22 +220,19 @@ class Command(click.Command):
             for name, value in given.items()
             if value not in (None, False, ())
         }
-        values |= dict(self._pair(text) for text in option)
-        return {group.parameter: group.value(values) for group in self.groups}
-
-    def _call(self, **given: Any) -> None:
-        self._function(**self.arguments(**given))
-
-    def _pair(self, text: str) -> tuple[str, Any]:
-        """Return name and value of `--option NAME=VALUE`."""
-        name, equals, value = text.partition("=")
-        name = name.strip().replace("-", "_")
-        if not equals:
-            raise ConfigError(f"--option must be NAME=VALUE, got {text!r}")
-        options = {**self.rare, **self.own}
-        if name not in options:
-            raise unknown_name("--option", name, options)
-        return name, options[name].read(value, f"--option {name}")
+        for text in option:
+            name, equals, value = text.partition("=")
+            name, options = name.strip().replace("-", "_"), {**self.rare, **self.own}
+            if not equals:
+                raise ConfigError(f"--option must be NAME=VALUE, got {text!r}")
+            if name not in options:
+                raise unknown_name("--option", name, options)
+            values[name] = options[name].read(value, f"--option {name}")
+        arguments = {}
+        for parameter, (kind, as_dict) in self.kinds.items():
+            own = {name: values[name] for name in declared(kind) if name in values}
+            arguments[parameter] = own if as_dict else kind(**own)
+        return arguments
 
 
 def _parameter(option: Option) -> click.Parameter:
@@ -261,31 +292,26 @@ def _completer(option: Option) -> Callable[[Any, Any, str], list[str]]:
     return complete
 
 
-def help_text(command: Command, ctx: click.Context, *, everything: bool) -> str:
-    """Return the help of a command as the terminal shows it."""
-    usage = f"\n Usage: {ctx.command_path} {' '.join(command.collect_usage_pieces(ctx))}\n"
-    examples = f"Examples:\n\n{command.epilog}\n" if command.epilog else ""
-    return render([usage, *paragraphs(command.help), *panels(command, everything=everything), examples])
-
-
 def panels(command: Command, *, everything: bool) -> list[tuple[str, list[Row]]]:
     """Return headings and rows of a command's arguments and options."""
-    found: dict[str, list[Row]] = {}
-    own = {name: _row(option) for name, option in command.own.items()}
-    for name, option in command.own.items():
-        if option.positional:
-            found.setdefault(ARGUMENTS, []).append(own[name])
+    shown: dict[str, list[Row]] = {}
+    own = {name: _row(known) for name, known in command.own.items()}
+    for name, known in command.own.items():
+        if known.positional:
+            shown.setdefault(ARGUMENTS, []).append(own[name])
         elif everything:
-            found.setdefault(option.panel or OPTIONS, []).append(own[name])
-    usual = found.setdefault(OPTIONS, [])
+            shown.setdefault(known.panel or OPTIONS, []).append(own[name])
+    usual = shown.setdefault(OPTIONS, [])
     if not everything:
         usual += [own[name] for name in command.common]
-    usual += [_flag_row(param) for param in command.params if param.name in ("option", "help_all")]
+    for param in command.params:
+        if isinstance(param, click.Option) and param.name in ("option", "help_all"):
+            usual.append((param.opts[0], param.metavar or "", param.help or ""))
     usual.append(("--help", "", "Show this message and exit."))
     if everything and command.rare:
         rare = command.rare.values()
-        found[RARE] = [(option.name.replace("_", "-"), option.form, _row(option)[2]) for option in rare]
-    return [(title, rows) for title, rows in found.items() if rows]
+        shown[RARE] = [(known.name.replace("_", "-"), known.form, _row(known)[2]) for known in rare]
+    return [(title, rows) for title, rows in shown.items() if rows]
 
 
 def _row(option: Option) -> Row:
@@ -296,10 +322,6 @@ def _row(option: Option) -> Row:
     form = "" if option.positional or option.type is bool else option.form
     usual = "" if option.default in (None, False, (), "", MISSING) else _text(option.default)
     return flags, form, f"{option.help} [default: {usual}]" if usual else option.help
-
-
-def _flag_row(param: Any) -> Row:
-    return param.opts[0], "" if param.is_flag else param.metavar, param.help
 
 
 def _text(default: Any) -> str:
@@ -333,3 +355,61 @@ def _panel(title: str, rows: list[Row]) -> Panel:
     for row in rows:
         table.add_row(*row)
     return Panel(table, title=title, title_align="left", border_style="dim", expand=True)
+
+
+SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
+World = Annotated[BuildOptions, Few(WORLD_FLAGS)]
+"""Options of a world for commands that drive through it; `build` has a flag for each."""
+
+
+def complete_source(incomplete: str) -> list[str]:
+    """Return bundled worlds and paths that begin with a text, for the shell."""
+    # Slow to import; only the shell's completion needs it.
+    from lirs_wct.sources.bundled import RECIPES
+
+    worlds = [name for name in RECIPES if name.startswith(incomplete)]
+    folder, separator, name = incomplete.rpartition("/")
+    found = [path.name for path in Path(folder + separator).glob("*") if path.name.startswith(name)]
+    return worlds + sorted(folder + separator + name for name in found)
+
+
+def sources_argument(**given: Any) -> Any:
+    """Return a field of several sources."""
+    return argument(SOURCE_HELP, "SOURCES...", complete=complete_source, **given)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OneSource(Options):
+    """Source of a command."""
+
+    source: str = argument(SOURCE_HELP, "SOURCE", complete=complete_source)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagOptions(Options):
+    """ROS 2 bag that a command writes."""
+
+    storage: Storage = option("mcap", "Storage of the bag's messages.")
+    sensors_only: bool = option(False, "No map -> odom and /map, for a SLAM system that publishes these.")
+
+
+def map_logs(
+    sources: Sequence[str], options: BuildOptions, output: Path | None
+) -> tuple[tuple[str, ...], BuildOptions]:
+    """Replace the logs among sources by their maps; return the options that are left.
+
+    The maps are written into the command's output folder, or beside its output file; None = here. The
+    resolution of logs is that of their maps.
+    """
+    logs = [source for source in sources if is_log(Path(source))]
+    folder = Path() if output is None else output.parent if output.suffix else output
+    maps = {}
+    for log in logs:
+        from lirs_validation.logs.map_log import resolve_source
+
+        with progress_bar(log) as progress:
+            maps[log] = str(resolve_source(log, options, folder, progress))
+        note(f"{log}: its map is {maps[log]}")
+    if logs and len(logs) == len(sources):
+        options = replace(options, resolution=None)
+    return tuple(maps.get(source, source) for source in sources), options

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from lirs_validation.cli.command import SOURCE_HELP, complete_source
 from lirs_validation.cli.progress import say
-from lirs_validation.cli.sources import SOURCE_HELP, complete_source
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import Options, argument, option, within
 

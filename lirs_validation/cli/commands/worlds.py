@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from click.exceptions import Exit
 
 import lirs_wct
-from lirs_validation.cli.command import Few, common
+from lirs_validation.cli.command import Few, OneSource, common, map_logs
 from lirs_validation.cli.exit_codes import ExitCode
 from lirs_validation.cli.progress import err, out, progress_bar, say
-from lirs_validation.cli.sources import OneSource, map_logs
 from lirs_validation.config import LogOptions, MapConfig
 from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
 from lirs_wct.option import Options, argument, option

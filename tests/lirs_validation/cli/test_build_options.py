@@ -9,8 +9,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from lirs_validation.cli.command import Command, Few
-from lirs_validation.cli.sources import OneSource
+from lirs_validation.cli.command import Command, Few, OneSource
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.run_tables import command_of

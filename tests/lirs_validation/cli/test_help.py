@@ -8,8 +8,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from lirs_validation.cli.app import COMMANDS, MOVED, PROGRAM
-from lirs_validation.cli.command import OLD, RARE, Command
+from lirs_validation.cli.command import COMMANDS, MOVED, OLD, PROGRAM, RARE, Command
 from tests.command_line import run_command
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 from lirs_envs.robot_model import RobotModel
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_validation.cli.app import PROGRAM
+from lirs_validation.cli.command import PROGRAM
 from lirs_validation.collision.drives import PERIOD, ContactRecorder, Leg, climb
 from lirs_validation.collision.validation import (
     CollisionVerdict,

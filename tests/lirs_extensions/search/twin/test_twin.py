@@ -26,7 +26,7 @@ from lirs_extensions.search.twin.surface import (
 )
 from lirs_extensions.search.twin.twin import standstill
 from lirs_validation.cli import app as cli
-from lirs_validation.cli.app import PROGRAM
+from lirs_validation.cli.command import PROGRAM
 from lirs_wct.arrays import FloatArray
 from lirs_wct.geometry import LaserScan, Pose2, WallGrid
 from lirs_wct.sources.laser_map import level_floor
