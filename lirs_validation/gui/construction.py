@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import re
-import zipfile
+import shutil
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
@@ -57,14 +56,9 @@ def built_facts(world: World) -> Facts:
 
 @dataclass(frozen=True)
 class Shown:
-    """A world to look at.
+    """World of a page with its facts, and the source and options that it was built from.
 
-    Attributes:
-        world: the world; coarser and without start poses in a preview.
-        facts: names and values for the page's table.
-        source: source of the world; for a log, its map.
-        options: options of its construction.
-        package: folder of the package; None for a preview.
+    A preview is coarser, without start poses and without a package. The source of a log is its map.
     """
 
     world: World
@@ -74,76 +68,45 @@ class Shown:
     package: Path | None = None
 
 
-class Construction:
-    """Makes previews and packages of one page's source in the page's folder."""
+def preview(source: str, options: BuildOptions, folder: Path, progress: Progress = no_progress) -> Shown:
+    """Return a coarse world of a source; a log is mapped in the page's folder the first time."""
+    source = str(resolve_source(source, options, folder / "maps", progress))
+    world = preview_world(source, options, PREVIEW_NODES)
+    return Shown(world, preview_facts(world), source, options)
 
-    def __init__(self, folder: Path, nodes: int = PREVIEW_NODES) -> None:
-        self._folder, self._nodes = folder, nodes
 
-    def preview(self, source: str, options: BuildOptions, progress: Progress = no_progress) -> Shown:
-        """Return a coarse world of a source; a log is mapped the first time.
-
-        Raises:
-            WctError: the source or an option cannot be used.
-        """
-        source = str(resolve_source(source, options, self._folder / "maps", progress))
-        world = preview_world(source, options, self._nodes)
-        return Shown(world, preview_facts(world), source, options)
-
-    def build(
-        self,
-        source: str,
-        options: BuildOptions,
-        formats: Collection[str] = DEFAULT_FORMATS,
-        terrain: GazeboTerrain = "solid",
-        progress: Progress = no_progress,
-    ) -> Shown:
-        """Build a world and write its package, as `lirs-wct build` does.
-
-        Raises:
-            WctError: the source or an option cannot be used, or the package cannot be written.
-        """
-        source = str(resolve_source(source, options, self._folder / "maps", progress))
-        progress("build", 0.0)
-        world = build_world(source, options)
-        package = write_package(
-            world,
-            self._folder / "worlds",
-            formats=formats,
-            terrain=terrain,
-            overwrite=True,  # the folder is the page's own
-            progress=progress,
-        )
-        return Shown(world, built_facts(world), source, options, package)
+def build(
+    source: str,
+    options: BuildOptions,
+    folder: Path,
+    formats: Collection[str] = DEFAULT_FORMATS,
+    terrain: GazeboTerrain = "solid",
+    progress: Progress = no_progress,
+) -> Shown:
+    """Build a world and write its package to the page's folder, as `lirs-wct build` does."""
+    source = str(resolve_source(source, options, folder / "maps", progress))
+    progress("build", 0.0)
+    world, own = build_world(source, options), folder / "worlds"
+    package = write_package(world, own, formats=formats, terrain=terrain, overwrite=True, progress=progress)
+    return Shown(world, built_facts(world), source, options, package)
 
 
 def zip_folder(folder: Path) -> bytes:
     """Return a folder as a zip archive; entries begin with the folder's own name."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for path in sorted(folder.rglob("*")):
-            if path.is_file():
-                archive.write(path, Path(folder.name) / path.relative_to(folder))
-    return content.getvalue()
+    with TemporaryDirectory() as temporary:
+        archive = shutil.make_archive(f"{temporary}/folder", "zip", folder.parent, folder.name)
+        return Path(archive).read_bytes()
 
 
 class Uploads:
-    """Files of one page, in a folder that is removed with the page.
-
-    Attributes:
-        folder: Folder of the page, also for its maps, worlds and runs.
-    """
+    """Folder of one page for its uploads, maps, worlds and runs, removed with the page."""
 
     def __init__(self) -> None:
         self._temporary = TemporaryDirectory(prefix="lirs-wct-gui-", ignore_cleanup_errors=True)
         self.folder = Path(self._temporary.name)
 
     def add(self, name: str, content: bytes) -> Path:
-        """Keep a file under its name without folders and unsafe characters; another is replaced.
-
-        Raises:
-            SourceError: A YAML is not that of a map.
-        """
+        """Keep a file under its name without folders and unsafe characters; another is replaced."""
         path = self.folder / harmless(name)
         if path.suffix.lower() in suffixes.MAPS:
             content = with_own_picture(path.name, content)
@@ -167,11 +130,7 @@ def harmless(name: str) -> str:
 
 
 def with_own_picture(name: str, content: bytes) -> bytes:
-    """Return a map's YAML whose picture is the file of that name beside it.
-
-    Raises:
-        SourceError: it is not the YAML of a map.
-    """
+    """Return a map's YAML whose picture is the file of that name beside it."""
     try:
         entry = map_server.map_entries(Path(name), content)
         entry["image"] = harmless(str(entry["image"]))

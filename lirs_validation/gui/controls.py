@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from lirs_validation.config import PRETRAINED, RunConfig
-from lirs_wct import BuildOptions, ConfigError, Pose2
+from lirs_wct import Pose2
 from lirs_wct.option import Option, Options, declared
 from lirs_wct.sources.source import SourceKind
 
@@ -21,11 +21,7 @@ Kind = Literal["switch", "choice", "slider", "text", "file"]
 
 @dataclass(frozen=True)
 class Control:
-    """A control of one option; its value is a bool, a float, or text.
-
-    Attributes:
-        option: Declaration of the option.
-    """
+    """A control of one option; its value is a bool, a float, or text."""
 
     option: Option
 
@@ -38,11 +34,6 @@ class Control:
     def title(self) -> str:
         """Label; the paper's name if it has one."""
         return self.option.title or self.option.label
-
-    @property
-    def name_in_errors(self) -> str:
-        """The title without its unit."""
-        return self.title.partition(" [")[0]
 
     @property
     def hint(self) -> str:
@@ -86,51 +77,18 @@ class Control:
         return kinds is None or source in kinds or mapped
 
     def read(self, value: bool | float | str) -> Any:
-        """Return the option's value.
-
-        Raises:
-            ConfigError: the text is no such value.
-        """
+        """Return the option's value."""
         if value == self.initial and not isinstance(value, bool):
             return self.option.default
         if not isinstance(value, str) or self.kind == "choice":
             return int(value) if self.option.types[0] is int else value
-        return self.option.read_one(value, self.name_in_errors)
+        title_without_unit = self.title.partition(" [")[0]
+        return self.option.read_one(value, title_without_unit)
 
 
 def controls(options: type[Options]) -> Iterator[Control]:
     """Yield a control for every option of a class that the page offers."""
     yield from (Control(option) for option in declared(options).values() if option.on_page)
-
-
-def read_controls(values: Mapping[str, bool | float | str]) -> BuildOptions:
-    """Return the options of a page's controls.
-
-    Raises:
-        ConfigError: a value is not legal, or two options contradict.
-    """
-    return BuildOptions(
-        **{c.name: c.read(values[c.name]) for c in controls(BuildOptions) if c.name in values}
-    )
-
-
-def read_run_controls(
-    values: Mapping[str, bool | float | str], source: str, build: BuildOptions
-) -> RunConfig:
-    """Return the run of a page's controls.
-
-    Raises:
-        ConfigError: a value is not legal, or beyond the page's slider.
-    """
-    given = {}
-    for control in controls(RunConfig):
-        value, slider = values[control.name], control.option.slider
-        if slider is not None and not slider.low <= float(value) <= slider.high:
-            raise ConfigError(
-                f"{control.name_in_errors} must be {slider.low:g} to {slider.high:g} here, got {value}"
-            )
-        given[control.name] = control.read(value)
-    return RunConfig(source=source, build=build, **given)
 
 
 def to_goal(config: RunConfig, start: tuple[float, float], goal: tuple[float, float]) -> RunConfig:

@@ -16,7 +16,7 @@ from typing import Any
 import viser
 
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.gui.construction import Facts, Uploads
+from lirs_validation.gui.construction import Facts, Uploads, zip_folder
 from lirs_validation.gui.controls import Control, controls, without_flags
 from lirs_validation.gui.scene import DriveScene, WorldScene
 from lirs_wct.errors import ConfigError, WctError
@@ -77,24 +77,21 @@ class Guard:
         if notes:
             self._say("Note", "; ".join(dict.fromkeys(notes)), "yellow")
         else:
-            self._clear()
+            self._remove_shown()
 
-    def _clear(self) -> None:
+    def _remove_shown(self) -> None:
         if self._shown is not None:
             self._shown.remove()
             self._shown = None
 
     def _say(self, title: str, message: str, color: Any) -> None:
-        self._clear()
+        self._remove_shown()
         message = ABSOLUTE_PATH.sub(r"\1", without_flags(message))
         self._shown = self._client.add_notification(title, message, color=color)
 
 
 class PageWorker:
-    """Run the jobs of one page in sequence, so that its state needs no locks.
-
-    A job that fails is reported to `on_error`; the thread continues.
-    """
+    """Run the jobs of one page in sequence, so that its state needs no locks; errors go to `on_error`."""
 
     def __init__(self, on_error: Callable[[Exception], None], name: str = "page") -> None:
         self._on_error = on_error
@@ -163,6 +160,10 @@ class PageContext:
         self.scene, self.drive_scene = WorldScene(client), DriveScene(client)
         self.uploads, self.scenarios = Uploads(), ScenarioCache()
 
+    def send(self, folder: Path) -> None:
+        """Let the browser save a folder as a zip archive."""
+        self.client.send_file_download(f"{folder.name}.zip", zip_folder(folder), save_immediately=True)
+
 
 def asset(name: str) -> str:
     """Return the text of one of our files for browsers."""
@@ -206,7 +207,7 @@ class ProgressLine:
 
 
 class OptionControls:
-    """Controls of the options of a class; `values` reads them.
+    """Controls of the options of a class; `read` returns the options' values.
 
     The options in `first` stand above the folded ones, and those under the heading `more` or, without one,
     under their own. `keep_file` keeps an uploaded file and returns its path.
@@ -228,51 +229,40 @@ class OptionControls:
         self._shown: list[tuple[Control, Any]] = []
         self._folders: dict[str, Any] = {}
         for control in sorted(controls(options), key=lambda c: c.name not in first):
-            with (
-                nullcontext()
-                if control.name in first
-                else self._folder(more or control.option.panel or FIRST_PANEL)
-            ):
+            panel = more or control.option.panel or FIRST_PANEL
+            if control.name not in first and panel not in self._folders:
+                self._folders[panel] = gui.add_folder(panel, expand_by_default=False)
+            with nullcontext() if control.name in first else self._folders[panel]:
                 self._shown.append((control, self._add(control)))
 
-    def values(self) -> dict[str, bool | float | str]:
-        """Return the value of every control, by option."""
+    def read(self) -> dict[str, Any]:
+        """Return the value of every option."""
         return {
-            control.name: self._files.get(control.name, "") if control.kind == "file" else handle.value
-            for control, handle in self._shown
+            c.name: c.read(self._files.get(c.name, "") if c.kind == "file" else handle.value)
+            for c, handle in self._shown
         }
 
     def show_for(self, kind: SourceKind) -> None:
-        """Show the controls that have an effect on a kind of source."""
-        legal: set[str] = set()
+        """Show the controls that have an effect on a kind of source, and the folders that hold any."""
         for control, handle in self._shown:
             handle.visible = control.shown_for(kind)
-            if handle.visible:
-                legal.add(control.option.panel or FIRST_PANEL)
+        legal = {control.option.panel or FIRST_PANEL for control, handle in self._shown if handle.visible}
         for panel, folder in self._folders.items():
             folder.visible = panel in legal
 
-    def _folder(self, panel: str) -> Any:
-        if panel not in self._folders:
-            self._folders[panel] = self._gui.add_folder(panel, expand_by_default=False)
-        return self._folders[panel]
-
     def _add(self, control: Control) -> Any:
-        gui, hint = self._gui, control.hint
+        gui, title, start, hint = self._gui, control.title, control.initial, control.hint
         handle: Any
-        if control.kind == "switch":
-            handle = gui.add_checkbox(control.title, bool(control.initial), hint=hint)
-        elif control.kind == "choice":
-            handle = gui.add_dropdown(
-                control.title, control.choices, initial_value=str(control.initial), hint=hint
-            )
-        elif control.option.slider is not None:
-            s = control.option.slider
-            handle = gui.add_slider(control.title, s.low, s.high, s.step, s.neutral, hint=hint)
-        elif control.kind == "file":
+        if control.kind == "file":
             return self._add_file(control)
+        if control.kind == "switch":
+            handle = gui.add_checkbox(title, bool(start), hint=hint)
+        elif control.kind == "choice":
+            handle = gui.add_dropdown(title, control.choices, initial_value=str(start), hint=hint)
+        elif (slider := control.option.slider) is not None:
+            handle = gui.add_slider(title, slider.low, slider.high, slider.step, slider.neutral, hint=hint)
         else:
-            handle = gui.add_text(control.title, str(control.initial), hint=hint)
+            handle = gui.add_text(title, str(start), hint=hint)
         handle.on_update(self._guard(lambda _: self._changed()))
         return handle
 
@@ -289,20 +279,12 @@ class OptionControls:
 
 
 def add_drop_zone(gui: viser.GuiApi, label: str) -> None:
-    """Accept files dropped onto the page while this part is visible.
-
-    They go to the upload button whose label has the given part. Of several files, such as a map's picture and
-    its YAML, the YAML is sent last because it names the others.
-    """
+    """Send files dropped onto the page to the upload button with this label, YAML files last."""
     gui.add_html(with_script("drop", label))
 
 
 class Stick:
-    """Stick for manual driving, by pointer or the keys W A S D and arrows.
-
-    viser has no such widget. The stick is HTML that writes its position into the text field below it; the
-    page calls `steer` with forward and left, -1 to 1 each, after each change of the field.
-    """
+    """Stick for manual driving: HTML that writes forward and left, -1 to 1 each, into a text field."""
 
     def __init__(self, gui: viser.GuiApi, guard: Guard, steer: Callable[[float, float], None]) -> None:
         self._html = gui.add_html(with_script("stick", LABEL), visible=False)
@@ -318,11 +300,7 @@ class Stick:
 
 
 def read_stick(text: str) -> tuple[float, float]:
-    """Return forward and left.
-
-    Raises:
-        ConfigError: these are no two finite numbers.
-    """
+    """Return forward and left."""
     try:
         forward, left = (float(part) for part in text.split())
     except ValueError:

@@ -58,14 +58,9 @@ MAP_FILES = ("map.yaml", "map.pgm")
 
 @dataclass(frozen=True)
 class MapSnapshot:
-    """Compressed map at one moment of a drive, which may have thousands.
+    """Compressed map in the world frame at one moment of a drive, which may have thousands.
 
-    Attributes:
-        time: Seconds since the start.
-        shape: Rows and columns.
-        resolution: Edge of a cell, meters.
-        origin: Pose of the cells in the world frame.
-        packed: Compressed cells: occupied, free or unknown.
+    `time` is in seconds since the start, `packed` has the cells: occupied, free or unknown.
     """
 
     time: float
@@ -93,14 +88,10 @@ class Moment:
 
     Attributes:
         time: Seconds since the start.
-        T_world_base: True pose.
         lidar: (3,) position of the lidar, meters.
         scan: (n, 3) points that the scan hit, meters.
         truth: (k, 3) true positions until then, meters.
         estimate: (k, 2) estimated positions until then, meters.
-        map: Latest map; None before the first.
-        facts: Figures until then.
-        verdict: Verdict on the drive so far, after its heading.
     """
 
     time: float
@@ -116,7 +107,7 @@ class Moment:
     @property
     def errors(self) -> FloatArray:
         """(k,) distances between true and estimated positions, meters."""
-        distances: FloatArray = np.linalg.norm(self.truth[:, :2] - self.estimate, axis=1)
+        distances: FloatArray = np.hypot(*(self.truth[:, :2] - self.estimate).T)
         return distances
 
 
@@ -124,17 +115,12 @@ class Playback:
     """A drive that a page shows scan by scan: a log, finished or growing.
 
     Attributes:
-        robot: Name of the robot.
-        world: World of the drive; None if it is no longer known.
+        world: World of the drive; None if it is no longer known, for the reason in `note`.
         seconds: Simulated time of the whole drive.
-        log: Log of the drive.
         maps: Snapshots of the map, in the order of their time.
         marks: Seconds and names of events, such as a closed loop, a lost place, a failure.
         rtf: Real-time factor of each simulated second.
-        status: State of the drive in words.
-        verdict: Verdict on the drive so far, after its heading.
         results: Figures of the whole run; empty while it is driven.
-        note: Reason for a missing world; empty without one.
     """
 
     def __init__(self, robot: str, world: World | None, seconds: float, log: DriveLog) -> None:
@@ -154,12 +140,7 @@ class Playback:
         return True
 
     def drive_on(self, until: float, time_limit: float) -> None:
-        """Continue a drive in progress; a finished run has all its scans.
-
-        Args:
-            until: Reading of `time.monotonic` at which the method returns.
-            time_limit: Simulated time at which the drive pauses, seconds.
-        """
+        """Continue a drive in progress until a wall time (`time.monotonic`) or a simulated time."""
 
     @property
     def scans(self) -> int:
@@ -226,12 +207,7 @@ def ate(truth: FloatArray, estimate: FloatArray) -> float:
 
 
 class HandOverDriver(WrappedDriver):
-    """Driver that switches between another driver and manual control.
-
-    Attributes:
-        by_hand: Whether a person drives, within the robot's speed limits.
-        touched: Whether a person drove at any time.
-    """
+    """Driver that switches between another driver and a person (`by_hand`; `touched` once it was)."""
 
     def __init__(self, driver: Driver, robot: Robot) -> None:
         super().__init__(driver)
@@ -264,15 +240,7 @@ class HandOverDriver(WrappedDriver):
 
 
 class LiveDrive(Playback):
-    """One drive of a page, from its first scan on.
-
-    Attributes:
-        config: Config of the run.
-        driver: Driver of the config, from which a person can take over.
-
-    Raises:
-        WctError: the config cannot be run.
-    """
+    """One drive of a page, from its first scan on; a person can take over from its driver."""
 
     world: World
 
@@ -332,7 +300,7 @@ class LiveDrive(Playback):
             self.marks.append((self.time, self.log.status))
 
     def drive_on(self, until: float, time_limit: float) -> None:
-        """Continue the drive until a wall time or a simulated time (see `Playback`)."""
+        """Continue the drive until a wall time or a simulated time."""
         while not self.over and time.monotonic() < until and self.time < time_limit:
             self.step()
 
@@ -341,9 +309,6 @@ class LiveDrive(Playback):
 
         The page shared the processor, so the record marks the real-time factor as concurrent. If a person
         drove, the record's driver is `manual`.
-
-        Raises:
-            WctError: nothing was driven yet, or the folder cannot be written.
         """
         log, ready = replace(self.log, concurrent=True), self._ready
         if not self.over:
@@ -386,9 +351,6 @@ def read_playback(
     """Read the drive of a run's folder; its map is the final one.
 
     The record of a run that a browser uploaded names no file of this machine.
-
-    Raises:
-        SourceError: it is no run's folder, damaged, or of a run without a result.
     """
     record = read_record(folder)
     if not record.get("trajectory"):
@@ -400,7 +362,14 @@ def read_playback(
             f"{folder}: not one drive: {len(scans)} scans, {len(truth)} true and "
             f"{len(estimate)} estimated poses"
         )
-    world, note = _find_world(record, scenarios or ScenarioCache(), uploaded)
+    world, note = None, ""
+    try:
+        config = recorded_world_config(record)
+        if uploaded and (config.source not in RECIPES or config.build.texture is not None):
+            raise SourceError(f"{config.source}: not looked for on this machine, as the run was uploaded")
+        world = (scenarios or ScenarioCache()).scenario(config).world
+    except WctError as error:
+        note = str(error)
     robot, log = str(record["config"]["robot"]), DriveLog()
     mount = make_robot(robot).T_base_laser
     for k, (x, y, yaw) in enumerate(estimate.planar_at(truth.stamps).tolist()):
@@ -410,42 +379,27 @@ def read_playback(
     run = Playback(robot, world, float(truth.stamps[-1]), log)
     if not maps_clouds(record):
         run.maps = [MapSnapshot.of(map_server.read_map(folder / "map.yaml"), 0.0)]
+    return _with_results(run, record, note)
+
+
+def _with_results(run: Playback, record: dict[str, Any], note: str) -> Playback:
+    """Return a finished drive with the figures of its record."""
     run.marks = [] if succeeded(record) else [(run.time, record["status"])]
     run.rtf, run.note = list(record["rtf"]["series"]), note
     run.verdict = f"Verdict: {record['verdict']['sentence']}"
     run.status = record["status"] + (f": {record['reason']}" if record["reason"] else "")
-    run.results = _results(record)
-    return run
-
-
-def _find_world(record: dict[str, Any], scenarios: ScenarioCache, uploaded: bool) -> tuple[World | None, str]:
-    """Return the world of a run, or None and the reason."""
-    try:
-        config = recorded_world_config(record)
-        if uploaded and (config.source not in RECIPES or config.build.texture is not None):
-            return None, f"{config.source}: not looked for on this machine, as the run was uploaded"
-        return scenarios.scenario(config).world, ""
-    except WctError as error:
-        return None, str(error)
-
-
-def _results(record: dict[str, Any]) -> Facts:
-    """Return the figures of the whole run."""
     c, final, f1 = record["config"], record["trajectory"].get("ate_rmse"), record["map"].get("f1")
-    return (
-        ("run", f"{record['world']['name']}, {c['robot']}, {c['mapper']}, seed {record['seed']}"),
+    run.results = (
+        ("run", f"{record['world']['name']}, {run.robot}, {c['mapper']}, seed {record['seed']}"),
         ("mean RTF", f"{record['rtf']['mean']:.1f}"),
         ("final ATE", "-" if final is None else f"{final:.3f} m"),
         ("map F1", "-" if f1 is None else f"{f1:.2f}"),
     )
+    return run
 
 
 def unpacked_run(archived: bytes, folder: Path) -> Path:
-    """Extract the needed files of a zipped run, under fixed names.
-
-    Raises:
-        SourceError: it is no such archive, or holds no run.
-    """
+    """Extract the needed files of a zipped run, under fixed names."""
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with zipfile.ZipFile(io.BytesIO(archived)) as archive:
@@ -453,12 +407,11 @@ def unpacked_run(archived: bytes, folder: Path) -> Path:
             missing = [name for name in RUN_FILES if name not in entries]
             if missing:
                 raise SourceError(f"the archive holds no run: {', '.join(missing)} is not in it")
-            taken = [name for name in (*RUN_FILES, *MAP_FILES) if name in entries]
-            for name in taken:
-                content = archive.read(entries[name])
-                if name == "map.yaml":
-                    content = with_own_picture(name, content)
-                (folder / name).write_bytes(content)
+            for name in (*RUN_FILES, *MAP_FILES):
+                if name in entries:
+                    content = archive.read(entries[name])
+                    content = with_own_picture(name, content) if name == "map.yaml" else content
+                    (folder / name).write_bytes(content)
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:
         raise SourceError(f"the archive cannot be read: {error}") from error
     return folder

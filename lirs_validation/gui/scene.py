@@ -21,7 +21,7 @@ from trimesh.visual.material import PBRMaterial
 from lirs_envs.robots.robot import Robot, make_robot
 from lirs_validation.gui.playback import MapSnapshot, Moment
 from lirs_validation.report.pictures import with_paths
-from lirs_wct import ByteArray, FloatArray, HeightField, Pose3, TriangleMesh, World
+from lirs_wct import ByteArray, FloatArray, HeightField, Pose3, World
 from lirs_wct.drawing.canvas import BLUE, Canvas, bounds_of
 from lirs_wct.export.appearance import world_parts
 from lirs_wct.geometry.grid import fewer_nodes
@@ -90,7 +90,8 @@ class WorldScene:
         limits = (PREVIEW_TRIANGLES, PREVIEW_TEXTURE) if coarse else (BUILT_TRIANGLES, TEXTURE)
         content, triangles = world_glb(world, *limits)
         self._world = self._client.scene.add_glb("/world", content)
-        self._look_at(world)
+        if world.surface.bounds != self._bounds:  # else the user's view stays
+            self._look_at(world)
         return triangles
 
     def mark(self, name: str, point: tuple[float, float], world: World) -> None:
@@ -110,12 +111,8 @@ class WorldScene:
         self._world = self._bounds = None
 
     def _look_at(self, world: World) -> None:
-        """Show the whole world if its bounds changed; else keep the user's view."""
-        bounds = world.surface.bounds
-        if bounds == self._bounds:
-            return
-        self._bounds = bounds
-        west, south, east, north = bounds
+        """Show the whole world."""
+        self._bounds = west, south, east, north = world.surface.bounds
         middle = np.array(((west + east) / 2, (south + north) / 2, float(np.median(world.surface.z))))
         span = max(east - west, north - south)
         camera = self._client.camera
@@ -123,12 +120,11 @@ class WorldScene:
             camera.near, camera.far = span / 2000, 20 * span
             camera.position = tuple(middle + span * np.array((0.0, -0.85, 0.65)))
             camera.look_at = tuple(middle)
-            self._add_scale(bounds, float(world.surface.z.min()))
+            self._add_scale(west, south, east, north, float(world.surface.z.min()))
 
-    def _add_scale(self, bounds: tuple[float, float, float, float], low: float) -> None:
+    def _add_scale(self, west: float, south: float, east: float, north: float, low: float) -> None:
         """Show a grid around the world, a scale bar and an arrow to the north."""
-        (west, south, east, north), scene = bounds, self._client.scene
-        span = max(east - west, north - south)
+        scene, span = self._client.scene, max(east - west, north - south)
         unit, gap = round_length(span / 5), 0.04 * span
         scene.add_grid(
             "/scale/grid",
@@ -227,7 +223,13 @@ class DriveScene:
             if self.follow:  # from the user's chosen distance and direction
                 camera, turning = self._client.camera, time.monotonic() < self._turning_until
                 self._look_at(T.position, CAMERA_OFFSET if turning else camera.position - camera.look_at)
-        self._show_picture(moment)
+        if self._canvas is None:
+            self._picture.image, size = UNSEEN, "nothing is mapped"
+        else:
+            west, south, east, north = self._canvas.bounds
+            size = f"{east - west:.0f} x {north - south:.0f} m"
+            self._picture.image = with_paths(self._cells, self._canvas, moment.truth[:, :2], moment.estimate)
+        self._legend.content = LEGEND.format(size, error_scale(moment.errors))
         self._verdict.content = "**" + moment.verdict.replace(": ", ":** ", 1)
 
     def _take_map(self, snapshot: MapSnapshot | None) -> None:
@@ -247,16 +249,6 @@ class DriveScene:
         points = np.column_stack((walls, lowest)).astype(np.float32)
         style: dict[str, Any] = {"point_size": 0.06, "precision": "float32"}
         self._client.scene.add_point_cloud("/drive/walls", points, (20, 20, 24), **style)
-
-    def _show_picture(self, moment: Moment) -> None:
-        """Show the kept picture of the map with the paths."""
-        if self._canvas is None:
-            self._picture.image, size = UNSEEN, "nothing is mapped"
-        else:
-            west, south, east, north = self._canvas.bounds
-            size = f"{east - west:.0f} x {north - south:.0f} m"
-            self._picture.image = with_paths(self._cells, self._canvas, moment.truth[:, :2], moment.estimate)
-        self._legend.content = LEGEND.format(size, error_scale(moment.errors))
 
     def _on_ground(self, points: FloatArray, otherwise: float) -> FloatArray:
         """Return points (n, 3) slightly above the ground, or above `otherwise` without ground."""
@@ -323,8 +315,14 @@ def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, i
     A surface of more than `most` triangles is shown on a coarser grid; a texture has at most `texture` pixels
     along its longer side.
     """
+    rows, cols = world.surface.shape
+    if isinstance(world.ground, Terrain) and not world.export_options.limited:
+        fits = 2 * rows * cols <= most
+    else:
+        fits = len(world.mesh.faces) <= most or world.walls is not None or world.overhangs
+    surface = world.mesh if fits else solid_mesh(fewer_nodes(world.surface, int((most / 2) ** 0.5)))
     shown, count = trimesh.Scene(), 0
-    for part in world_parts(world, _shown_mesh(world, most)):
+    for part in world_parts(world, surface):
         mesh, picture = part.mesh, Image.fromarray(part.wear.pixels(world)[..., ::-1])
         picture.thumbnail((texture, texture))
         material = PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
@@ -336,16 +334,6 @@ def world_glb(world: World, most: int, texture: int = TEXTURE) -> tuple[bytes, i
         count += len(mesh.faces)
     content: bytes = shown.export(file_type="glb")
     return content, count
-
-
-def _shown_mesh(world: World, most: int) -> TriangleMesh:
-    """Return the mesh that is exported, or a coarser grid of the same surface."""
-    rows, cols = world.surface.shape
-    if isinstance(world.ground, Terrain) and not world.export_options.limited:
-        fits = 2 * rows * cols <= most
-    else:
-        fits = len(world.mesh.faces) <= most or world.walls is not None or world.overhangs
-    return world.mesh if fits else solid_mesh(fewer_nodes(world.surface, int((most / 2) ** 0.5)))
 
 
 def robot_glb(robot: Robot) -> bytes:

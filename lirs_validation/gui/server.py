@@ -1,13 +1,9 @@
-"""Server of the live page: one page per client, closed when the client disconnects.
-
-The HTML around viser's client is ours: title, icon, loading state, dark mode.
-"""
+"""Server of the live page: one page per client, closed when the client disconnects."""
 
 from __future__ import annotations
 
 import re
 import socket
-import threading
 import time
 import warnings
 from collections.abc import Iterator
@@ -20,10 +16,9 @@ import rich
 import viser
 from viser import infra
 
-from lirs_validation.gui.construction import Shown
 from lirs_validation.gui.page import PageContext, asset
 from lirs_validation.gui.scene import ground_point
-from lirs_validation.gui.tabs import DriveTab, ReplayTab, WorldTab, first_sources
+from lirs_validation.gui.tabs import DriveTab, ReplayTab, WorldTab
 from lirs_wct import ConfigError
 
 LOADING = '<div id="root"><div class="lirs-loading" role="status">LIRS-WCT is loading ...</div></div>'
@@ -34,19 +29,16 @@ class Page(PageContext):
 
     def __init__(self, client: viser.ClientHandle, source: str | None, runs: Path | None) -> None:
         super().__init__(client)
-        self._add_tabs(source, runs)
-        client.gui.add_command("Pause or go on", hotkey="space").on_trigger(self.guard(self._press_play))
-        client.scene.on_click()(self.guard(self._click))
-        self.world.preview()
-
-    def _add_tabs(self, source: str | None, runs: Path | None) -> None:
-        tabs = self.client.gui.add_tab_group()
+        tabs = client.gui.add_tab_group()
         with tabs.add_tab("World", viser.Icon.MOUNTAIN):
-            self.world = WorldTab(self, first_sources(source), self._world_changed)
+            self.world = WorldTab(self, source, self._world_changed)
         with tabs.add_tab("Drive", viser.Icon.STEERING_WHEEL):
             self.drive = DriveTab(self, lambda: self.world.shown, lambda: self._forget(self.replay))
         with tabs.add_tab("Replay", viser.Icon.HISTORY):
             self.replay = ReplayTab(self, runs, lambda: self._forget(self.drive))
+        client.gui.add_command("Pause or go on", hotkey="space").on_trigger(self.guard(self._press_play))
+        client.scene.on_click()(self.guard(self._click))
+        self.world.preview()
 
     def _press_play(self, _: object) -> None:
         """Pause the drive or the replay, or let it go on."""
@@ -54,14 +46,12 @@ class Page(PageContext):
 
     def _click(self, event: viser.SceneClickEvent) -> None:
         """Pass a click on the ground to the drive."""
-        if self.world.shown is None:
-            return
-        surface = self.world.shown.world.surface
-        place = ground_point(surface, event.ray_origin, event.ray_direction)
-        if place is not None:
-            self.drive.click(place)
+        if (shown := self.world.shown) is not None:
+            place = ground_point(shown.world.surface, event.ray_origin, event.ray_direction)
+            if place is not None:
+                self.drive.click(place)
 
-    def _world_changed(self, _: Shown) -> None:
+    def _world_changed(self) -> None:
         """Drop drive and replay: their world is no longer shown."""
         self._forget(self.drive, self.replay)
         self.scene.unmark()
@@ -73,37 +63,25 @@ class Page(PageContext):
 
     def close(self) -> None:
         """End the page's work; free its simulation and its files."""
-        self.worker.close(at_end=self._free)
 
-    def _free(self) -> None:
-        self.drive.playback = self.replay.playback = None
-        self.uploads.close()
+        def free() -> None:
+            self.drive.playback = self.replay.playback = None
+            self.uploads.close()
+
+        self.worker.close(at_end=free)
 
 
 class Server:
-    """Serves pages until it is stopped.
+    """Serve pages until stopped; without a source, they show the first bundled world.
 
-    Args:
-        source: source shown first; None = the first bundled world.
-        runs: folder of finished runs that pages may open; None = no folder.
-        host: address to listen at.
-        port: Port to listen at; 0 = any free one.
-
-    Raises:
-        ConfigError: the address cannot be listened at.
+    Pages may open the finished runs in the folder `runs`. Port 0 is any free one.
     """
 
     def __init__(
-        self,
-        source: str | None = None,
-        *,
-        runs: Path | None = None,
-        host: str = "127.0.0.1",
-        port: int = 8080,
+        self, source: str | None = None, *, runs: Path | None = None, host: str = "127.0.0.1", port: int
     ) -> None:
         self._source, self._runs = source, runs
         self._pages: dict[int, Page] = {}
-        self._lock = threading.Lock()
         _check_free(host, port)
         self._show_warning = warnings.showwarning
         warnings.showwarning = self._warn
@@ -132,8 +110,7 @@ class Server:
     @property
     def pages(self) -> tuple[Page, ...]:
         """Open pages."""
-        with self._lock:
-            return tuple(self._pages.values())
+        return tuple(self._pages.values())
 
     def serve(self) -> None:
         """Wait until a Ctrl-C."""
@@ -145,9 +122,7 @@ class Server:
 
     def stop(self) -> None:
         """Close every page, then the server."""
-        with self._lock:
-            pages = list(self._pages.values())
-            self._pages.clear()
+        pages = self.pages
         for page in pages:
             page.close()
         for page in pages:
@@ -166,20 +141,18 @@ class Server:
 
     def _open(self, client: Any) -> None:
         page = Page(client, self._source, self._runs)
-        with self._lock:
-            self._pages[client.client_id] = page
+        self._pages[client.client_id] = page
         if client.client_id not in self._viser.get_clients():  # gone while its page was made
             self._close(client)
 
     def _close(self, client: Any) -> None:
-        with self._lock:
-            page = self._pages.pop(client.client_id, None)
+        page = self._pages.pop(client.client_id, None)
         if page is not None:
             page.close()
 
 
 def write_page(folder: Path) -> None:
-    """Write viser's page with our head and our loading state."""
+    """Write viser's page with our title, icon, dark mode and loading state."""
     page = (Path(viser.__file__).parent / "client/build/index.html").read_text(encoding="utf-8")
     start = page.index("<script")
     head = re.sub(r"<title>.*?</title>|<link\s+rel=\"icon\".*?/>", "", page[:start], flags=re.DOTALL)

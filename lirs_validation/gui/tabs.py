@@ -11,8 +11,8 @@ from typing import Any, Generic, Literal, TypeVar
 import viser
 
 from lirs_validation.config import RunConfig
-from lirs_validation.gui.construction import Construction, Facts, Shown, zip_folder
-from lirs_validation.gui.controls import read_controls, read_run_controls, to_goal
+from lirs_validation.gui.construction import Facts, Shown, build, preview
+from lirs_validation.gui.controls import to_goal
 from lirs_validation.gui.page import (
     OptionControls,
     PageContext,
@@ -57,15 +57,12 @@ AnyPlayback = TypeVar("AnyPlayback", bound=Playback)
 
 
 class WorldTab:
-    """Controls of the construction, and the world that they make.
+    """Controls of the construction, and the world that they make and the page shows."""
 
-    Attributes:
-        shown: World that the page shows; None before the first.
-    """
-
-    def __init__(self, page: PageContext, sources: dict[str, str], changed: Callable[[Shown], None]) -> None:
-        self._page, self._sources, self._tell = page, dict(sources), changed
-        self._construction = Construction(page.uploads.folder)
+    def __init__(self, page: PageContext, first: str | None, changed: Callable[[], None]) -> None:
+        self._page, self._changed = page, changed
+        self._sources = {} if first is None else {first if first in RECIPES else Path(first).name: first}
+        self._sources |= {name: name for name in RECIPES if name not in self._sources}
         self.shown: Shown | None = None
         gui, guard = page.client.gui, page.guard
         self._source = gui.add_dropdown(
@@ -77,7 +74,7 @@ class WorldTab:
             icon=viser.Icon.UPLOAD,
             hint="Picture of heights, laser map (first its picture, then its YAML), mesh, laser log or bag.",
         )
-        upload.on_upload(guard(lambda _: self._open(upload.value.name, upload.value.content)))
+        upload.on_upload(guard(lambda _: self.open(upload.value.name, upload.value.content)))
         add_drop_zone(gui, "Open a file")
         self._build = gui.add_button("Build", color="green", icon=viser.Icon.HAMMER)
         self._build.on_click(guard(lambda _: self.build()))
@@ -99,7 +96,13 @@ class WorldTab:
 
     def preview(self) -> None:
         """Show a coarse preview for the present controls."""
-        self._page.worker.submit("preview", self._preview)
+
+        def show_chosen() -> None:
+            name = self._source.value
+            self._options.show_for(find_source(self._sources[name], self._read()).kind)
+            self._show_preview(self._sources[name], name)
+
+        self._page.worker.submit("preview", show_chosen)
 
     def build(self) -> None:
         """Build the world of the present controls, show it and write its package."""
@@ -111,42 +114,36 @@ class WorldTab:
         self._page.scenarios.clear()  # a new file may have the name of an old one
         return str(path)
 
-    def _open(self, name: str, content: bytes) -> None:
-        self._page.worker.submit(f"open {name}", lambda: self._open_now(name, content))
-
-    def _open_now(self, name: str, content: bytes) -> None:
+    def open(self, name: str, content: bytes) -> None:
         """Show an uploaded file; world and controls stay if it is refused."""
-        path = Path(self._keep(name, content))
-        self._show_preview(str(path), path.name)
-        self._options.show_for(find_source(str(path), self._read()).kind)
-        self._sources[path.name] = str(path)
-        self._source.options = tuple(self._sources)
-        self._source.value = path.name  # type: ignore[misc]
 
-    def _read(self) -> BuildOptions:
-        return read_controls(self._options.values())
+        def show_file() -> None:
+            path = Path(self._keep(name, content))
+            self._show_preview(str(path), path.name)
+            self._options.show_for(find_source(str(path), self._read()).kind)
+            self._sources[path.name] = str(path)
+            self._source.options = tuple(self._sources)
+            self._source.value = path.name  # type: ignore[misc]
 
-    def _preview(self) -> None:
-        name = self._source.value
-        self._options.show_for(find_source(self._sources[name], self._read()).kind)
-        self._show_preview(self._sources[name], name)
+        self._page.worker.submit(f"open {name}", show_file)
 
     def _show_preview(self, source: str, name: str) -> None:
-        options = self._read()
         with self._progress.show(name) as progress:
-            shown = self._construction.preview(source, options, progress)
+            shown = preview(source, self._read(), self._page.uploads.folder, progress)
             triangles = self._page.scene.show_world(shown.world, coarse=True)
         self._download.disabled = True
         self._show(shown, (("preview", f"{triangles:,} triangles"),))
 
+    def _read(self) -> BuildOptions:
+        return BuildOptions(**self._options.read())
+
     def _build_now(self) -> None:
         try:
-            source, options = self._sources[self._source.value], self._read()
+            name, options = self._source.value, self._read()
             formats = [name for name, box in self._formats.items() if box.value]
-            if not formats:
-                raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
-            with self._progress.show(self._source.value) as progress:
-                shown = self._construction.build(source, options, formats, self._terrain.value, progress)
+            with self._progress.show(name) as progress:
+                folder = self._page.uploads.folder
+                shown = build(self._sources[name], options, folder, formats, self._terrain.value, progress)
                 triangles = self._page.scene.show_world(shown.world, coarse=False)
         finally:
             self._build.disabled = False
@@ -157,28 +154,16 @@ class WorldTab:
         self.shown = shown
         self._facts.content = as_table((*shown.facts, *more))
         self._page.guard.done()
-        self._tell(shown)
+        self._changed()
 
     def _send(self) -> None:
         if self.shown is None or self.shown.package is None:
             raise ConfigError("nothing is built yet: Build comes first")
-        folder = self.shown.package
-        self._page.client.send_file_download(f"{folder.name}.zip", zip_folder(folder), save_immediately=True)
-
-
-def first_sources(given: str | None) -> dict[str, str]:
-    """Return the sources of a new page: the command line's, then the bundled worlds."""
-    named = {} if given is None else {given if given in RECIPES else Path(given).name: given}
-    return named | {name: name for name in RECIPES if name not in named}
+        self._page.send(self.shown.package)
 
 
 class PlaybackTab(Generic[AnyPlayback]):
-    """Tab with a drive, its play button, speed, timeline and figures.
-
-    Attributes:
-        playback: Drive of the tab; None = none yet.
-        running: Whether it is being played.
-    """
+    """Tab with a drive, its play button, speed, timeline and figures; `playback` is the drive, if any."""
 
     def __init__(self, page: PageContext, begun: Callable[[], None]) -> None:
         self._page, self._begun = page, begun
@@ -202,6 +187,7 @@ class PlaybackTab(Generic[AnyPlayback]):
 
     def _add_timeline(self) -> None:
         gui = self._page.client.gui
+        self._progress = ProgressLine(gui)
         self._slider = gui.add_slider("timeline [s]", 0.0, 1.0, 0.1, 0.0, visible=False)
         self._slider.on_update(self._page.guard(self._go_to_slider))
         self._facts = gui.add_markdown("")
@@ -284,12 +270,13 @@ class PlaybackTab(Generic[AnyPlayback]):
         if event.client_id is None or self.playback is None:
             return  # moved by `_show_scan`
         wanted = float(self._slider.value)  # now: a moment that is still being shown moves the timeline back
-        self.pause()
-        self._page.worker.submit("timeline", lambda: self._show_time(wanted))
 
-    def _show_time(self, time: float) -> None:
-        if self.playback is not None:
-            self._show_scan(self.playback.last_scan(time))
+        def show() -> None:
+            if self.playback is not None:
+                self._show_scan(self.playback.last_scan(wanted))
+
+        self.pause()
+        self._page.worker.submit("timeline", show)
 
     def _restart_clock(self) -> None:
         self._started = time.monotonic(), self._time
@@ -318,7 +305,6 @@ class DriveTab(PlaybackTab[LiveDrive]):
         self._hint = gui.add_markdown(CLICK)
         self._controls = OptionControls(gui, page.guard, RunConfig, first=RUN_OPTIONS, more=MORE)
         self._add_buttons(gui)
-        self._progress = ProgressLine(gui)
         self._add_timeline()
         self._by_hand = gui.add_checkbox("drive by hand", False)
         self._by_hand.on_update(page.guard(lambda _: self._apply()))
@@ -360,7 +346,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
         shown = self._world()
         if shown is None:
             raise ConfigError("there is no world to drive in: choose one first")
-        config = read_run_controls(self._controls.values(), shown.source, shown.options)
+        config = RunConfig(source=shown.source, build=shown.options, **self._controls.read())
         config = config if route is None else to_goal(config, *route)
         self._begun()
         self.playback = None
@@ -401,9 +387,7 @@ class DriveTab(PlaybackTab[LiveDrive]):
         with self._progress.show("run") as progress:
             folder = self.playback.save(self._page.uploads.folder / "runs", progress).folder
         if folder is not None:
-            self._page.client.send_file_download(
-                f"{folder.name}.zip", zip_folder(folder), save_immediately=True
-            )
+            self._page.send(folder)
         self._show_command()
         self._restart_clock()
 
@@ -429,10 +413,8 @@ class ReplayTab(PlaybackTab[Playback]):
     def __init__(self, page: PageContext, runs: Path | None, begun: Callable[[], None]) -> None:
         super().__init__(page, begun)
         self._runs = runs
-        gui = page.client.gui
-        self._add_choice(gui)
+        self._add_choice(page.client.gui)
         self._add_play("Play", tuple(SPEEDS)[:-1], "5 x", "green")
-        self._progress = ProgressLine(gui)
         self._add_timeline()
 
     def _add_choice(self, gui: viser.GuiApi) -> None:
@@ -447,34 +429,30 @@ class ReplayTab(PlaybackTab[Playback]):
             mime_type=".zip",
             hint="A run's folder as a zip archive, as Save the run gives it.",
         )
-        upload.on_upload(
-            self._page.guard(
-                lambda _: self._page.worker.submit("replay", lambda: self._unpack(upload.value.content))
-            )
-        )
+        upload.on_upload(self._page.guard(lambda _: self._open(upload.value.content)))
         add_drop_zone(gui, "Open a zipped run")
         self._look()
 
     def _look(self) -> None:
-        found = () if self._runs is None else tuple(runs_in(self._runs))
-        self._choice.options = (NONE, *found)
+        self._choice.options = (NONE, *(() if self._runs is None else runs_in(self._runs)))
 
     def _chosen(self, event: Any) -> None:
         name = self._choice.value
-        if event.client_id is None or name == NONE or self._runs is None:
-            return
-        folder = runs_in(self._runs)[name]
-        self._page.worker.submit("replay", lambda: self._show(folder, uploaded=False))
+        if event.client_id is not None and name != NONE and self._runs is not None:
+            self._open(runs_in(self._runs)[name])
 
-    def _unpack(self, content: bytes) -> None:
-        self._show(unpacked_run(content, self._page.uploads.folder / "replayed"), uploaded=True)
+    def _open(self, source: Path | bytes) -> None:
+        """Show a run's folder on the server, or the zipped one that a browser sent."""
+        self._page.worker.submit("replay", lambda: self._show(source))
 
-    def _show(self, folder: Path, *, uploaded: bool) -> None:
+    def _show(self, source: Path | bytes) -> None:
         self.pause()
+        if uploaded := isinstance(source, bytes):
+            source = unpacked_run(source, self._page.uploads.folder / "replayed")
         self._begun()
         with self._progress.show("run") as progress:
             progress("read", 0.0)
-            run = read_playback(folder, self._page.scenarios, uploaded=uploaded)
+            run = read_playback(source, self._page.scenarios, uploaded=uploaded)
             if run.world is not None:
                 self._page.scene.show_world(run.world, coarse=False)
             else:

@@ -12,13 +12,11 @@ import trimesh
 
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import ScenarioCache
-from lirs_validation.gui.construction import Construction, Uploads, zip_folder
+from lirs_validation.gui.construction import PREVIEW_NODES, Uploads, build, preview, zip_folder
 from lirs_validation.gui.scene import world_glb
 from lirs_wct import build_world, write_package
 from lirs_wct.errors import ConfigError, WctError
 from lirs_wct.sources.source import BuildOptions
-
-NODES = 65
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +41,9 @@ def dunes(tmp_path_factory: pytest.TempPathFactory) -> str:
 )
 def test_a_preview_is_the_world_on_fewer_nodes(tmp_path: Path, dunes: str, options: dict[str, Any]) -> None:
     chosen = BuildOptions(**options)
-    coarse = Construction(tmp_path, NODES).preview(dunes, chosen).world.surface
+    coarse = preview(dunes, chosen, tmp_path).world.surface
     fine = build_world(dunes, chosen).surface
-    assert max(coarse.shape) <= NODES
+    assert max(coarse.shape) <= PREVIEW_NODES
     spacing = max(coarse.cell)
     np.testing.assert_allclose(coarse.bounds, fine.bounds, atol=spacing if "window" in options else 1e-6)
     x, y = np.meshgrid(np.linspace(-4, 4, 50), np.linspace(-4, 4, 50))
@@ -58,7 +56,7 @@ def test_a_preview_is_the_world_on_fewer_nodes(tmp_path: Path, dunes: str, optio
 
 def test_the_package_is_that_of_the_command_line(tmp_path: Path, picture: Path) -> None:
     options = BuildOptions(height=3.0, max_error=0.05, name="hill")
-    shown = Construction(tmp_path / "page").build(str(picture), options)
+    shown = build(str(picture), options, tmp_path / "page")
     assert shown.package is not None
     folder = write_package(build_world(picture, options), tmp_path / "worlds")
     mine, theirs = ({p.name: p.read_bytes() for p in f.rglob("*.*")} for f in (shown.package, folder))
@@ -72,14 +70,13 @@ def test_the_package_is_that_of_the_command_line(tmp_path: Path, picture: Path) 
 
 def test_another_file_of_the_same_name_is_read_anew(tmp_path: Path, picture: Path) -> None:
     scenarios, config = ScenarioCache(), RunConfig(source=str(picture))
-    construction = Construction(tmp_path, NODES)
-    before = construction.preview(str(picture), BuildOptions()).world.surface.z
+    before = preview(str(picture), BuildOptions(), tmp_path).world.surface.z
     driven = scenarios.scenario(config).world.surface.z
     pixels = cv2.imread(str(picture), cv2.IMREAD_GRAYSCALE)
     assert pixels is not None
     cv2.imwrite(str(picture), 255 - pixels)
     scenarios.clear()
-    after = construction.preview(str(picture), BuildOptions()).world.surface.z
+    after = preview(str(picture), BuildOptions(), tmp_path).world.surface.z
     np.testing.assert_allclose(after, 6.0 - before, atol=0.05)
     np.testing.assert_allclose(scenarios.scenario(config).world.surface.z, 6.0 - driven, atol=0.05)
 
@@ -100,7 +97,7 @@ def test_a_budget_of_triangles_is_shown_as_it_is(tmp_path: Path, dunes: str) -> 
     _, triangles = world_glb(world, 5_000)
     assert triangles == len(world.mesh.faces) <= 900
     with pytest.raises(ConfigError):
-        Construction(tmp_path).build(dunes, BuildOptions(), formats=())
+        build(dunes, BuildOptions(), tmp_path, formats=())
 
 
 def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
@@ -110,11 +107,10 @@ def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
     yaml = b"image: /home/me/maps/my room.pgm\nresolution: 0.1\norigin: [1, 2, 0]\n"
     try:
         path = uploads.add("room.yaml", yaml)
-        construction = Construction(uploads.folder, NODES)
         with pytest.raises(WctError, match=r"my_room\.pgm is not there"):
-            construction.preview(str(path), BuildOptions())
+            preview(str(path), BuildOptions(), uploads.folder)
         uploads.add("my room.pgm", cv2.imencode(".pgm", pixels)[1].tobytes())
-        shown = construction.preview(str(path), BuildOptions(wall_height=1.5))
+        shown = preview(str(path), BuildOptions(wall_height=1.5), uploads.folder)
         assert shown.world.walls is not None
         assert shown.world.walls.height == 1.5
         assert shown.world.surface.bounds == pytest.approx((1.0, 2.0, 9.0, 8.0))
@@ -125,7 +121,6 @@ def test_an_uploaded_map_is_its_yaml_and_its_picture() -> None:
 
 def test_a_preview_names_unusual_figures_as_a_build_does(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "flat.png"), np.full((9, 9), 7, np.uint8))
-    construction = Construction(tmp_path / "page")
-    for make in (construction.preview, construction.build):
+    for make in (preview, build):
         with pytest.warns(UserWarning, match=r"flat\.png: the ground is flat, 0 m of relief on 50 m"):
-            make(str(tmp_path / "flat.png"), BuildOptions())
+            make(str(tmp_path / "flat.png"), BuildOptions(), tmp_path / "page")

@@ -5,10 +5,16 @@ from typing import Any
 
 import pytest
 
-from lirs_validation.gui.controls import controls, read_controls
+from lirs_validation.gui.controls import controls
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.source import BuildOptions, SourceKind
+
+
+def read_controls(values: dict[str, Any]) -> BuildOptions:
+    return BuildOptions(
+        **{c.name: c.read(values[c.name]) for c in controls(BuildOptions) if c.name in values}
+    )
 
 
 def test_every_option_has_one_control() -> None:
