@@ -54,8 +54,8 @@ PANEL = 4.4
 """Width of a panel, inches."""
 HEADLINE_LETTERS = 150
 """Characters of a line of the headline."""
-
-
+TRUE_PATH: dict[str, Any] = {"color": BLUE, "linewidth": 2.6, "zorder": 4, "label": "true"}
+ESTIMATED_PATH: dict[str, Any] = {"color": VERMILLION, "linewidth": 1.1, "zorder": 5, "label": "estimated"}
 MAP_WIDTH, SIDE_WIDTH = 6.4, 4.0
 """Widths of the map, and of metrics and plots beside it, inches."""
 VERDICT_LETTERS = 110
@@ -64,77 +64,21 @@ EMPTY_SLOTS = 2
 """Plot slots under the metrics of a log without errors to plot."""
 ROW_HEIGHT, MIN_PLOT, PLOT_GAP = 0.21, 1.2, 0.8
 """Heights of a row of the metrics, of the smallest plot, and above a plot, inches."""
-
-
-def elevation_panels(axes: tuple[Axes, Axes], canvas: Canvas, world: World, built: ElevationMap) -> None:
-    """Show the mapper's elevation map and its difference from the true surface."""
-    map_axes(axes[0], canvas, height_picture(canvas, world, built))
-    title(axes[0], "Elevation by the mapper's poses")
-    map_axes(axes[1], canvas, error_picture(canvas, world, built))
-    title(axes[1], "Less the surface")
-    handles = [
-        Patch(color=BLUE, label=f"{FULL_COLOR_ERROR:.1f} m too low"),
-        Patch(color=VERMILLION, label="too high"),
-    ]
-    legend(axes[1], handles)
-
-
-def height_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArray:
-    """Return (rows, cols, 3) heights in the terrain's colors; gray = not seen."""
-    low, high = float(world.surface.z.min()), float(world.surface.z.max())
-    z = _sample(canvas, built, built.mean)
-    picture = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1.0))[..., :3]
-    return _with_unknown(picture, z, canvas, world)
-
-
-def error_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArray:
-    """Return (rows, cols, 3) height errors as colors.
-
-    White = exact, blue = too low, vermillion = too high, gray = not seen.
-    """
-    error = _sample(canvas, built, built.error(world.surface, world.walls))
-    share = np.clip(np.nan_to_num(error) / FULL_COLOR_ERROR, -1, 1)[..., None]
-    color = np.where(share > 0, to_rgb(VERMILLION), to_rgb(BLUE))
-    return _with_unknown(1 - np.abs(share) * (1 - color), error, canvas, world)
-
-
-def _with_unknown(picture: FloatArray, values: FloatArray, canvas: Canvas, world: World) -> FloatArray:
-    picture[np.isnan(values)] = UNKNOWN_SHADE
-    if world.walls is not None:
-        picture[canvas.mark_pixels(world.walls.solid, world.walls)] = WALL
-    return picture
-
-
-def _sample(canvas: Canvas, grid: ElevationMap, values: FloatArray) -> FloatArray:
-    """Return (rows, cols) cell values at the canvas' pixels; NaN off the grid."""
-    index = np.floor((canvas.centers - grid.origin) / grid.cell).astype(np.int64)
-    col, row = index[..., 0], index[..., 1]
-    inside = (row >= 0) & (row < values.shape[0]) & (col >= 0) & (col < values.shape[1])
-    return np.where(inside, values[np.where(inside, row, 0), np.where(inside, col, 0)], np.nan)
+REFERENCE: dict[str, Any] = {"color": BLUE, "linewidth": 2.0, "alpha": 0.6, "label": "reference"}
+MAPPED_PATH: dict[str, Any] = {"color": VERMILLION, "linewidth": 0.8, "zorder": 4, "label": "path"}
 
 
 def overview_figure(
     world: World,
     record: RunRecord,
-    truth: Trajectory,
-    estimate: Trajectory,
+    paths: tuple[Trajectory, Trajectory],
     true_pose: OccupancyGrid,
     built: OccupancyGrid | None,
     aligned: OccupancyGrid | None = None,
     elevation: ElevationMap | None = None,
 ) -> Drawing:
-    """Draw a run on one page.
-
-    Args:
-        world: world of the run.
-        record: Record of the run.
-        truth: true poses, world frame.
-        estimate: estimated poses, world frame (moved by the true start pose).
-        true_pose: map made with the true poses, world frame.
-        built: the mapper's map, world frame (moved by the true start pose); None without a map.
-        aligned: the mapper's map after the trajectory's alignment; None without a map.
-        elevation: elevation map of the clouds at the mapper's poses, world frame; None of a planar mapper.
-    """
+    """Draw a run on one page: true and estimated path, and its maps, all in the world frame."""
+    truth, estimate = paths
     canvas = Canvas.over(shown_bounds(world, truth, true_pose), round(PANEL * PAGE_DPI))
     rows, cols = canvas.shape
     tall = PANEL * min(max(rows / cols, 0.35), 1.5)
@@ -142,21 +86,26 @@ def overview_figure(
     figure, grid = page_of_panels(
         f"{_headline(record)}\n{textwrap.fill(str(record.verdict), HEADLINE_LETTERS)}", heights, widths
     )
-    _terrain(figure.add_subplot(grid[0, 0]), world, canvas, truth, estimate)
-    _rtf(figure.add_subplot(grid[0, 1]), record.rtf)
+    name = "Terrain and paths" if world.walls is None else "Input map and paths"
+    styled = ((truth, TRUE_PATH), (estimate, ESTIMATED_PATH))
+    axes = figure.add_subplot(grid[0, 0])
+    _draw_map_with_paths(axes, canvas, shaded_heights(world, canvas), name, truth, *styled)
+    _draw_rtf(figure.add_subplot(grid[0, 1]), record.rtf)
     value_list(figure.add_subplot(grid[0, 2]), picture_lines(record.to_dict()))
     axes = figure.add_subplot(grid[1, 0])
     map_axes(axes, canvas, canvas.grid_picture(true_pose))
     title(axes, "Map at the true poses")
     if elevation is not None:
         panels = figure.add_subplot(grid[1, 1]), figure.add_subplot(grid[1, 2])
-        elevation_panels(panels, canvas, world, elevation)
-    if built is not None:
-        _draw_built_map(figure.add_subplot(grid[1, 1]), canvas, built, true_pose, record.map.get("f1"))
-    if aligned is not None:
-        axes = figure.add_subplot(grid[1, 2])
-        _draw_built_map(axes, canvas, aligned, true_pose, record.map.get("f1_aligned"))
-        title(axes, "Built map, aligned")
+        _draw_elevation(panels, canvas, world, elevation)
+    for k, name, drawn, f1 in (
+        (1, "Built map", built, "f1"),
+        (2, "Built map, aligned", aligned, "f1_aligned"),
+    ):
+        if drawn is not None:
+            axes = figure.add_subplot(grid[1, k])
+            title(axes, name)
+            _draw_built_map(axes, canvas, drawn, true_pose, record.map.get(f1))
     return figure
 
 
@@ -186,13 +135,19 @@ def _headline(record: RunRecord) -> str:
     return f"{text} ({'' if record.status in SUCCEEDED else 'failed: '}{record.reason or record.status})"
 
 
-def _terrain(axes: Axes, world: World, canvas: Canvas, truth: Trajectory, estimate: Trajectory) -> None:
-    map_axes(axes, canvas, shaded_heights(world, canvas))
+def _draw_map_with_paths(
+    axes: Axes,
+    canvas: Canvas,
+    picture: FloatArray,
+    name: str,
+    ends: Trajectory,
+    *paths: tuple[Trajectory, dict[str, Any]],
+) -> None:
+    map_axes(axes, canvas, picture)
     axes.set_anchor("N")
-    title(axes, "Terrain and paths" if world.walls is None else "Input map and paths")
-    (true,) = axes.plot(*truth.xy.T, color=BLUE, linewidth=2.6, zorder=4, label="true")
-    (estimated,) = axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=1.1, zorder=5, label="estimated")
-    legend(axes, [true, estimated, *path_ends(axes, truth)])
+    title(axes, name)
+    lines = [line for path, style in paths for line in axes.plot(*path.xy.T, **style)]
+    legend(axes, [*lines, *path_ends(axes, ends)])
 
 
 def _draw_built_map(
@@ -205,7 +160,6 @@ def _draw_built_map(
         marked = canvas.mark_pixels(wrong, asked)
         picture[scipy.ndimage.binary_dilation(marked)] = to_rgb(color)  # a wall is a pixel wide
     map_axes(axes, canvas, picture)
-    title(axes, "Built map")
     if f1 is not None:
         box = {"facecolor": "white", "edgecolor": GRAY, "linewidth": 0.6, "boxstyle": "square,pad=0.3"}
         corner = axes.transAxes
@@ -218,20 +172,67 @@ def _draw_built_map(
     legend(axes, handles)
 
 
-def _rtf(axes: Axes, rtf: Mapping[str, Any]) -> None:
+def _draw_rtf(axes: Axes, rtf: Mapping[str, Any]) -> None:
     """Draw simulated seconds per wall second over time, with mean and standard deviation."""
     series = np.asarray(rtf["series"], dtype=np.float64)
-    seconds = np.arange(1, len(series) + 1)
     mean, std = float(rtf["mean"]), float(rtf["std"])
     axes.axhspan(mean - std, mean + std, color=GREEN, alpha=0.13, linewidth=0)
-    axes.axhline(mean, color=GREEN, linewidth=1.2)
-    axes.plot(seconds, series, color=BLACK, linewidth=0.9, marker="." if len(series) < 4 else "")
-    plain_axes(axes, "simulated time [s]", "real-time factor")
+    marker = "." if len(series) < 4 else ""
+    axes.plot(np.arange(1, len(series) + 1), series, color=BLACK, linewidth=0.9, marker=marker)
+    _style_plot(axes, "Real-time factor", "simulated time [s]", "real-time factor", mean)
     axes.set_ylim(0.0, max(1.0, 1.15 * float(series.max(initial=mean))))
     axes.set_xlim(0.0, max(1.0, float(len(series))))
-    axes.grid(axis="y", color=GRAY, alpha=0.2, linewidth=0.6)
-    title(axes, "Real-time factor")
     legend(axes, [Line2D([], [], color=GREEN, linewidth=1.2, label=f"mean {mean:.1f}, std {std:.1f}")])
+
+
+def _style_plot(axes: Axes, name: str, x: str, y: str, mean: float) -> None:
+    """Draw the mean of a plot over time, its grid, labels and title."""
+    axes.axhline(mean, color=GREEN, linewidth=1.2)
+    plain_axes(axes, x, y)
+    axes.grid(axis="y", color=GRAY, alpha=0.2, linewidth=0.6)
+    title(axes, name)
+
+
+def _draw_elevation(axes: tuple[Axes, Axes], canvas: Canvas, world: World, built: ElevationMap) -> None:
+    """Show the mapper's heights in the terrain's colors, and their difference from the true surface."""
+    low, high = float(world.surface.z.min()), float(world.surface.z.max())
+    z = _sample(canvas, built, built.mean)
+    picture = height_colors()((np.nan_to_num(z, nan=low) - low) / max(high - low, 1.0))[..., :3]
+    map_axes(axes[0], canvas, _with_unknown(picture, z, canvas, world))
+    title(axes[0], "Elevation by the mapper's poses")
+    map_axes(axes[1], canvas, error_picture(canvas, world, built))
+    title(axes[1], "Less the surface")
+    handles = [
+        Patch(color=BLUE, label=f"{FULL_COLOR_ERROR:.1f} m too low"),
+        Patch(color=VERMILLION, label="too high"),
+    ]
+    legend(axes[1], handles)
+
+
+def error_picture(canvas: Canvas, world: World, built: ElevationMap) -> FloatArray:
+    """Return (rows, cols, 3) height errors as colors.
+
+    White = exact, blue = too low, vermillion = too high, gray = not seen.
+    """
+    error = _sample(canvas, built, built.error(world.surface, world.walls))
+    share = np.clip(np.nan_to_num(error) / FULL_COLOR_ERROR, -1, 1)[..., None]
+    color = np.where(share > 0, to_rgb(VERMILLION), to_rgb(BLUE))
+    return _with_unknown(1 - np.abs(share) * (1 - color), error, canvas, world)
+
+
+def _with_unknown(picture: FloatArray, values: FloatArray, canvas: Canvas, world: World) -> FloatArray:
+    picture[np.isnan(values)] = UNKNOWN_SHADE
+    if world.walls is not None:
+        picture[canvas.mark_pixels(world.walls.solid, world.walls)] = WALL
+    return picture
+
+
+def _sample(canvas: Canvas, grid: ElevationMap, values: FloatArray) -> FloatArray:
+    """Return (rows, cols) cell values at the canvas' pixels; NaN off the grid."""
+    index = np.floor((canvas.centers - grid.origin) / grid.cell).astype(np.int64)
+    col, row = index[..., 0], index[..., 1]
+    inside = (row >= 0) & (row < values.shape[0]) & (col >= 0) & (col < values.shape[1])
+    return np.where(inside, values[np.where(inside, row, 0), np.where(inside, col, 0)], np.nan)
 
 
 def map_overview(
@@ -248,7 +249,7 @@ def map_overview(
     """
     canvas = Canvas.over(bounds_shown(estimate, grid), round(MAP_WIDTH * PAGE_DPI))
     rows, cols = canvas.shape
-    plots, lines = _plots(record, accuracy), map_lines(record)
+    plots, lines = _error_plots(record, accuracy), map_lines(record)
     listed = ROW_HEIGHT * len(lines)
     tall = max(MAP_WIDTH * min(max(rows / cols, 0.4), 1.6), 3.6, listed + len(plots) * (MIN_PLOT + PLOT_GAP))
     c = record.config
@@ -259,7 +260,10 @@ def map_overview(
         reference = None
     elif reference is not None:
         reference = reference.moved(accuracy.reference.T_map_reference)
-    _map(figure.add_subplot(halves[0]), canvas, grid, estimate, reference)
+    paths = [(estimate, MAPPED_PATH)]
+    paths += [] if reference is None else [(reference, REFERENCE)]
+    axes = figure.add_subplot(halves[0])
+    _draw_map_with_paths(axes, canvas, canvas.grid_picture(grid), "Map and path", estimate, *reversed(paths))
     slots = len(plots) or EMPTY_SLOTS
     heights = (listed, *[(tall - listed) / slots - PLOT_GAP] * slots)
     cells = halves[1].subgridspec(
@@ -267,11 +271,14 @@ def map_overview(
     )
     value_list(figure.add_subplot(cells[0]), lines)
     for k, (name, unit, stamps, errors) in enumerate(plots, start=1):
-        _errors(figure.add_subplot(cells[k]), name, unit, stamps - estimate.stamps[0], errors)
+        axes = figure.add_subplot(cells[k])
+        axes.plot(stamps - estimate.stamps[0], errors, ".", color=BLACK, markersize=1.6, rasterized=True)
+        _style_plot(axes, name, "time [s]", f"error [{unit}]", float(errors.mean()))
+        axes.set_ylim(0.0, max(1e-6, 1.05 * float(np.percentile(errors, 99.5))))
     return figure
 
 
-def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatArray, FloatArray]]:
+def _error_plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatArray, FloatArray]]:
     """Return name, unit, stamps and errors of each plot with data."""
     plots = []
     constraints, reference = accuracy.constraints, accuracy.reference
@@ -285,26 +292,3 @@ def _plots(record: MapRecord, accuracy: Accuracy) -> list[tuple[str, str, FloatA
         name = f"... their rotation (mean {errors['rotation_mean_deg']:.2f} deg)"
         plots.append((name, "deg", stamps, np.degrees(constraints.rotation)))
     return plots
-
-
-def _map(
-    axes: Axes, canvas: Canvas, grid: OccupancyGrid, estimate: Trajectory, reference: Trajectory | None
-) -> None:
-    map_axes(axes, canvas, canvas.grid_picture(grid))
-    axes.set_anchor("N")
-    title(axes, "Map and path")
-    handles = []
-    if reference is not None:
-        handles += axes.plot(*reference.xy.T, color=BLUE, linewidth=2.0, alpha=0.6, label="reference")
-    handles += axes.plot(*estimate.xy.T, color=VERMILLION, linewidth=0.8, zorder=4, label="path")
-    legend(axes, [*handles, *path_ends(axes, estimate)])
-
-
-def _errors(axes: Axes, name: str, unit: str, seconds: FloatArray, errors: FloatArray) -> None:
-    """Draw errors over time, each a dot, with their mean."""
-    axes.plot(seconds, errors, ".", color=BLACK, markersize=1.6, rasterized=True)
-    axes.axhline(float(errors.mean()), color=GREEN, linewidth=1.2)
-    plain_axes(axes, "time [s]", f"error [{unit}]")
-    axes.set_ylim(0.0, max(1e-6, 1.05 * float(np.percentile(errors, 99.5))))
-    axes.grid(axis="y", color=GRAY, alpha=0.2, linewidth=0.6)
-    title(axes, name)

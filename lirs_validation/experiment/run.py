@@ -96,7 +96,7 @@ class Run:
         maps = self.maps
         elevation = None if maps.elevation is None else maps.elevation.built
         drawn = (maps.true_pose, maps.built, maps.aligned, elevation)
-        return overview_figure(self.world, self.record, truth, estimate, *drawn)
+        return overview_figure(self.world, self.record, (truth, estimate), *drawn)
 
     def __repr__(self) -> str:
         return f"Run({self.record!r}, folder={self.folder})"

@@ -160,7 +160,7 @@ def drive() -> tuple[World, Trajectory, OccupancyGrid]:
 @pytest.mark.parametrize("status", ["ok", "tipped"])
 def test_an_overview_shows_the_same_meters_in_all_panels(status: str, tmp_path: Path) -> None:
     world, truth, grid = drive()
-    figure = overview_figure(world, record(status), truth, truth, grid, grid, grid)
+    figure = overview_figure(world, record(status), (truth, truth), grid, grid, grid)
     panels = {axes.get_title(loc="left"): axes for axes in figure.axes}
     names = ["Input map and paths", "Map at the true poses", "Built map", "Built map, aligned"]
     assert len({(*panels[n].get_xlim(), *panels[n].get_ylim()) for n in names}) == 1
@@ -175,7 +175,7 @@ def test_an_overview_of_a_run_that_hardly_began() -> None:
     world, truth, _ = drive()
     nothing = OccupancyGrid(np.full((4, 4), np.nan, np.float32), 0.05)
     one = Trajectory(truth.stamps[:1], truth.positions[:1], truth.quaternions[:1])
-    figure = overview_figure(world, record("diverged", ()), one, one, nothing, nothing)
+    figure = overview_figure(world, record("diverged", ()), (one, one), nothing, nothing)
     figure.canvas.draw()
     west, south, east, north = shown_bounds(world, one, nothing)
     assert east - west >= 2.0
@@ -185,7 +185,7 @@ def test_an_overview_of_a_run_that_hardly_began() -> None:
 def test_what_is_off_stands_out() -> None:
     world, truth, grid = drive()
     wrong = grid.moved(Pose2(0.3, 0.0, 0.0))
-    figure = overview_figure(world, record(), truth, truth, grid, wrong, grid)
+    figure = overview_figure(world, record(), (truth, truth), grid, wrong, grid)
     found = {}
     for name in ("Built map", "Built map, aligned"):
         axes = next(a for a in figure.axes if a.get_title(loc="left") == name)
