@@ -16,6 +16,9 @@ from lirs_validation.record.verdict import Verdict
 from lirs_validation.report.table import ReportTable
 from lirs_wct.files import write_csv, write_json
 
+HEADINGS = ("metric", "a", "b", "b - a", "95 %", "n", "p", "verdict")
+"""Headings of the table on the screen: means, difference, interval, pairs, corrected p."""
+
 
 def compare_table(comparison: Comparison, names: tuple[str, str]) -> ReportTable:
     """Return the differences by group, significant ones bold, with a caption."""
@@ -23,35 +26,20 @@ def compare_table(comparison: Comparison, names: tuple[str, str]) -> ReportTable
     shown = distinguishing_fields(d.group for d in differences)
     rows: list[tuple[str, ...]] = []
     styles: list[str] = []
-    for group, held in groupby(differences, key=lambda d: d.group):
+    for group, same_group in groupby(differences, key=lambda d: d.group):
         rows.append((group.label(shown), *[""] * (len(HEADINGS) - 1)))
         styles.append("italic")
-        for d in held:
-            name, *rest = difference_texts(d)
-            rows.append((f"  {name}", *rest))
+        for d in same_group:
+            text = d.metric.formatted
+            interval = NOTHING if d.low is None else f"{text(d.low)} .. {text(d.high)}"
+            p = "<0.001" if d.p_corrected is not None else NOTHING
+            p = f"{d.p_corrected:.3f}" if (d.p_corrected or 0) >= 0.001 else p
+            n = str(d.pairs) if d.pairs == d.seeds else f"{d.pairs} of {d.seeds}"
+            means = text(d.a), text(d.b), text(d.difference)
+            rows.append((f"  {d.metric.heading}", *means, interval, n, p, verdict(d)))
             styles.append("bold" if d.significant else "")
-    return ReportTable(
-        "compare",
-        f"a = {names[0]}, b = {names[1]}",
-        reading(comparison),
-        HEADINGS,
-        tuple(rows),
-        remarks=True,
-        styles=tuple(styles),
-    )
-
-
-HEADINGS = ("metric", "a", "b", "b - a", "95 %", "n", "p", "verdict")
-"""Of the table on the screen."""
-
-
-def difference_texts(d: Difference) -> tuple[str, ...]:
-    """Return metric, means, difference, interval, pairs, corrected p and the verdict, as text."""
-    text = d.metric.formatted
-    interval = NOTHING if d.low is None else f"{text(d.low)} .. {text(d.high)}"
-    p = NOTHING if d.p_corrected is None else f"{d.p_corrected:.3f}" if d.p_corrected >= 0.001 else "<0.001"
-    n = str(d.pairs) if d.pairs == d.seeds else f"{d.pairs} of {d.seeds}"
-    return (d.metric.heading, text(d.a), text(d.b), text(d.difference), interval, n, p, verdict(d))
+    title, caption = f"a = {names[0]}, b = {names[1]}", reading(comparison)
+    return ReportTable("compare", title, caption, HEADINGS, tuple(rows), remarks=True, styles=tuple(styles))
 
 
 def verdict(d: Difference) -> str:
@@ -88,23 +76,19 @@ def reading(comparison: Comparison) -> str:
             lines.append(f"Only in {name}: {'; '.join(group.label() for group in groups)}.")
     failed, worse = [], []
     for group, (a, b) in comparison.common.items():
-        bad_a, bad_b = (sum(not succeeded(run) for run in runs) for runs in (a, b))
-        if bad_a or bad_b:
-            counts = f"{bad_a} of {len(a)} runs failed in a, {bad_b} of {len(b)} in b"
+        good = [sum(map(succeeded, runs)) for runs in (a, b)]
+        if good != [len(a), len(b)]:
+            counts = f"{len(a) - good[0]} of {len(a)} runs failed in a, {len(b) - good[1]} of {len(b)} in b"
             failed.append(f"{group.label()}: {counts}; their seeds are left out.")
-        worse_a, worse_b = (sum(map(worse_than_odometry, runs)) for runs in (a, b))
-        if worse_a or worse_b:
-            counts = f"{worse_a} of {len(a)} runs of a, {worse_b} of {len(b)} of b"
+        bad = [sum(map(worse_than_odometry, runs)) for runs in (a, b)]
+        if any(bad):
+            counts = f"{bad[0]} of {len(a)} runs of a, {bad[1]} of {len(b)} of b"
             worse.append(f"{group.label()}: {WORSE} in {counts}.")
     return "\n".join((*lines, *failed, *worse))
 
 
 def write_comparison(path: Path, comparison: Comparison, names: tuple[str, str]) -> None:
-    """Write the differences as CSV or as JSON, by the file's suffix.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write the differences as CSV or as JSON, by the file's suffix."""
     kept = ("a", "b", "difference", "low", "high", "pairs", "seeds", "test", "p", "p_corrected")
     rows = [
         asdict(d.group)
@@ -143,11 +127,7 @@ def score_table(score: Score, record: Mapping[str, Any]) -> ReportTable:
 def write_score(
     path: Path, score: Score, verdict: Verdict | None, trajectory: Path | None, map_yaml: Path | None
 ) -> None:
-    """Write the score as JSON: sections, metrics and verdict as in record.json.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write the score as JSON: sections, metrics and verdict as in record.json."""
     files = {"trajectory": trajectory and str(trajectory), "map": map_yaml and str(map_yaml)}
     judged = None if verdict is None else verdict.to_dict()
     write_json(path, {"files": files} | asdict(score) | {"verdict": judged})

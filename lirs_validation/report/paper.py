@@ -9,7 +9,7 @@ from typing import Final
 from lirs_validation.record.metric_catalog import NOTHING, Entry, Metric, metrics_named, significant, span
 from lirs_validation.record.run_record import succeeded
 from lirs_validation.report.run_tables import EXTRAPOLATED, over_runs
-from lirs_validation.report.table import Content, MetricSpread, ReportTable
+from lirs_validation.report.table import Content, ReportTable
 
 HEIGHTMAP, SOLID, OURS = "heightmap-based", "solid-based", "ours"
 VIEWS: Final = {HEIGHTMAP: ("hfield", "mujoco"), SOLID: ("mesh", "mujoco"), OURS: ("hfield", "builtin")}
@@ -83,7 +83,8 @@ def _robot_table(entries: Sequence[Entry]) -> ReportTable:
     for robot, value in ROBOT_MEANS.items():
         runs = [entry for entry in entries if entry["config"]["robot"] == robot]
         here = [over_runs(RTF, [e for e in runs if _view(e) == view]) for view in (SOLID, OURS)]
-        rows.append((robot, _published_text(value), *map(_mean_text, here)))
+        means = [RTF.formatted(s.values.mean) + s.mark if s.values else NOTHING for s in here]
+        rows.append((robot, _published_text(value), *means))
     caption = (
         "Mean RTF over all worlds, methods and seeds; without an interval, since worlds and methods are no "
         "repeats. The paper's are means on its solid worlds (Section III-D)."
@@ -96,23 +97,19 @@ def _published_text(value: float | None) -> str:
     return "lost" if value is None else f"{value:.2f}" if value > 0.02 else f"{value:.3f}"
 
 
-def _mean_text(spread: MetricSpread) -> str:
-    return NOTHING if spread.values is None else RTF.formatted(spread.values.mean) + spread.mark
-
-
 def husky_runs(entries: Sequence[Entry], world: str, mapper: str, view: str) -> list[Entry]:
     """Return the Husky's runs in a world, with a mapper, in one representation."""
+    wanted = (world, mapper, HUSKY, view)
     return [
         e
         for e in entries
-        if (e["world"]["name"], e["config"]["mapper"], e["config"]["robot"]) == (world, mapper, HUSKY)
-        and _view(e) == view
+        if (e["world"]["name"], e["config"]["mapper"], e["config"]["robot"], _view(e)) == wanted
     ]
 
 
 def _view(entry: Entry) -> str | None:
-    held = (entry["config"]["terrain"], entry["config"]["rays"])
-    return next((view for view, asked in VIEWS.items() if asked == held), None)
+    geometry = (entry["config"]["terrain"], entry["config"]["rays"])
+    return next((view for view, pair in VIEWS.items() if pair == geometry), None)
 
 
 def findings_table(entries: Sequence[Entry]) -> ReportTable:
@@ -164,13 +161,11 @@ def _collapse(means: Means) -> Finding:
 def _worse_with_terrain(means: Means) -> Finding:
     """Check the finding that heightmaps get slower with rougher terrain."""
     claim = "Heightmaps get slower with the terrain's complexity (0.09, 0.05, 0.011)."
-    worlds = list(WORLDS)
-    found = {m: [means.get((w, m, HEIGHTMAP)) for w in worlds] for m in MAPPERS}
-    whole = {m: [v for v in values if v is not None] for m, values in found.items()}
-    asked = {m: values for m, values in whole.items() if len(values) == len(worlds)}
-    falling = sum(all(a > b for a, b in pairwise(v)) for v in asked.values())
-    series = "; ".join(f"{MAPPERS[m]} {', '.join(map(significant, v))}" for m, v in asked.items())
-    return (claim, _answer(falling, len(asked)), f"{series}." if series else "not all worlds have such runs.")
+    series = {m: [v for w in WORLDS if (v := means.get((w, m, HEIGHTMAP)))] for m in MAPPERS}
+    whole = {m: values for m, values in series.items() if len(values) == len(WORLDS)}
+    falling = sum(all(a > b for a, b in pairwise(v)) for v in whole.values())
+    texts = "; ".join(f"{MAPPERS[m]} {', '.join(map(significant, v))}" for m, v in whole.items())
+    return (claim, _answer(falling, len(whole)), f"{texts}." if texts else "not all worlds have such runs.")
 
 
 def _rank_finding(means: Means, mapper: str, rank: str, best: Callable[[Iterable[float]], float]) -> Finding:

@@ -1,8 +1,4 @@
-"""Pictures of a report: charts of metrics as SVG, and paths and maps of runs.
-
-A run's picture has the paths over the hillshade, the true-pose map and the built map. For a mapper of point
-clouds, the error of its elevation map replaces the built map.
-"""
+"""Pictures of a report: charts of metrics as SVG, and paths and maps of runs."""
 
 from __future__ import annotations
 
@@ -55,16 +51,11 @@ FONT_SIZE = 8.0
 COLUMNS = 3
 WINDOW = 4
 """Half width of the averaging window for a single run's RTF, seconds."""
-MAX_PANELS, MAX_ROWS = 36, 72
 LOG_SCALE_RATIO = 20.0
 """Ratio of largest and smallest RTF above which the scale is logarithmic."""
 
-BUDGET = 3_000_000
-"""Bytes of the pictures of all runs, encoded."""
-MAX_BYTES = 60_000
-"""Largest size of one run's encoded picture, bytes."""
-TILES = (340, 280, 220, 160)
-"""Edges of a panel, pixels; the largest within the budget is used."""
+PANEL_PIXELS = 280
+"""Longer edge of a panel of a run's picture, pixels."""
 WEBP_QUALITY = 62
 GAP = 8
 """Pixels between two panels."""
@@ -74,22 +65,19 @@ FRACTION_BITS = 4
 
 def rtf_chart(entries: Sequence[Entry]) -> PageFigure | None:
     """Return RTF over time as a figure of a page; None without RTF."""
-    drawn = rtf_figure(entries)
-    if drawn is None:
+    figure = rtf_figure(entries)
+    if figure is None:
         return None
-    figure, omitted = drawn
     caption = (
         "RTF over simulated time, as in the paper's Fig. 13: mean and a band of one standard deviation, over "
         f"seeds; where a method has one seed, over {2 * WINDOW + 1} s of its run."
     )
-    if omitted:
-        caption += f" {omitted} more panels are left out; their values stand in the table."
     label = "Real-time factor over simulated time, one panel a world and representation, one line a mapper"
     return PageFigure(as_svg(figure, label, "rtf"), caption=caption)
 
 
-def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
-    """Draw RTF over time; return figure and number of omitted panels, None without RTF.
+def rtf_figure(entries: Sequence[Entry]) -> Drawing | None:
+    """Draw RTF over time; return None without RTF.
 
     A panel for each world, robot and representation; in it the methods, each with mean and a band of one
     standard deviation (see `series_band`).
@@ -101,8 +89,7 @@ def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
         return None
     worlds = list(dict.fromkeys(group["world"] for group in panels))
     robots = list(dict.fromkeys(group["robot"] for group in panels))
-    ordered = sorted(panels, key=lambda group: (worlds.index(group["world"]), robots.index(group["robot"])))
-    shown = ordered[:MAX_PANELS]
+    shown = sorted(panels, key=lambda group: (worlds.index(group["world"]), robots.index(group["robot"])))
     columns = min(COLUMNS, len(shown))
     rows = math.ceil(len(shown) / columns)
     figure = Drawing(figsize=(3.4 * columns + 0.3, 2.1 * rows + 0.5), layout="constrained")
@@ -118,7 +105,7 @@ def rtf_figure(entries: Sequence[Entry]) -> tuple[Drawing, int] | None:
     lines = [Line2D([], [], color=_color_of(name, mappers), linewidth=2, label=name) for name in mappers]
     place: dict[str, Any] = {"loc": "outside upper left", "ncols": len(lines), "frameon": False}
     figure.legend(handles=lines, fontsize=FONT_SIZE, labelcolor=INK, **place)
-    return figure, len(panels) - len(shown)
+    return figure
 
 
 def _draw_rtf(axes: Axes, methods: Mapping[str, Sequence[Entry]], mappers: list[str]) -> None:
@@ -157,8 +144,7 @@ def distribution_chart(entries: Sequence[Entry], metrics: Sequence[Metric]) -> P
 
     A bar is the median, a dotted bar the median of the metric's baseline.
     """
-    groups = by_group([e for e in entries if succeeded(e)])
-    shown = dict(list(groups.items())[:MAX_ROWS])
+    shown = by_group(filter(succeeded, entries))
     kept = [m for m in metrics if any(_values(m, runs) for runs in shown.values())]
     if not shown or not kept:
         return None
@@ -175,8 +161,6 @@ def distribution_chart(entries: Sequence[Entry], metrics: Sequence[Metric]) -> P
         "Every run that finished is a dot, the bar their median, the dotted bar their odometry's median; "
         "one row a group."
     )
-    if len(groups) > len(shown):
-        caption += f" {len(groups) - len(shown)} more groups are left out; their values stand in the tables."
     label = "Metrics of every run as dots, one row a group, medians as bars; the numbers stand in the tables"
     return PageFigure(as_svg(figure, label, "spread"), caption=caption)
 
@@ -188,12 +172,8 @@ def _draw_dots(
     for row, (group, runs) in enumerate(groups.items()):
         values = _values(metric, runs)
         everything += values
-        style: dict[str, Any] = {
-            "color": _color_of(group["mapper"], mappers),
-            "alpha": 0.75,
-            "markeredgewidth": 0,
-        }
-        axes.plot(values, [row] * len(values), "o", markersize=3.5, **style)
+        color, rows = _color_of(group["mapper"], mappers), [row] * len(values)
+        axes.plot(values, rows, "o", markersize=3.5, color=color, alpha=0.75, markeredgewidth=0)
         baseline = [metric.scale * float(v) for r in runs if (v := value_at(r, metric.baseline)) is not None]
         for numbers, line, width in ((values, "-", 1.1), (baseline if values else [], ":", 1.4)):
             if numbers:
@@ -252,36 +232,30 @@ def as_svg(figure: Figure, label: str, key: str) -> str:
     return svg.replace("<svg", f'<svg role="img" aria-label="{label}" style="{style}"', 1)
 
 
-def run_figure(run: RunFolder, scenarios: ScenarioCache, runs: int) -> PageFigure:
-    """Return a run's picture, one of `runs`; its note lists missing parts."""
-    for tile in TILES:
-        try:
-            picture, note = _draw_run(run, scenarios, tile)
-        except WctError as error:
-            return PageFigure("", note=str(error))
-        pixels: ByteArray = np.round(picture[..., ::-1] * 255).astype(np.uint8)
-        _, encoded = cv2.imencode(".webp", pixels, (cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY))
-        url = data_url(encoded.tobytes(), "webp")
-        if len(url) <= min(MAX_BYTES, BUDGET // runs):
-            return PageFigure(url, f"Paths and maps of {run.entry['name']}", note=note)
-    return PageFigure("", note="its picture would not fit the page's budget")
+def run_figure(run: RunFolder, scenarios: ScenarioCache) -> PageFigure:
+    """Return a run's picture; its note lists missing parts."""
+    try:
+        picture, note = _draw_run(run, scenarios)
+    except WctError as error:
+        return PageFigure("", note=str(error))
+    pixels: ByteArray = np.round(picture[..., ::-1] * 255).astype(np.uint8)
+    _, encoded = cv2.imencode(".webp", pixels, (cv2.IMWRITE_WEBP_QUALITY, WEBP_QUALITY))
+    alt = f"Paths and maps of {run.entry['name']}"
+    return PageFigure(data_url(encoded.tobytes(), "webp"), alt, note=note)
 
 
-def _draw_run(run: RunFolder, scenarios: ScenarioCache, tile: int) -> tuple[FloatArray, str]:
-    """Return the panels side by side, the truth first, and a note on missing parts.
-
-    Raises:
-        WctError: a file of the run cannot be read.
-    """
+def _draw_run(run: RunFolder, scenarios: ScenarioCache) -> tuple[FloatArray, str]:
+    """Return the panels side by side, the truth first, and a note on missing parts."""
     truth, estimate = (drive_files.read_tum(run.folder / f"{name}.tum") for name in ("truth", "estimate"))
     true_pose = map_server.read_map(run.folder / "map_true_pose.yaml")
     world, note = None, ""
     try:
         world = scenarios.scenario(recorded_world_config(run.entry)).world
-        canvas = Canvas.over(shown_bounds(world, truth, true_pose), tile)
+        canvas = Canvas.over(shown_bounds(world, truth, true_pose), PANEL_PIXELS)
         ground = shaded_heights(world, canvas)
     except WctError as error:
-        canvas, note = Canvas.over(bounds_shown(truth, true_pose), tile), f"without its terrain: {error}"
+        canvas = Canvas.over(bounds_shown(truth, true_pose), PANEL_PIXELS)
+        note = f"without its terrain: {error}"
         ground = canvas.grid_picture(true_pose)
     panels = [with_paths(ground, canvas, truth.xy, estimate.xy) / 255.0, canvas.grid_picture(true_pose)]
     if not maps_clouds(run.entry):
@@ -296,10 +270,7 @@ def _draw_run(run: RunFolder, scenarios: ScenarioCache, tile: int) -> tuple[Floa
 
 
 def with_paths(picture: FloatArray, canvas: Canvas, truth: FloatArray, estimate: FloatArray) -> ByteArray:
-    """Return a picture with the true and the estimated path, as bytes.
-
-    The picture has levels (rows, cols, 3) in [0, 1], the paths positions (n, 2) in meters.
-    """
+    """Return a picture of levels in [0, 1] with both paths (n, 2), as bytes."""
     painted: ByteArray = np.ascontiguousarray(picture * 255, dtype=np.uint8)
     for track, color, width in ((truth, BLUE, 7), (estimate, VERMILLION, 2)):
         xy = (track - (canvas.bounds[0], canvas.bounds[3])) / (canvas.pixel, -canvas.pixel) - 0.5

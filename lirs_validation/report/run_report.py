@@ -13,6 +13,7 @@ from lirs_validation.record.metric_catalog import (
     WORSE,
     Entry,
     Section,
+    metrics_in,
     metrics_selected,
     rtf_counts,
     span,
@@ -28,8 +29,8 @@ from lirs_validation.report.run_tables import (
     collision_table,
     commands_table,
     failures_table,
+    group_table,
     method_tables,
-    section_by_group,
     section_by_run,
     summary_table,
     verdicts_by_method,
@@ -71,12 +72,9 @@ SKIPPED = "Folders that are damaged or of another version: in no other table."
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """The contents of a report on a folder of results.
+    """The contents of a report on a folder of results; runs are in the order of the sweep.
 
     Attributes:
-        title: Title of the page.
-        subtitle: Number of runs and seeds.
-        runs: Runs in the order of the sweep.
         sections: Sections without charts and pictures, also empty ones.
         seeds: Fewest and most successful seeds of a group; (0, 0) without any.
         checks: Collision validations that passed, and all.
@@ -107,7 +105,9 @@ def report_of(results: ResultFolder) -> Report:
     place = {cell.get("name"): k for k, cell in enumerate(manifest.get("cells", ()))}
     runs = tuple(sorted(results.runs, key=lambda run: place.get(run.entry["name"], len(place))))
     entries = [run.entry for run in runs]
-    seeds = _seeds(entries)
+    driven = by_group(filter(succeeded, entries)).values()
+    counts = [len({run["seed"] for run in runs}) for runs in driven] or [0]
+    seeds = min(counts), max(counts)
     failed = [verdict for verdict in results.collisions if not verdict.passed]
     is_paper = manifest.get("suite") == "paper"
     skipped = ReportTable("skipped", "Not read", SKIPPED, ("folder", "reason"), results.skipped, 2)
@@ -123,7 +123,7 @@ def report_of(results: ResultFolder) -> Report:
         *(
             PageSection(key, title, TEXTS[key], (groups,), (section_by_run(key, entries),))
             for key, title in SECTIONS.items()
-            if len((groups := section_by_group(key, entries)).headings) > groups.text_columns
+            if (groups := group_table(key, title, metrics_in(key), entries)).has_numbers
         ),
         PageSection("collisions", "Collisions", COLLISIONS, (collision_table(results.collisions),)),
         PageSection("distributions", "Distributions"),
@@ -131,14 +131,14 @@ def report_of(results: ResultFolder) -> Report:
         PageSection(
             "provenance",
             "Commands and versions",
-            tables=(_versions_table(entries),),
+            tables=(versions_table(entries),),
             folded=(commands_table(entries),),
             commands=(str(command),) if command else (),
         ),
     )
     return Report(
         title="The paper's experiment, repeated" if is_paper else f"Validation runs in {results.root.name}",
-        subtitle=_subtitle(entries, seeds, _missing(results)),
+        subtitle=_subtitle(results, entries, seeds),
         runs=runs,
         sections=sections,
         seeds=seeds,
@@ -181,15 +181,15 @@ def _pictures(runs: Sequence[RunFolder]) -> tuple[tuple[PageFigure, ...], str]:
         shown = [run for run in drawn if run in first.values()][:MAX_PICTURES]
         note = f"Shown are {len(shown)} of {len(drawn)} runs: the first seed of each group."
     scenarios = ScenarioCache()
-    return tuple(replace(run_figure(run, scenarios, len(shown)), caption=_name(run)) for run in shown), note
-
-
-def _name(run: RunFolder) -> str:
-    group = RunGroup.of(run.entry)
-    fields = {"world", "robot", "mapper", "terrain", "rays", *unusual_fields([group])}
-    name = f"{group.label(fields)}, seed {run.entry['seed']}"
-    name += "" if run.entry["status"] == "ok" else f": {run.entry['status']}"
-    return name + (f": {WORSE}" if worse_than_odometry(run.entry) else "")
+    figures = []
+    for run in shown:
+        group, status = RunGroup.of(run.entry), run.entry["status"]
+        fields = {"world", "robot", "mapper", "terrain", "rays", *unusual_fields([group])}
+        name = f"{group.label(fields)}, seed {run.entry['seed']}"
+        name += "" if status == "ok" else f": {status}"
+        name += f": {WORSE}" if worse_than_odometry(run.entry) else ""
+        figures.append(replace(run_figure(run, scenarios), caption=name))
+    return tuple(figures), note
 
 
 def _tiles(report: Report) -> list[Tile]:
@@ -200,27 +200,20 @@ def _tiles(report: Report) -> list[Tile]:
         Tile(f"{len(good)} of {len(entries)}", "runs finished", bad=len(good) < len(entries)),
         Tile(_seeds_text(report.seeds), seeds),
     ]
-    if len(by_group(entries)) == 1:
-        tiles += _metric_tiles(good)
+    if len(by_group(entries)) == 1:  # methods and worlds are not mixed
+        rtf = [float(e["rtf"]["mean"]) for e in good if rtf_counts(e) and not e["rtf"]["extrapolated"]]
+        tiles += [Tile(span(rtf), "RTF")] if rtf else []
+        for metric in metrics_selected("headline"):
+            if values := [v for e in good if (v := metric.of(e)) is not None]:
+                some = "" if len(values) == len(good) else f" ({len(values)} of {len(good)} runs)"
+                tiles.append(Tile(metric.formatted(median(values)), f"median {metric.heading}{some}"))
     passed, count = report.checks
     if count:
         tiles.append(Tile(f"{passed} of {count}", "collision checks passed", bad=passed < count))
     return tiles
 
 
-def _metric_tiles(good: Sequence[Entry]) -> list[Tile]:
-    """Return tiles of the successful runs of one group: methods and worlds are not mixed."""
-    alone = [float(e["rtf"]["mean"]) for e in good if rtf_counts(e) and not e["rtf"]["extrapolated"]]
-    tiles = [Tile(span(alone), "RTF")] if alone else []
-    for metric in metrics_selected("headline"):
-        values = [v for e in good if (v := metric.of(e)) is not None]
-        if values:
-            count = "" if len(values) == len(good) else f" ({len(values)} of {len(good)} runs)"
-            tiles.append(Tile(metric.formatted(median(values)), f"median {metric.heading}{count}"))
-    return tiles
-
-
-def _versions_table(entries: Sequence[Entry]) -> ReportTable:
+def versions_table(entries: Sequence[Entry]) -> ReportTable:
     """Return the software and machines of the runs."""
     origins = Counter(
         (
@@ -233,26 +226,15 @@ def _versions_table(entries: Sequence[Entry]) -> ReportTable:
     return ReportTable("versions", "Versions and machines", "", ("runs", "versions", "machine"), rows, 3)
 
 
-def _missing(results: ResultFolder) -> int:
-    """Return the number of requested experiments without a result."""
-    finished = len(results.runs) + len(results.collisions)
-    requested = len((results.manifest or {}).get("cells", ())) or finished
-    return requested - finished - len(results.broken)
-
-
-def _seeds(entries: Sequence[Entry]) -> tuple[int, int]:
-    """Return the fewest and the most successful seeds of a group with any."""
-    counts = [len({e["seed"] for e in runs if succeeded(e)}) for runs in by_group(entries).values()]
-    kept = [count for count in counts if count] or [0]
-    return min(kept), max(kept)
-
-
 def _seeds_text(seeds: tuple[int, int]) -> str:
     low, high = seeds
     return str(high) if low == high else f"{low} to {high}"
 
 
-def _subtitle(entries: Sequence[Entry], seeds: tuple[int, int], missing: int) -> str:
+def _subtitle(results: ResultFolder, entries: Sequence[Entry], seeds: tuple[int, int]) -> str:
+    finished = len(results.runs) + len(results.collisions)
+    requested = len((results.manifest or {}).get("cells", ())) or finished
+    missing = requested - finished - len(results.broken)
     parts = [f"{len(entries)} run{'' if len(entries) == 1 else 's'}"]
     parts.append("one seed: no confidence interval" if seeds[1] <= 1 else f"{_seeds_text(seeds)} seeds")
     if missing > 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rich.text import Text
 
 from lirs_validation.analysis.compare import ORIGINAL, repeats
 from lirs_validation.analysis.results import recorded_config
-from lirs_validation.collision.validation import Check, CollisionVerdict
+from lirs_validation.collision.validation import CollisionVerdict
 from lirs_validation.config import RUN_AXES, WORLD_FLAGS, RunConfig
 from lirs_validation.record.metric_catalog import (
     ATE,
@@ -47,7 +48,7 @@ from lirs_validation.report.table import Content, MetricSpread, ReportTable
 from lirs_validation.sweep.sweep import Sweep
 from lirs_validation.sweep.tasks import CollisionTask, read_verdict
 from lirs_wct import Pose2, WctError
-from lirs_wct.option import Options, changed, declared
+from lirs_wct.option import changed, declared
 
 EXTRAPOLATED = "†"
 SECTIONS: dict[Section, str] = {
@@ -95,6 +96,8 @@ COLLISION_COLUMNS: tuple[tuple[str, Callable[[CollisionVerdict], str]], ...] = (
     ("driven [m]", lambda v: f"{v.driven:.0f}"),
 )
 """Headings and contents; the first five columns hold text."""
+FAILED_FIRST = attrgetter("passed")
+"""Sorting key of collision verdicts."""
 
 
 def failures_table(entries: Sequence[Entry]) -> ReportTable:
@@ -102,11 +105,7 @@ def failures_table(entries: Sequence[Entry]) -> ReportTable:
     failed = [entry for entry in entries if not succeeded(entry)]
     groups = [RunGroup.of(e) for e in entries]
     fields = tuple(dict.fromkeys(("world", "robot", "mapper", *unusual_fields(groups))))
-    rows = [
-        (*group_texts(RunGroup.of(e), fields), str(e["seed"]),
-         str(e["status"]), str(e["reason"] or e["status"]), str(e["name"]))
-        for e in failed
-    ]  # fmt: skip
+    rows = [(*run_texts(e, fields), str(e["reason"] or e["status"]), str(e["name"])) for e in failed]
     headings = (*fields, "seed", "status", "reason", "folder")
     caption = f"{len(failed)} of {len(entries)} runs failed; they are in no mean below."
     return ReportTable("failures", "Failures", caption, headings, tuple(rows), len(headings))
@@ -129,25 +128,12 @@ def summary_table(entries: Sequence[Entry]) -> ReportTable:
     return group_table("summary", "Summary", metrics_selected("summary"), entries, count=True)
 
 
-def section_by_group(section: Section, entries: Sequence[Entry]) -> ReportTable:
-    """Return the means of a section's metrics, group by group."""
-    return group_table(section, SECTIONS[section], metrics_in(section), entries)
-
-
 def section_by_run(section: Section, entries: Sequence[Entry]) -> ReportTable:
     """Return a section's metrics, run by run."""
     fields = _fields(by_group(entries))
     kept = _existing(metrics_in(section), entries)
     headings = (*fields, "seed", "status", *(metric.heading for metric in kept))
-    rows = [
-        (
-            *group_texts(RunGroup.of(e), fields),
-            str(e["seed"]),
-            str(e["status"]),
-            *(over_runs(m, [e]) for m in kept),
-        )
-        for e in entries
-    ]
+    rows = [(*run_texts(e, fields), *(over_runs(m, [e]) for m in kept)) for e in entries]
     title = f"{SECTIONS[section]}, run by run"
     return ReportTable(f"{section}-runs", title, "", headings, tuple(rows), len(fields) + 2)
 
@@ -194,7 +180,7 @@ def _caption(metrics: Sequence[Metric], entries: Sequence[Entry]) -> str:
         if any(e["rtf"] and e["rtf"]["extrapolated"] for e in entries):
             lines.append(f"{EXTRAPOLATED} extrapolated: some drives were stopped at their wall limit.")
     if any(metric.key == ATE for metric in metrics):
-        lines += _worse(entries)
+        lines += _worse_than_odometry(entries)
     return " ".join(lines)
 
 
@@ -205,7 +191,7 @@ def _without_rtf(entries: Sequence[Entry]) -> list[str]:
     return [f"{beside} concurrent {runs} {have} no RTF here."] if beside else []
 
 
-def _worse(entries: Sequence[Entry]) -> list[str]:
+def _worse_than_odometry(entries: Sequence[Entry]) -> list[str]:
     """Return one sentence on groups with runs worse than their odometry, if any."""
     groups = by_group([entry for entry in entries if succeeded(entry)])
     fields = _fields(groups)
@@ -230,6 +216,11 @@ def group_texts(group: RunGroup, fields: Sequence[str]) -> tuple[Content, ...]:
     return tuple(f"{v:g} s" if isinstance(v, float) else str(v) for v in values)
 
 
+def run_texts(entry: Entry, fields: Sequence[str]) -> tuple[Content, ...]:
+    """Return the fields of a run's group, its seed and its status as text."""
+    return (*group_texts(RunGroup.of(entry), fields), str(entry["seed"]), str(entry["status"]))
+
+
 def _existing(metrics: Sequence[Metric], entries: Sequence[Entry]) -> tuple[Metric, ...]:
     """Return the metrics that at least one record has."""
     return tuple(m for m in metrics if any(m.of(e) is not None for e in entries))
@@ -250,7 +241,9 @@ def _method_table(kind: str, entries: Sequence[Entry]) -> ReportTable:
     for group, planar in pairs.items():
         cells: list[Content] = [*group_texts(group, fields)]
         for runs in (planar, groups[group]):
-            cells += (over_runs(ERROR, [e for e in runs if succeeded(e)]), _verdict_counts(runs))
+            kinds = [run["verdict"]["class"] for run in runs]
+            evaluated = class_counts(kind for kind in kinds if kind != "not evaluated")
+            cells += (over_runs(ERROR, list(filter(succeeded, runs))), evaluated or "not evaluated")
         driven = {entry["seed"]: entry for entry in planar + groups[group] if succeeded(entry)}
         rows.append((*cells, over_runs(ODOMETRY_ERROR, list(driven.values()))))
     columns = (kind, f"verdicts {kind}", "with attitude", "verdicts with attitude", "odometry")
@@ -265,12 +258,6 @@ def _planar_runs(kind: str, group: RunGroup, groups: Mapping[RunGroup, list[Entr
         return [] if published else groups.get(group.replaced(attitude="none"), [])
     original = group.replaced(mapper=group["mapper"] + ORIGINAL)
     return groups.get(original) or groups.get(original.replaced(attitude="none"), [])
-
-
-def _verdict_counts(entries: Sequence[Entry]) -> str:
-    """Return the verdicts of the evaluated runs as text."""
-    kinds = [entry["verdict"]["class"] for entry in entries]
-    return class_counts(kind for kind in kinds if kind != "not evaluated") or "not evaluated"
 
 
 def results_table(entries: Sequence[Entry]) -> ReportTable:
@@ -357,23 +344,19 @@ def verdicts_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
 
     Values that all verdicts share are in the title, so that the table fits a terminal of 80 characters.
     """
-    lines = "\n".join(line for verdict in _failures_first(verdicts) for line in over_limits(verdict))
-    table = replace(collision_table(verdicts), title="", caption=lines)
+    lines = [line for verdict in sorted(verdicts, key=FAILED_FIRST) for line in over_limits(verdict)]
+    table = replace(collision_table(verdicts), title="", caption="\n".join(lines))
     return table.with_common_in_title(("robot", "terrain", "seed"))
 
 
 def collision_table(verdicts: Sequence[CollisionVerdict]) -> ReportTable:
     """Return all metrics of the verdicts, failures first."""
-    ordered = _failures_first(verdicts)
+    ordered = sorted(verdicts, key=FAILED_FIRST)
     caption = "Limits are explained in docs/results.md; tip-overs and stuck time have none."
     headings = tuple(heading for heading, _ in COLLISION_COLUMNS)
     rows = tuple(tuple(text(verdict) for _, text in COLLISION_COLUMNS) for verdict in ordered)
     styles = tuple("" if verdict.passed else "bold red" for verdict in ordered)
     return ReportTable("collisions", "Collision validation", caption, headings, rows, 5, styles=styles)
-
-
-def _failures_first(verdicts: Sequence[CollisionVerdict]) -> list[CollisionVerdict]:
-    return sorted(verdicts, key=lambda verdict: verdict.passed)
 
 
 def _text(value: float | None, digits: int = 0) -> str:
@@ -382,18 +365,15 @@ def _text(value: float | None, digits: int = 0) -> str:
 
 def over_limits(verdict: CollisionVerdict) -> list[str]:
     """Return a line for each metric over its limit."""
-    who = f"{verdict.world}, {verdict.robot}, {verdict.terrain}, seed {verdict.seed}"
-    return [
-        f"{who}: {verdict.diverged if check.name == 'diverged' else _over(check)}"
-        for check in verdict.checks
-        if not check.passed
-    ]
-
-
-def _over(check: Check) -> str:
-    unit = f" {check.unit}" if check.unit else ""
-    limit = "at least" if check.least else "at most"
-    return f"{check.name} {check.value:.3g}{unit}, legal: {limit} {check.limit:.3g}{unit}"
+    lines = []
+    for check in verdict.checks:
+        unit = f" {check.unit}" if check.unit else ""
+        limit = "at least" if check.least else "at most"
+        text = f"{check.name} {check.value:.3g}{unit}, legal: {limit} {check.limit:.3g}{unit}"
+        text = verdict.diverged if check.name == "diverged" else text
+        if not check.passed:
+            lines.append(f"{verdict.world}, {verdict.robot}, {verdict.terrain}, seed {verdict.seed}: {text}")
+    return lines
 
 
 def checks_failed_table(failed: Sequence[CollisionVerdict], broken: Sequence[tuple[str, str]]) -> ReportTable:
@@ -418,20 +398,14 @@ def commands_table(entries: Sequence[Entry]) -> ReportTable:
 
 def command_of(config: RunConfig) -> str:
     """Return the command line that repeats a run; defaults are left out."""
-    always = ["--robot", config.robot, "--mapper", config.mapper, "--seed", str(config.seed)]
-    stated = ("robot", "mapper", "seed")
-    given = [*always, *_arguments(config, stated), *_arguments(config.build, flags=WORLD_FLAGS)]
-    return shlex.join(["lirs-wct", "validate", config.source, *given])
-
-
-def _arguments(
-    options: Options, stated: tuple[str, ...] = (), flags: tuple[str, ...] | None = None
-) -> Iterator[str]:
-    """Yield the changed options as a command line takes them."""
-    for name, value in changed(options).items():
-        if name not in stated:
-            has_flag = None if flags is None else name in flags
-            yield from declared(type(options))[name].arguments(_option_text(value), has_flag)
+    words = ["lirs-wct", "validate", config.source]
+    words += ["--robot", config.robot, "--mapper", config.mapper, "--seed", str(config.seed)]
+    for options in (config, config.build):
+        for name, value in changed(options).items():
+            if name not in ("robot", "mapper", "seed"):
+                has_flag = None if options is config else name in WORLD_FLAGS
+                words += declared(type(options))[name].arguments(_option_text(value), has_flag)
+    return shlex.join(words)
 
 
 def _option_text(value: Any) -> str:

@@ -6,8 +6,9 @@ import csv
 import io
 import re
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from html import escape
+from itertools import chain
 from typing import Literal
 
 from rich import box
@@ -27,7 +28,6 @@ class MetricSpread:
     """A metric over the repeats of a group, or of one run.
 
     Attributes:
-        metric: Metric, with the unit of the values.
         values: Statistics; None if no run has the metric.
         mark: Sign that the caption explains.
         of: Number of runs; if fewer have the metric, the text states their number.
@@ -54,9 +54,8 @@ class MetricSpread:
 
     def numbers(self) -> tuple[float | None, ...]:
         """Return mean, standard deviation, half width of the interval, number of values and of runs."""
-        if self.values is None:
-            return None, None, None, 0, self.of
-        return self.values.mean, self.values.std, self.values.half_width, self.values.count, self.of
+        found = (None, None, None, 0) if self.values is None else astuple(self.values)
+        return *found, self.of
 
 
 Content = str | MetricSpread
@@ -68,9 +67,6 @@ class ReportTable:
 
     Attributes:
         key: Short name, for links and files.
-        title: Title of the table.
-        caption: Explanation below the table.
-        headings: Headings of the columns.
         rows: Contents of the cells, one per heading.
         text_columns: Number of leading columns that hold text; the first is the row's heading.
         remarks: Whether the last column holds text, too.
@@ -90,16 +86,19 @@ class ReportTable:
         """Whether a column, counted from 0, holds text."""
         return column < self.text_columns or (self.remarks and column == len(self.headings) - 1)
 
+    @property
+    def has_numbers(self) -> bool:
+        """Whether any column holds numbers."""
+        return len(self.headings) > self.text_columns
+
     def texts(self) -> list[list[str]]:
         """Return the rows as text."""
         return [list(map(str, row)) for row in self.rows]
 
     def with_common_in_title(self, names: Collection[str], unnamed: Collection[str] = ()) -> ReportTable:
-        """Return the table with the columns of one value moved to its title.
+        """Return the table with those named columns that hold one value moved to its title.
 
-        Args:
-            names: Headings of columns of text.
-            unnamed: Headings that the title leaves out.
+        The title has the values of `unnamed` columns without their names.
         """
         columns = {h: {str(row[k]) for row in self.rows} for k, h in enumerate(self.headings)}
         common = {h: texts.pop() for h, texts in columns.items() if h in names and len(texts) == 1}
@@ -132,12 +131,9 @@ class ReportTable:
 
     def as_csv(self) -> str:
         """Return the table as CSV with all digits; repeated metrics get five columns."""
-        lines: list[list[object]] = [[] for _ in range(len(self.rows) + 1)]
-        for k, heading in enumerate(self.headings):
-            for line, cells in zip(lines, _csv_column(heading, [row[k] for row in self.rows]), strict=True):
-                line.extend(cells)
+        columns = [_csv_column(h, [row[k] for row in self.rows]) for k, h in enumerate(self.headings)]
         file = io.StringIO()
-        csv.writer(file, lineterminator="\n").writerows(lines)
+        csv.writer(file, lineterminator="\n").writerows(chain(*cells) for cells in zip(*columns, strict=True))
         return file.getvalue()
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Table]:
@@ -184,7 +180,7 @@ def _width(headings: Sequence[str], texts: Sequence[Sequence[str]], columns: Seq
 
 
 def _csv_column(heading: str, contents: Sequence[Content]) -> list[list[object]]:
-    """Return the heading of a column and its cells; several of a metric with repeats."""
+    """Return the heading and the cells of a column, five side by side of a metric with repeats."""
     spreads = [cell for cell in contents if isinstance(cell, MetricSpread)]
     repeated = any(cell.values is not None and max(cell.values.count, cell.of) > 1 for cell in spreads)
     width = 5 if repeated else 1

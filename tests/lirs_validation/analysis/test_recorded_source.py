@@ -49,14 +49,14 @@ def test_score_and_report_take_the_source_of_the_run(run: RunFolder, tmp_path: P
     assert run.entry["world"]["files"] == [{"path": str(picture), "sha256": content}]
     assert recorded_world_config(run.entry).source == str(picture)
     assert score(run, map_yaml=run.folder / "map.yaml", frame="world").map["f1"] == run.entry["map"]["f1"]
-    assert run_figure(run, ScenarioCache(), 1).note == ""
+    assert run_figure(run, ScenarioCache()).note == ""
 
 
 def test_another_source_of_that_name_is_refused(run: RunFolder, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "here" / "hills.png"), hills(7))
     with pytest.raises(SourceError, match=r"here/hills\.png: is not what the run was made from: sha256 "):
         score(run, map_yaml=run.folder / "map.yaml", frame="world")
-    assert "without its terrain: " in run_figure(run, ScenarioCache(), 1).note
+    assert "without its terrain: " in run_figure(run, ScenarioCache()).note
     (tmp_path / "here" / "hills.png").unlink()
     with pytest.raises(SourceError, match=r"here/hills\.png: no such file"):
         score(run, map_yaml=run.folder / "map.yaml", frame="world")

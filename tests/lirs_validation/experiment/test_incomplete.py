@@ -73,7 +73,7 @@ def test_a_run_whose_trajectory_leaves_out_scans_is_incomplete(
     assert record["trajectory"]["scan_coverage"] == pytest.approx(coverage)
     assert ("ate_rmse" in record["trajectory"]) == ate
     assert damaged_files(run.folder, "record.json") == []
-    picture = run_figure(read_run(run.folder), ScenarioCache(), 1)
+    picture = run_figure(read_run(run.folder), ScenarioCache())
     assert picture.picture or "estimate.tum" in picture.note
 
 
