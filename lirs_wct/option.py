@@ -160,21 +160,13 @@ class Option:
             self.check(value, self.label)
 
     def read(self, text: str, label: str) -> Any:
-        """Return the value of a text, for an axis the values of a list.
-
-        Raises:
-            ConfigError: the text is no such value; the message begins with the label.
-        """
+        """Return the value of a text, for an axis the values of a list."""
         if self.axis or self.is_list:
             return (self.reader or LISTS.get(self.types[0], read_names))(text, label)
         return self.read_one(text, label)
 
     def read_one(self, text: str, label: str) -> Any:
-        """Return the value of a text, of an axis one value.
-
-        Raises:
-            ConfigError: the text is no such value; the message begins with the label.
-        """
+        """Return the value of a text, of an axis one value."""
         if self.reader is not None and not self.axis:
             return self.reader(text, label)
         return _read(text, label, self)
@@ -239,11 +231,7 @@ def digest_fields(options: Options) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Base of option classes; each value passes its declared check.
-
-    Raises:
-        ConfigError: a value is not legal.
-    """
+    """Base of option classes; each value passes its declared check."""
 
     def __post_init__(self) -> None:
         for name, found in declared(type(self)).items():
@@ -301,11 +289,7 @@ def _read_numbers(text: str, label: str, declaration: Option) -> Any:
 
 
 def read_pairs(text: str, label: str) -> dict[str, str]:
-    """Return names and values of a list such as `mapper=hector,world=medium`; of "" none.
-
-    Raises:
-        ConfigError: the text is no such list.
-    """
+    """Return names and values of a list such as `mapper=hector,world=medium`; of "" none."""
     pairs = [part.partition("=") for part in (text.split(",") if text else ())]
     if not all(name.strip() and value.strip() for name, _, value in pairs):
         raise ConfigError(f"{label} must be NAME=VALUE,NAME=VALUE,..., got {text!r}")
@@ -313,11 +297,7 @@ def read_pairs(text: str, label: str) -> dict[str, str]:
 
 
 def read_names(text: str, label: str) -> tuple[str, ...]:
-    """Return the names of a comma-separated list, without repetitions.
-
-    Raises:
-        ConfigError: a name is missing.
-    """
+    """Return the names of a comma-separated list, without repetitions."""
     names = tuple(name.strip() for name in text.split(","))
     if not all(names):
         raise ConfigError(f"{label} must be a list such as a,b,c, got {text!r}")
@@ -325,11 +305,7 @@ def read_names(text: str, label: str) -> tuple[str, ...]:
 
 
 def read_factors(text: str, label: str) -> tuple[float, ...]:
-    """Return the numbers of a list such as `0.5,1,2`, without repetitions.
-
-    Raises:
-        ConfigError: the text is no such list.
-    """
+    """Return the numbers of a list such as `0.5,1,2`, without repetitions."""
     try:
         return tuple(dict.fromkeys(float(part) for part in text.split(",")))
     except ValueError:
@@ -337,11 +313,7 @@ def read_factors(text: str, label: str) -> tuple[float, ...]:
 
 
 def read_numbers(text: str, label: str) -> tuple[int, ...]:
-    """Return the whole numbers of a list such as `1-5` or `1,3,7-9`, without repetitions.
-
-    Raises:
-        ConfigError: the text is no such list, or has too many numbers.
-    """
+    """Return the whole numbers of a list such as `1-5` or `1,3,7-9`, without repetitions."""
     found: list[int] = []
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,9})(?:-(\d{1,9}))?\s*", part)

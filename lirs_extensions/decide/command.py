@@ -23,11 +23,7 @@ UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
 def read_duration(text: str, flag: str) -> float:
-    """Return the seconds of a duration such as `90s`, `10min` or `2h`.
-
-    Raises:
-        ConfigError: the text is none.
-    """
+    """Return the seconds of a duration such as `90s`, `10min` or `2h`."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", text)
     if match is None:
         raise ConfigError(f"{flag} must be a duration such as 90s, 10min or 2h, got {text!r}")

@@ -256,9 +256,6 @@ def decide(
         engine: Execution of the drives.
         budget: Wall seconds.
         report: Function of a method's trial before its drives, and of any trial after each drive.
-
-    Raises:
-        WctError: a config cannot be driven as it asks, or a drive not be written.
     """
     deadline = time.monotonic() + budget
     worlds, planned = zip(*plan_trials(configs), strict=True)
@@ -282,11 +279,7 @@ def decide(
 
 
 def plan_trials(configs: Sequence[RunConfig]) -> Iterator[tuple[str, Trial]]:
-    """Yield world name and trial of each config; its driver finds a start there.
-
-    Raises:
-        WctError: a source or a driver's file cannot be used, or a robot fits nowhere.
-    """
+    """Yield world name and trial of each config; its driver finds a start there."""
     scenarios = ScenarioCache()
     for config in configs:
         world, robot = scenarios.scenario(config).world, make_robot(config.robot)
@@ -314,9 +307,6 @@ def run_trials(
         engine: Execution of the drives.
         deadline: Time of `time.monotonic` after which no drive begins.
         report: Function of a trial after each of its drives.
-
-    Raises:
-        WctError: a drive cannot be performed as its config asks, or not be written.
     """
     done, executor = list(trials), make_executor(engine)
     while time.monotonic() < deadline:

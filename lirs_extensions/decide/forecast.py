@@ -74,9 +74,6 @@ def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures
     """Cast scans along tours of a site and return their features.
 
     The config gives mapper, lidar, seed and seconds of the drives.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world.
     """
     preset = make_lidar_preset(config.lidar or robot.lidar)
     preset = preset if config.mapper in ALL_CLOUD_MAPPERS else preset.planar
@@ -236,9 +233,6 @@ def forecast(world: World, robot: Robot, config: RunConfig) -> float | None:
     """Return the probability that a drive works; None for what was not studied.
 
     The study drove tours of 60 s with the default sensors; docs/measured.md has its calibration.
-
-    Raises:
-        ConfigError: the robot fits nowhere in this world.
     """
     default = RunConfig(source=config.source)
     studied = all(getattr(config, name) == getattr(default, name) for name in STUDIED)

@@ -96,11 +96,7 @@ def _percent(share: float | None) -> str:
 
 
 def write_decision(out: Path, answers: Sequence[Answer], command: str) -> Path:
-    """Write `verdict.html`, `verdict.png` and `verdict.json`; return the page's path.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write `verdict.html`, `verdict.png` and `verdict.json`; return the page's path."""
     picture = png(decision_figure(answers, out))
     write_json(out / "verdict.json", {"command": command, "answers": [a.to_dict() for a in answers]})
     with atomic_write(out / "verdict.png") as path:

@@ -127,9 +127,6 @@ def compare(
     """Compare the runs of two results that succeeded, by group and seed.
 
     The results may differ in the fields of a group in `across`, such as `mapper`.
-
-    Raises:
-        ConfigError: a field has no such name, no group is in both, or one holds a seed twice.
     """
     for field in across:
         if field not in FIELDS:
@@ -153,11 +150,7 @@ def compare(
 
 
 def by_shared(entries: Sequence[Entry], across: Sequence[str]) -> dict[RunGroup, dict[int, Entry]]:
-    """Return the runs of each group by seed, with the fields in `across` ignored.
-
-    Raises:
-        ConfigError: a group holds a seed twice.
-    """
+    """Return the runs of each group by seed, with the fields in `across` ignored."""
     found: dict[RunGroup, dict[int, Entry]] = {}
     for entry in entries:
         runs = found.setdefault(_open_fields(RunGroup.of(entry), across), {})
@@ -254,11 +247,7 @@ def _ambiguous(first: Entry, second: Entry, across: Sequence[str]) -> str:
 
 
 def only(entries: Sequence[Entry], fields: Mapping[str, str]) -> list[Entry]:
-    """Return the records whose groups have the given values, such as `mapper` = `hector`.
-
-    Raises:
-        ConfigError: there is no such field, or no record with that value.
-    """
+    """Return the records whose groups have the given values, such as `mapper` = `hector`."""
     for field, value in fields.items():
         if field not in FIELDS:
             raise unknown_name("field of a group", field, FIELDS)

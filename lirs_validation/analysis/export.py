@@ -111,9 +111,6 @@ def export_run(
         formats: Names of formats: bag, csv, npz, carmen or evalio.
         storage: Storage of the bag.
         slam: Whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
-
-    Raises:
-        WctError: there is no such format, the run cannot be read, or out is not writable.
     """
     exporters: Mapping[str, Callable[[RunFolder, Path], Path]] = {
         "bag": partial(_export_bag, storage=storage, slam=slam),
@@ -132,9 +129,6 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
     """Return a recorded drive in the map frame, that of the first base pose.
 
     Ranges have the millimeter steps of `scans.clf.gz`; the estimates are the mapper's final ones.
-
-    Raises:
-        SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
     """
     truth, log, imu = read_sensors(run.folder)
     estimate = drive_files.read_tum(run.folder / "estimate.tum")
@@ -209,9 +203,6 @@ def _export_evalio(run: RunFolder, out: Path) -> Path:
     """Write a dataset of a run's bag for evalio; return the path of its module.
 
     The bag holds point clouds, their truth, and inertial readings.
-
-    Raises:
-        SourceError: the run holds no such bag.
     """
     config, (clouds, rate) = recorded_config(run.entry), _bag_counts(run.folder)
     robot, folder = make_robot(config.robot), out / "evalio"

@@ -61,11 +61,7 @@ class ResultFolder:
 
 
 def read_run(folder: Path) -> RunFolder:
-    """Read a run's folder.
-
-    Raises:
-        SourceError: it holds no record, or one that is damaged or of another version.
-    """
+    """Read a run's folder."""
     entry = read_record(folder)
     problem = schema_error(entry)
     if problem is not None:
@@ -142,11 +138,7 @@ def _json(path: Path) -> Entry:
 
 
 def recorded_config(entry: Entry) -> RunConfig:
-    """Return the config of a record.
-
-    Raises:
-        SourceError: it has options that this version does not know.
-    """
+    """Return the config of a record."""
     run, build = dict(entry["config"]), dict(entry["config"]["build"])
     del run["build"]
     # Of version 1.0.0: options that never changed a run, and one that has another name.
@@ -191,11 +183,7 @@ def _names(options: type[Options]) -> set[str]:
 
 
 def recorded_world_config(entry: Entry) -> RunConfig:
-    """Return the config of a record, its source at the recorded place with the recorded content.
-
-    Raises:
-        SourceError: it has options that this version does not know, or its source is gone or has changed.
-    """
+    """Return the config of a record, its source at the recorded place with the recorded content."""
     config, recorded = recorded_config(entry), entry["world"].get("files", ())
     if not recorded:  # a bundled world
         return config
@@ -210,11 +198,7 @@ def recorded_world_config(entry: Entry) -> RunConfig:
 
 
 def recorded_truth(folder: Path) -> Trajectory:
-    """Return true base_link poses in the world frame; the first is the map frame.
-
-    Raises:
-        SourceError: missing, damaged or empty.
-    """
+    """Return true base_link poses in the world frame; the first is the map frame."""
     path = folder / "truth.tum"
     truth = drive_files.read_tum(path)
     if len(truth) == 0:
@@ -237,9 +221,6 @@ def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> Occupan
     """Return the map of the recorded scans at the true poses, world frame.
 
     The log's messages hold only the planar part of the laser's mount; the robot gives all of it.
-
-    Raises:
-        SourceError: scans, poses or inertial readings are missing, damaged, or not of one drive.
     """
     truth, log, imu = read_sensors(folder)
     T_world_map, T_base_laser = truth.pose2(0), make_robot(config.robot).T_base_laser

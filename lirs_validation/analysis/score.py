@@ -96,10 +96,6 @@ def score(
             found by where the trajectory begins; without one, by the true-pose map; `align`: any, moved to
             the best fit of the trajectory.
         time_offset: seconds to add to the trajectory's stamps; `auto`: found by its motion.
-
-    Raises:
-        SourceError: a file cannot be read, or does not fit the run: stamps, frame, place.
-        ConfigError: a topic is given, and the trajectory is no bag; or `align` without a trajectory.
     """
     truth = recorded_truth(run.folder)
     estimate, given, offset = None, 0, 0.0
@@ -147,11 +143,7 @@ def _offset(
 
 
 def _place(truth: Trajectory, estimate: Trajectory | None, frame: Frame) -> Pose2:
-    """Return where the origin of a frame lies in the world.
-
-    Raises:
-        ConfigError: there is no trajectory to align.
-    """
+    """Return where the origin of a frame lies in the world."""
     if frame != "align":
         return truth.pose2(0) if frame == "map" else Pose2()
     if estimate is None:
@@ -163,11 +155,7 @@ def _place(truth: Trajectory, estimate: Trajectory | None, frame: Frame) -> Pose
 def frame_of(
     path: Path, estimate: Trajectory, truth: Trajectory, frame: Frame
 ) -> Literal["map", "world", "align"]:
-    """Return the frame in which a trajectory begins where the run was; `align` stays.
-
-    Raises:
-        SourceError: it does in none, or not in the one that was named.
-    """
+    """Return the frame in which a trajectory begins where the run was; `align` stays."""
     if frame == "align":
         return frame
     i, j = associated(truth.stamps, estimate.stamps)
@@ -194,11 +182,7 @@ def frame_of(
 
 
 def frame_of_map(run: RunFolder, path: Path, truth: Trajectory) -> Literal["map", "world"]:
-    """Return the frame in which a map agrees with the recorded true-pose map.
-
-    Raises:
-        SourceError: it agrees as well, or as badly, in the other frame.
-    """
+    """Return the frame in which a map agrees clearly better with the recorded true-pose map."""
     built, reference = map_server.read_map(path), map_server.read_map(run.folder / "map_true_pose.yaml")
     in_map, in_world = (
         agreement(as_stored(grid), as_stored(reference)).f1 or 0.0
@@ -219,11 +203,7 @@ def _pose_text(pose: Pose2) -> str:
 
 
 def _check_stamps(path: Path, estimate: Trajectory, truth: Trajectory) -> None:
-    """Refuse a trajectory of other times.
-
-    Raises:
-        SourceError: fewer than two poses lie at stamps of the run.
-    """
+    """Refuse a trajectory with fewer than two poses at stamps of the run."""
     i, _ = associated(truth.stamps, estimate.stamps)
     if len(i) >= 2:
         return
@@ -238,11 +218,7 @@ def _check_stamps(path: Path, estimate: Trajectory, truth: Trajectory) -> None:
 def _score_map(
     run: RunFolder, path: Path, T_world_frame: Pose2, alignment: StartAlignment | None
 ) -> dict[str, Any]:
-    """Compare a map with the true-pose map, which is rebuilt for another cell size.
-
-    Raises:
-        SourceError: the map does not cover the place of the run.
-    """
+    """Compare a map with the true-pose map, which is rebuilt for another cell size."""
     config = recorded_world_config(run.entry)
     built = map_server.read_map(path).moved(T_world_frame)
     reference = map_server.read_map(run.folder / "map_true_pose.yaml")
@@ -302,9 +278,6 @@ def find_time_offset(truth: Trajectory, estimate: Trajectory) -> float:
 
     Speed and turn rate do not depend on the frame. Their correlation finds the offset to a step, and the
     least squares of their differences refine it.
-
-    Raises:
-        SourceError: the motions do not agree at any offset.
     """
     span = float(np.ptp(estimate.stamps))
     if span > MAX_SPAN:

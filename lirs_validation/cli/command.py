@@ -210,11 +210,7 @@ class Command(click.Command):
         return f"{self.name} has no option {flag}{did_you_mean(flag, flags)}"
 
     def arguments(self, option: tuple[str, ...] = (), **given: Any) -> dict[str, Any]:
-        """Return the arguments of the function for the texts of a command line.
-
-        Raises:
-            ConfigError: a value is not legal, or two options contradict.
-        """
+        """Return the arguments of the function for the texts of a command line."""
         values = {
             name: self.own[name].read(value, self.own[name].flag) if isinstance(value, str) else value
             for name, value in given.items()

@@ -73,12 +73,7 @@ def command_line() -> str:
 
 
 def run_sweep(sweep: Sweep, engine: EngineOptions, show: Callable[[], None]) -> None:
-    """Run a sweep: skip finished runs, then call `show`, also when interrupted.
-
-    Raises:
-        OutputError: a result cannot be written.
-        Exit: a task failed.
-    """
+    """Run a sweep: skip finished runs, then call `show`, also when interrupted."""
     from lirs_validation.sweep.engines import make_executor
 
     executor = make_executor(engine)
@@ -149,11 +144,7 @@ def progress_bar(work: str, console: Console = err) -> Iterator[Progress]:
 
 
 def run_with_progress(sweep: Sweep, executor: Executor, console: Console = err) -> Generator[Outcome]:
-    """Run a sweep's tasks under a bar with the time left for all of them.
-
-    Raises:
-        WctError: the only task cannot be run as it was asked for, or not be written.
-    """
+    """Run a sweep's tasks under a bar with the time left for all of them."""
     running: dict[str, float] = {}
     done, total = 0, len(sweep.pending)
     count = TextColumn("{task.fields[done]}/{task.total:.0f}" if total > 1 else "")

@@ -186,10 +186,6 @@ def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
     """Give the mapper of a log.
 
     Foreign code works in its own process, which ends with the block.
-
-    Raises:
-        ConfigError: there is no such mapper or parameter, or it reads point clouds and the log is no bag.
-        MapperError: the process cannot be started.
     """
     with closing(_start(config)) as mapper:
         if mapper.reads_clouds and not is_bag(Path(config.log)):
@@ -282,11 +278,7 @@ def _describe_path(log: LaserLog, readings: Sequence[Imu | None], trajectory: Tr
 
 
 def _preflight(config: MapConfig, log: LaserLog) -> Preflight:
-    """Check a log's data; warn of one that is not fit.
-
-    Raises:
-        SourceError: a map would not fit into memory.
-    """
+    """Check a log's data; warn of one that is not fit."""
     preflight = check_log_data(log)
     if any(finding.hopeless for finding in preflight.findings):
         raise SourceError(f"{config.log}: {preflight.sentence}")
@@ -334,10 +326,6 @@ def replay(
 
     Returns:
         Whether the place was kept, and of point clouds the horizontal beams of each.
-
-    Raises:
-        SourceError: the log lacks data that the mapper needs, or no cloud holds a valid point.
-        MapperError: it failed.
     """
     tracking, level, points, before = LostRule(), list[LaserScan](), 0, -np.inf
     scans: Iterable[LaserScan | PointCloud] = log.scans if log.clouds is None else log.clouds
@@ -394,20 +382,13 @@ def check_log_file(log: str | Path, **log_options: Any) -> Preflight:
     Args:
         log: Path of a CARMEN log or a ROS bag.
         **log_options: Fields of `LogOptions`: fov, range_max, scan_topic, odom_topic, imu_topic, time.
-
-    Raises:
-        WctError: the log or an option cannot be used.
     """
     inertial = {"imu_topic": ANY} if is_bag(Path(log)) else {}
     return check_log_data(read_log(MapConfig(log=str(log), **inertial | log_options)))
 
 
 def folder_name(config: MapConfig) -> str:
-    """Return the folder name: log, mapper, seed and a digest of other options.
-
-    Raises:
-        SourceError: the log cannot be read.
-    """
+    """Return the folder name: log, mapper, seed and a digest of other options."""
     path = Path(config.log)
     try:
         readings = None if config.imu is None else Path(config.imu).read_bytes()

@@ -46,11 +46,7 @@ def read_log(config: MapConfig, *, clouds: bool = False) -> LaserLog:
 
 
 def check_log(config: MapConfig, mapper: MapperUnderTest, log: LaserLog) -> None:
-    """Check that a log holds the data that the mapper needs.
-
-    Raises:
-        SourceError: nothing was seen in it, or it lacks odometry or inertial readings that the mapper needs.
-    """
+    """Check that a log holds the data that the mapper needs."""
     if mapper.reads_clouds:
         if mapper.reads_inertial and log.inertial is None:
             raise SourceError(
@@ -67,11 +63,7 @@ def check_log(config: MapConfig, mapper: MapperUnderTest, log: LaserLog) -> None
 
 
 def inertial_readings(config: MapConfig, log: LaserLog) -> list[Imu | None]:
-    """Return the inertial reading at each scan; None without one within 0.02 s.
-
-    Raises:
-        SourceError: the file cannot be used, or has no reading at any scan.
-    """
+    """Return the inertial reading at each scan; None without one within 0.02 s."""
     readings: list[Imu | None] = [None] * len(log.stamps)
     held = log.imu if config.imu is None else read_imu(Path(config.imu))
     if not held:
@@ -106,11 +98,7 @@ def read_truth(config: MapConfig) -> Truth:
 
 
 def read_constraints(path: Path) -> tuple[RelativePoseConstraint, ...]:
-    """Read `stamp1 stamp2 x y z roll pitch yaw` lines, gzipped or not.
-
-    Raises:
-        SourceError: the file cannot be read, holds none, or a line has not eight finite numbers.
-    """
+    """Read `stamp1 stamp2 x y z roll pitch yaw` lines, gzipped or not."""
     data = read_gzipped(path)
     try:
         lines = [line.split() for line in data.decode().splitlines()]
@@ -132,10 +120,6 @@ def read_trajectory(path: Path, scans: FloatArray | None = None) -> Trajectory:
     Args:
         path: File or bag.
         scans: (n,) Stamps of the scans, seconds, which a KITTI file lacks.
-
-    Raises:
-        SourceError: it is neither, or has no such topic, or holds no poses.
-        ConfigError: a topic is given, and it is no bag.
     """
     path, topic = _split_topic(path)
     if is_bag(path):
@@ -158,10 +142,6 @@ def read_reference(path: Path) -> Trajectory:
 
     The file is a TUM or EuRoC file, a bag or BAG:/TOPIC, or a CARMEN log with corrected poses (as of a pose
     graph's nodes).
-
-    Raises:
-        SourceError: it is none of these, or holds no poses.
-        ConfigError: a topic is given, and it is no bag.
     """
     bag, topic = _split_topic(path)
     if is_bag(bag) or topic is not None:

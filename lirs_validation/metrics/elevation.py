@@ -159,11 +159,7 @@ def write_elevation(path: Path, built: ElevationMap, true_pose: ElevationMap) ->
 
 
 def read_elevation(path: Path) -> tuple[ElevationMap, ElevationMap]:
-    """Read the map by the mapper's poses and that by the true ones.
-
-    Raises:
-        SourceError: missing or damaged.
-    """
+    """Read the map by the mapper's poses and that by the true ones."""
     try:
         with np.load(path, allow_pickle=False) as file:
             cell, (x, y) = float(file["cell"]), file["origin"].tolist()

@@ -69,9 +69,6 @@ def trajectory_errors(
         truth: true poses in the world frame.
         estimate: estimated poses in the map frame.
         T_world_map: Place of the map frame in the world: the true start pose (None: the same frame).
-
-    Raises:
-        ConfigError: fewer than two poses share a moment.
     """
     i, j = associated(truth.stamps, estimate.stamps)
     if len(i) < 2:

@@ -67,11 +67,7 @@ class MapRecord:
         return judge_log(asdict(self))
 
     def save(self, folder: Path) -> None:
-        """Write `record.json`.
-
-        Raises:
-            OutputError: the folder cannot be written.
-        """
+        """Write `record.json`."""
         entry = {"schema": SCHEMA, "kind": KIND, "seed": self.config.seed} | asdict(self)
         write_json(folder / RECORD, entry | {"verdict": self.verdict.to_dict()}, plain)
 

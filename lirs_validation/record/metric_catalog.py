@@ -242,11 +242,7 @@ def metrics_selected(selection: Selection) -> tuple[Metric, ...]:
 
 
 def metrics_named(keys: Sequence[str]) -> tuple[Metric, ...]:
-    """Return metrics by their keys.
-
-    Raises:
-        ConfigError: there is no such metric.
-    """
+    """Return metrics by their keys."""
     known = {metric.key: metric for metric in METRICS}
     for key in keys:
         if key not in known:

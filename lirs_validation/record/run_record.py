@@ -265,11 +265,7 @@ def _own_lidar(robot: str) -> str:
 
 
 def source_files(config: RunConfig) -> tuple[dict[str, str], ...]:
-    """Return `path` and `sha256` of a world's source files, the source first; empty for bundled worlds.
-
-    Raises:
-        SourceError: there is no such source, or a file of it cannot be read.
-    """
+    """Return `path` and `sha256` of a world's source files, the source first; empty for bundled worlds."""
     source = find_source(config.source, config.build)
     if source.kind is SourceKind.BUNDLED:
         return ()

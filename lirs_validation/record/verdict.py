@@ -419,9 +419,6 @@ def read_limits(path: Path) -> tuple[VerdictLimits, frozenset[str]]:
     """Read limits of verdicts, and the classes that pass in addition to `works`.
 
     The YAML file has fields of `VerdictLimits`, and `accept`, a list of classes.
-
-    Raises:
-        ConfigError: the file cannot be read, or a name or value is not legal.
     """
     try:
         entry = yaml.safe_load(path.read_text(encoding="utf-8")) or {}

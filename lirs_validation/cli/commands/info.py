@@ -21,11 +21,7 @@ STRIP = 256
 
 
 def facts_table(world: World, robot: str = "husky") -> Table:
-    """Return facts of a world and of a scanner's view as a table.
-
-    Raises:
-        ConfigError: there is no such robot.
-    """
+    """Return facts of a world and of a scanner's view as a table."""
     surface, walls, mesh = world.surface, world.walls, world.file_mesh
     (width, depth), (nodes_north, nodes_east) = surface.size, surface.shape
     median, p95 = np.percentile(_slopes(surface), (50, 95), overwrite_input=True).tolist()

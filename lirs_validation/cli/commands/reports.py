@@ -19,11 +19,7 @@ from lirs_wct.option import Options, argument, option, read_pairs
 
 
 def read_offset(text: str, label: str) -> float | Literal["auto"]:
-    """Return a time offset, seconds.
-
-    Raises:
-        ConfigError: the text is no finite number and not `auto`.
-    """
+    """Return a time offset, seconds."""
     if text == "auto":
         return "auto"
     try:
@@ -66,11 +62,7 @@ class CompareOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreOptions(Options):
-    """Run and results of `score`.
-
-    Raises:
-        ConfigError: nothing is to be scored.
-    """
+    """Run and results of `score`."""
 
     run: Path = argument("Folder of a run.", "RUN")
     trajectory: Path | None = option(

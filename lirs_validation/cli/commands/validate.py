@@ -46,11 +46,7 @@ class SweepOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class ValidateOptions(SweepOptions):
-    """Sources, results and gate of `validate`.
-
-    Raises:
-        ConfigError: limits are given without a gate.
-    """
+    """Sources, results and gate of `validate`."""
 
     output: Path = option(Path("out"), "Folder for the runs' folders.")
     gate: bool = option(False, "Exit with code 4 unless every verdict is `works`.")
@@ -141,9 +137,6 @@ def read_tasks(
         options: Sources, or the name of a suite, and the folder for maps of logs.
         run: Given options of `RunConfig`, a tuple of values for each axis.
         build: Construction of the worlds.
-
-    Raises:
-        ConfigError: neither or both of sources and suite are given, or an option is not legal.
     """
     from lirs_validation.sweep.tasks import (
         SUITE_FILES,
@@ -190,11 +183,7 @@ def _run(
 
 
 def _check_free(folder: Path, task: RunTask) -> None:
-    """Refuse a folder that holds something else than this very run: it would be replaced.
-
-    Raises:
-        OutputError: it does.
-    """
+    """Refuse a folder that holds something else than this very run: it would be replaced."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
     wanted = run_name(task.config, task.world)
