@@ -37,14 +37,7 @@ Reader = Callable[[str, str], Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Slider:
-    """Range of a number's slider on a page.
-
-    Attributes:
-        low: smallest value.
-        high: largest value.
-        step: distance of two values.
-        neutral: value without effect; it stands for "not given".
-    """
+    """Range of a number's slider on a page; the value `neutral` stands for "not given"."""
 
     low: float
     high: float
@@ -141,9 +134,7 @@ class Option:
     def arguments(self, text: str, has_flag: bool | None = None) -> tuple[str, ...]:
         """Return the words of a command line that set the option to a text.
 
-        Args:
-            text: Value.
-            has_flag: Whether the command has a flag for it; None = as declared.
+        `has_flag` says whether the command has a flag for it; None = as declared.
         """
         if self.rare if has_flag is None else not has_flag:
             return "--option", f"{self.name}={text}"
@@ -153,9 +144,9 @@ class Option:
         """Raise ConfigError for an illegal value; None is legal."""
         if value is None:
             return
-        for word in value if self.is_list else (value,):
-            if self.words and word not in self.words:
-                raise _no_such_word(self.label, word, self.words)
+        if self.words:
+            for word in value if self.is_list else (value,):
+                self._check_word(word, self.label)
         if self.check is not None:
             self.check(value, self.label)
 
@@ -167,9 +158,22 @@ class Option:
 
     def read_one(self, text: str, label: str) -> Any:
         """Return the value of a text, of an axis one value."""
+        kind = self.types[0]
         if self.reader is not None and not self.axis:
             return self.reader(text, label)
-        return _read(text, label, self)
+        if self.words:
+            self._check_word(text, label)
+            return text
+        if kind is bool:
+            if text.lower() not in (*YES, *NO):
+                raise ConfigError(f"{label} must be true or false, got {text!r}")
+            return text.lower() in YES
+        return kind(text) if kind in (Path, str) else _read_numbers(text, label, self)
+
+    def _check_word(self, word: Any, label: str) -> None:
+        if word not in self.words:
+            names = f"{', '.join(self.words[:-1])} or {self.words[-1]}"
+            raise ConfigError(f"{label} must be {names}, got {word!r}{did_you_mean(word, self.words)}")
 
 
 def option(default: Any, help: str, **given: Any) -> Any:
@@ -234,8 +238,8 @@ class Options:
     """Base of option classes; each value passes its declared check."""
 
     def __post_init__(self) -> None:
-        for name, found in declared(type(self)).items():
-            found.check_value(getattr(self, name))
+        for name, option in declared(type(self)).items():
+            option.check_value(getattr(self, name))
 
 
 Declared = TypeVar("Declared", bound=type[Options])
@@ -245,30 +249,9 @@ def documented(options: Declared) -> Declared:
     """Append each option's help to the attributes of its class's docstring."""
     text, raises, errors = inspect.cleandoc(options.__doc__ or "").partition("\n\nRaises:")
     heading = () if "Attributes:" in text else ("", "Attributes:")
-    lines = (f"    {name}: {found.help}" for name, found in declared(options).items())
+    lines = (f"    {name}: {option.help}" for name, option in declared(options).items())
     options.__doc__ = "\n".join((text, *heading, *lines)) + raises + errors
     return options
-
-
-def _no_such_word(label: str, word: Any, legal: tuple[str, ...]) -> ConfigError:
-    names = f"{', '.join(legal[:-1])} or {legal[-1]}"
-    return ConfigError(f"{label} must be {names}, got {word!r}{did_you_mean(word, legal)}")
-
-
-def _read(text: str, label: str, declaration: Option) -> Any:
-    """Return the value of a text by the type of its option."""
-    kinds = declaration.types
-    if declaration.words:
-        if text not in declaration.words:
-            raise _no_such_word(label, text, declaration.words)
-        return text
-    if kinds[0] is bool:
-        if text.lower() not in (*YES, *NO):
-            raise ConfigError(f"{label} must be true or false, got {text!r}")
-        return text.lower() in YES
-    if kinds[0] is Path:
-        return Path(text)
-    return text if kinds[0] is str else _read_numbers(text, label, declaration)
 
 
 def _read_numbers(text: str, label: str, declaration: Option) -> Any:
@@ -314,14 +297,14 @@ def read_factors(text: str, label: str) -> tuple[float, ...]:
 
 def read_numbers(text: str, label: str) -> tuple[int, ...]:
     """Return the whole numbers of a list such as `1-5` or `1,3,7-9`, without repetitions."""
-    found: list[int] = []
+    numbers: list[int] = []
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,9})(?:-(\d{1,9}))?\s*", part)
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if last < first or last - first >= MAX_NUMBERS:
             raise ConfigError(f"{label} must be a list such as 1-5 or 1,3,7-9, got {text!r}")
-        found += range(first, last + 1)
-    return tuple(dict.fromkeys(found))
+        numbers += range(first, last + 1)
+    return tuple(dict.fromkeys(numbers))
 
 
 LISTS: Mapping[Any, Reader] = {int: read_numbers, float: read_factors}
