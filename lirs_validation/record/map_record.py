@@ -21,6 +21,8 @@ from lirs_wct.geometry import OccupancyGrid
 SCHEMA = 2
 KIND = "map of a log"
 """Distinguishes these records from those of runs."""
+MAX_REASONS = 8
+"""Reasons for skipping that are listed one by one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,10 +116,6 @@ def describe_map(grid: OccupancyGrid) -> dict[str, Any]:
         "occupied": int(grid.occupied.sum()),
         "known_area": float(grid.known.sum()) * grid.resolution**2,
     }
-
-
-MAX_REASONS = 8
-"""Reasons for skipping that are listed one by one."""
 
 
 def map_lines(record: MapRecord) -> list[tuple[str, str]]:

@@ -2,8 +2,6 @@
 
 The same rules hold for runs, mapped logs and scores; only mapped logs are tested for scans that contradict
 each other (`lirs_validation.metrics.mapped_log`): a run knows the truth, and its hillsides contradict.
-`judge` returns the verdict on a run, once; its record holds it. Every limit is a constant or a field of
-`VerdictLimits` in this file.
 """
 
 from __future__ import annotations
@@ -235,21 +233,20 @@ def stored_verdict(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
 
 
 def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Verdict:
-    """Return the verdict on a run's record.
-
-    Args:
-        entry: Record as nested dicts.
-        limits: Limits between the classes.
-        method: Name in the sentence; empty = the run's mapper and robot.
-    """
+    """Return the verdict on a run's record; `method` names it in the sentence, else mapper and robot."""
     figures = run_figures(entry)
     kind, reasons = classify(figures, limits)
     mapper, robot = text_at(entry, "config.mapper"), text_at(entry, "config.robot")
     who = method or f"{short_name(mapper)} on {robot}"
-    lead = LEADS[kind].format(who=who, world=entry["world"]["name"])
+    lead, cause = LEADS[kind].format(who=who, world=entry["world"]["name"]), cause_of(kind, entry)
+    if kind == "not evaluated" and not cause:
+        needed = limits.robot_lengths * value_at(entry, "world.robot_length")
+        length = value_at(entry, "trajectory.length")
+        cause = f"it drove {length:.1f} m, at least {needed:.1f} m are needed (--seconds)"
+    first = f"{lead}: {cause.rstrip('.')}." if cause else f"{lead}."
     unjudged = kind in ("failed", "not evaluated")
     results = () if unjudged else (_path_sentence(figures), _map_sentence(figures))
-    parts = (_lead(lead, kind, entry, limits), *results, extent_sentences(entry))
+    parts = (first, *results, extent_sentences(entry))
     return Verdict(kind, " ".join(part for part in parts if part), reasons)
 
 
@@ -287,8 +284,8 @@ def _quality_sentence(quality: Entry) -> str:
         apart = second["revisit_residual"]
         own = "" if apart is None else f" (walls {apart:.2f} m apart)"
         clauses.append(f"its path differs from {second['mapper']}'s{own} by {second['difference']:.2f} m")
-    told = "; ".join(clauses)
-    return f"{told[0].upper()}{told[1:]}." if told else ""
+    text = "; ".join(clauses)
+    return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
 def class_counts(kinds: Iterable[str]) -> str:
@@ -300,12 +297,11 @@ def class_counts(kinds: Iterable[str]) -> str:
 def run_figures(entry: Entry) -> VerdictFigures:
     """Return the figures of a run's record that decide its verdict."""
     driver = value_at(entry, "config.driver") or ""
-    robot_lengths = value_at(entry, "trajectory.robot_lengths")
     return VerdictFigures(
         status=entry["status"],
         has_reference=True,
         uses_estimate=driver.partition(":")[0] in (FRONTIER, CLIENT),
-        robot_lengths=robot_lengths,
+        robot_lengths=value_at(entry, "trajectory.robot_lengths"),
         error=value_at(entry, "trajectory.ate_rmse"),
         odometry_error=value_at(entry, "trajectory.odometry_ate_rmse"),
         distance=value_at(entry, "trajectory.length"),
@@ -337,32 +333,15 @@ def log_figures(entry: Entry) -> VerdictFigures:
     )
 
 
-def _lead(lead: str, kind: VerdictClass, entry: Entry, limits: VerdictLimits) -> str:
-    """Return the first sentence, with the cause where one is known."""
-    cause = cause_of(kind, entry)
-    if kind == "not evaluated" and not cause:
-        needed = limits.robot_lengths * value_at(entry, "world.robot_length")
-        length = value_at(entry, "trajectory.length")
-        cause = f"it drove {length:.1f} m, at least {needed:.1f} m are needed (--seconds)"
-    return f"{lead}: {cause.rstrip('.')}." if cause else f"{lead}."
-
-
 def cause_of(kind: VerdictClass, entry: Entry) -> str:
     """Return why a run ended early, or that scans see no walls; else empty."""
     ended = entry["status"] not in ("ok", "wall limit")
     if ended and kind in ("failed", "not evaluated", "loses its way"):
         return str(entry["reason"] or entry["status"])
-    return _few_walls(entry) if kind in ("adds nothing", "loses its way") else ""
-
-
-def _few_walls(entry: Entry) -> str:
-    """Return a clause on scans without walls; empty if they see some."""
-    walls = value_at(entry, "scans.walls_median")
-    if walls is None or walls > 0:
+    if kind not in ("adds nothing", "loses its way") or value_at(entry, "scans.walls_median") != 0:
         return ""
-    returns = value_at(entry, "scans.returns_median")
-    seen, reach = "no walls" if returns else "nothing", value_at(entry, "scans.range_max")
-    return f"at least half of its scans see {seen} within {reach:g} m"
+    seen = "no walls" if value_at(entry, "scans.returns_median") else "nothing"
+    return f"at least half of its scans see {seen} within {value_at(entry, 'scans.range_max'):g} m"
 
 
 def _path_sentence(figures: VerdictFigures) -> str:
@@ -424,14 +403,14 @@ def read_limits(path: Path) -> tuple[VerdictLimits, frozenset[str]]:
         entry = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
     except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as error:
         raise ConfigError(f"{path}: cannot be read as YAML: {reason_of(error)}") from error
-    names = [field.name for field in fields(VerdictLimits)]
+    legal = ", ".join((*(field.name for field in fields(VerdictLimits)), "accept"))
     if not isinstance(entry, dict):
-        raise ConfigError(f"{path}: must have fields ({', '.join((*names, 'accept'))}), got {entry!r}")
+        raise ConfigError(f"{path}: must have fields ({legal}), got {entry!r}")
     accept = entry.pop("accept", [])
     if not isinstance(accept, list) or not set(map(str, accept)) <= set(ACCEPTABLE):
         raise ConfigError(f"{path}: accept must be a list of {', '.join(ACCEPTABLE)}, got {accept!r}")
     for name, value in entry.items():
-        if name not in names:
-            raise ConfigError(f"{path}: unknown limit {name!r}; legal: {', '.join((*names, 'accept'))}")
+        if name not in vars(LIMITS):
+            raise ConfigError(f"{path}: unknown limit {name!r}; legal: {legal}")
         within("[0, 1e9]")(value, f"{path}: {name}")
     return VerdictLimits(**entry), frozenset(accept)
