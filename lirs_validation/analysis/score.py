@@ -31,7 +31,6 @@ from lirs_wct import ConfigError, FloatArray, Pose2, SourceError, Trajectory, wr
 from lirs_wct.formats import drive_files, map_server
 
 Frame = Literal["auto", "map", "world", "align"]
-FRAMES: tuple[Frame, ...] = ("auto", "map", "world", "align")
 START_RADIUS, START_SHARE, START_YAW = 0.5, 0.1, math.radians(20)
 """Tolerances of a trajectory's first pose: meters, share of the path driven until then, and angle. Beyond
 them, the trajectory is in another frame."""
@@ -39,6 +38,20 @@ CLEAR_F1 = 0.2
 """Smallest difference of F1 that identifies one of two frames."""
 RESOLUTION_TOLERANCE = 1e-6
 """Largest difference of equal cell sizes, meters."""
+SAME_STAMP = 1e-3
+"""Poses within this time of a scan are of the scan, seconds."""
+GAP_PERIODS, KEYFRAME_GAP = 1.5, 2.0
+"""Largest distance of two poses between which a scan's pose is interpolated, in periods of the scans, or
+seconds if that is more."""
+STEP, WINDOW = 0.05, 0.5
+"""Sampling of the motion, and time over which a speed and a turn are measured, seconds."""
+MIN_OVERLAP, MIN_COMMON, MAX_SPAN = 0.5, 3.0, 1e5
+"""Least share of the shorter trajectory within the other; least common and longest time, seconds."""
+MIN_CORRELATION, EQUAL_CORRELATION = 0.5, 0.02
+"""Least correlation of the motions at the right offset, and a difference that does not tell offsets apart."""
+UPRIGHT_PART, MIN_SPREAD = math.cos(math.radians(45)), 0.05
+"""Least vertical part of an upright z axis, and least ratio of a path's width to its length by which a fit in
+space finds the axes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,12 +59,11 @@ class Score:
     """Score of a trajectory and a map, by the metrics of a record.
 
     Attributes:
-        run: name of the run.
-        status: `ok`, or `incomplete` if the trajectory leaves out scans.
-        reason: number of missing scans; empty if the status is `ok`.
-        frame: frame of the result.
-        given: number of poses of the trajectory; 0 without one.
-        time_offset: seconds that were added to the trajectory's stamps.
+        run: Name of the run.
+        status: `incomplete` if the trajectory leaves out scans; `reason` says how many.
+        frame: Frame of the result.
+        given: Number of poses of the trajectory; 0 without one.
+        time_offset: Seconds that were added to the trajectory's stamps.
         trajectory: Metrics as in a record; empty without a trajectory.
         map: Metrics as in a record; empty without a map.
     """
@@ -69,12 +81,9 @@ class Score:
         """Return the verdict on the result; None without a trajectory."""
         if not self.trajectory:
             return None
+        driven = {name: entry["trajectory"].get(name) for name in ("robot_lengths", "length")}
         own = {"status": self.status, "reason": self.reason, "map": self.map}
-        own["trajectory"] = self.trajectory | {
-            "robot_lengths": entry["trajectory"].get("robot_lengths"),
-            "length": entry["trajectory"].get("length"),
-        }
-        return judge({**entry, **own}, method="the scored method")
+        return judge({**entry, **own, "trajectory": self.trajectory | driven}, method="the scored method")
 
 
 def score(
@@ -88,20 +97,24 @@ def score(
     """Score a trajectory and a map that were made from a run's `scans.clf.gz` or bag.
 
     Args:
-        run: the run.
+        run: Run.
         trajectory: TUM, EuRoC or KITTI file, BAG or BAG:/TOPIC: poses of base_link. Those of another rate,
             and keyframes at most 2 s apart, are interpolated at the scans. Axes of a camera are turned.
         map_yaml: ROS map.
         frame: Frame of both: `map`, whose origin is the first base pose; `world`, that of the run; `auto`:
             found by where the trajectory begins; without one, by the true-pose map; `align`: any, moved to
             the best fit of the trajectory.
-        time_offset: seconds to add to the trajectory's stamps; `auto`: found by its motion.
+        time_offset: Seconds to add to the trajectory's stamps; `auto`: found by its motion.
     """
     truth = recorded_truth(run.folder)
     estimate, given, offset = None, 0, 0.0
     if trajectory is not None:
         read = read_trajectory(trajectory, truth.stamps)
-        given, offset = len(read), _offset(trajectory, truth, read, time_offset)
+        given = len(read)
+        try:
+            offset = find_time_offset(truth, read) if time_offset == "auto" else time_offset
+        except SourceError as error:
+            raise SourceError(f"{trajectory}: {error}") from error
         estimate = interpolate_poses(replace(read, stamps=read.stamps + offset), truth.stamps)
         _check_stamps(trajectory, estimate, truth)
         if frame in ("auto", "align") and (turned := turn_upright(estimate, truth)):
@@ -128,18 +141,6 @@ def score(
         trajectory=errors,
         map={} if map_yaml is None else _score_map(run, map_yaml, T_world_frame, alignment),
     )
-
-
-def _offset(
-    path: Path, truth: Trajectory, estimate: Trajectory, time_offset: float | Literal["auto"]
-) -> float:
-    """Return the offset of an estimate's clock, seconds."""
-    if time_offset != "auto":
-        return time_offset
-    try:
-        return find_time_offset(truth, estimate)
-    except SourceError as error:
-        raise SourceError(f"{path}: {error}") from error
 
 
 def _place(truth: Trajectory, estimate: Trajectory | None, frame: Frame) -> Pose2:
@@ -237,27 +238,10 @@ def _score_map(
     return asdict(scores)
 
 
-SAME_STAMP = 1e-3
-"""Poses within this time of a scan are of the scan, seconds."""
-GAP_PERIODS, KEYFRAME_GAP = 1.5, 2.0
-"""Largest distance of two poses between which a scan's pose is interpolated, in periods of the scans, or
-seconds if that is more."""
-STEP, WINDOW = 0.05, 0.5
-"""Sampling of the motion, and time over which a speed and a turn are measured, seconds."""
-MIN_OVERLAP, MIN_COMMON, MAX_SPAN = 0.5, 3.0, 1e5
-"""Least share of the shorter trajectory within the other; least common and longest time, seconds."""
-MIN_CORRELATION, EQUAL_CORRELATION = 0.5, 0.02
-"""Least correlation of the motions at the right offset, and a difference that does not tell offsets apart."""
-UPRIGHT_PART, MIN_SPREAD = math.cos(math.radians(45)), 0.05
-"""Least vertical part of an upright z axis, and least ratio of a path's width to its length by which a fit in
-space finds the axes."""
-
-
 def interpolate_poses(trajectory: Trajectory, stamps: FloatArray) -> Trajectory:
-    """Return the poses at the stamps of scans (n,).
+    """Return the poses at the stamps of scans (n,) whose neighboring poses are near enough.
 
-    Stamps whose neighboring poses are too far apart are left out. A trajectory is returned as it is if all
-    scans have a pose, or most poses are too far apart.
+    A trajectory is returned as it is if all scans have a pose, or most poses are too far apart.
     """
     period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
     most, gaps = max(GAP_PERIODS * period, KEYFRAME_GAP), np.diff(trajectory.stamps)

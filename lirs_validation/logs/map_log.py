@@ -5,7 +5,6 @@ A log that is a source of worlds is mapped once; later worlds are built from its
 
 from __future__ import annotations
 
-import hashlib
 import json
 import time
 import warnings
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lirs_validation.config import MapConfig
+from lirs_validation.config import MapConfig, sha256
 from lirs_validation.experiment.drive import LostRule
 from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.mapper_under_test import (
@@ -72,15 +71,7 @@ from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import SourceKind, find_source, is_bag
 from slam_baselines.map_builder import KnownPoseMapper
-from slam_baselines.mapper import (
-    ALL_CLOUD_MAPPERS,
-    MAPPERS,
-    CloudMapper,
-    Mapper,
-    file_name,
-    make_mapper,
-    read_parameters,
-)
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name, make_mapper, read_parameters
 from slam_baselines.warm_up import warm_up
 
 if TYPE_CHECKING:
@@ -183,10 +174,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
 
 @contextmanager
 def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
-    """Give the mapper of a log.
-
-    Foreign code works in its own process, which ends with the block.
-    """
+    """Give the mapper of a log; foreign code works in its own process, which ends with the block."""
     with closing(_start(config)) as mapper:
         if mapper.reads_clouds and not is_bag(Path(config.log)):
             raise ConfigError(
@@ -197,18 +185,17 @@ def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
 
 
 def _start(config: MapConfig) -> MapperUnderTest:
-    if not needs_process(config.mapper):
-        return LocalMapper(_make(config), config.mapper, config.attitude)
-    if config.resolution is not None and config.mapper not in ALL_CLOUD_MAPPERS:
-        raise ConfigError(f"resolution can be given for {', '.join(MAPPERS)} only")
-    return MapperProcess(config)
-
-
-def _make(config: MapConfig) -> Mapper | CloudMapper:
-    if config.resolution is None or config.mapper not in MAPPERS:
-        return mapper_named(config.mapper, config.seed, config.parameters)
-    parameters = {"resolution": config.resolution} | read_parameters(config.parameters)
-    return make_mapper(config.mapper, seed=config.seed, **parameters)
+    name, resolution = config.mapper, config.resolution
+    if needs_process(name):
+        if resolution is not None and name not in ALL_CLOUD_MAPPERS:
+            raise ConfigError(f"resolution can be given for {', '.join(MAPPERS)} only")
+        return MapperProcess(config)
+    if resolution is None or name not in MAPPERS:
+        mapper = mapper_named(name, config.seed, config.parameters)
+    else:
+        parameters = {"resolution": resolution} | read_parameters(config.parameters)
+        mapper = make_mapper(name, seed=config.seed, **parameters)
+    return LocalMapper(mapper, name, config.attitude)
 
 
 def warm_up_log_mapper(config: MapConfig) -> None:
@@ -237,8 +224,9 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         trajectory = mapper.trajectory()
         grid = horizontal_map(level, trajectory, config.resolution) if mapper.reads_clouds else mapper.map()
     cost = {**seconds, **asdict(meter.cost())}
-    relations, reference = truth_in_time(truth, log.lines)
+    relations, reference = truth = truth_in_time(truth, log.lines)
     accuracy = trajectory_accuracy(trajectory, log.track, relations, reference)
+    alone = trajectory_accuracy(log.track, log.track, *truth).metrics() if len(log.track) else {}
     path = _describe_path(log, readings, trajectory)
     quality = asdict(found) if (found := scan_consistency(log.scans, readings, trajectory)) else {}
     judged = relations is not None or reference is not None or mapper.reads_clouds
@@ -258,9 +246,7 @@ def _mapped_log(config: MapConfig, mapper: MapperUnderTest, progress: Progress) 
         mapper=asdict(mapper.stats),
         accuracy=accuracy.metrics(),
         quality=quality | {"second": second},
-        odometry=trajectory_accuracy(log.track, log.track, relations, reference).metrics()
-        if len(log.track)
-        else {},
+        odometry=alone,
         cost=cost,
     )
     return MappedLog(record, log, grid, trajectory, reference, accuracy)
@@ -290,12 +276,7 @@ def _preflight(config: MapConfig, log: LaserLog) -> Preflight:
 def _compare(
     config: MapConfig, log: LaserLog, readings: Sequence[Imu | None], path: Trajectory, progress: Progress
 ) -> dict[str, Any] | None:
-    """Compare the path with a second mapper's.
-
-    Returns:
-        Its name, its revisit residual and the difference of the paths, meters; None if not requested, or if
-        the log lacks data that the second mapper needs.
-    """
+    """Compare the path with a second mapper's; None if not requested, or if the log lacks data for it."""
     name = config.second or ("cartographer" if config.mapper == SECOND else SECOND)
     if name == "none":
         return None
@@ -322,11 +303,7 @@ def replay(
     readings: Sequence[Imu | None],
     progress: Progress,
 ) -> tuple[LostRule, list[LaserScan]]:
-    """Replay a log with inertial readings.
-
-    Returns:
-        Whether the place was kept, and of point clouds the horizontal beams of each.
-    """
+    """Replay a log; return whether the place was kept, and of point clouds the horizontal beams of each."""
     tracking, level, points, before = LostRule(), list[LaserScan](), 0, -np.inf
     scans: Iterable[LaserScan | PointCloud] = log.scans if log.clouds is None else log.clouds
     for k, (scan, odometry, imu) in enumerate(zip(scans, log.odometry, readings, strict=True)):
@@ -377,12 +354,7 @@ def horizontal_map(
 
 
 def check_log_file(log: str | Path, **log_options: Any) -> Preflight:
-    """Measure a log's data and look for faults, without mapping it.
-
-    Args:
-        log: Path of a CARMEN log or a ROS bag.
-        **log_options: Fields of `LogOptions`: fov, range_max, scan_topic, odom_topic, imu_topic, time.
-    """
+    """Measure a log's data and look for faults, without mapping it; options are those of `LogOptions`."""
     inertial = {"imu_topic": ANY} if is_bag(Path(log)) else {}
     return check_log_data(read_log(MapConfig(log=str(log), **inertial | log_options)))
 
@@ -392,20 +364,15 @@ def folder_name(config: MapConfig) -> str:
     path = Path(config.log)
     try:
         readings = None if config.imu is None else Path(config.imu).read_bytes()
-        digest = config.digest(_digests(path) if path.is_dir() else path, readings)
+        content: bytes | Path = path
+        if path.is_dir():  # a bag: its own files alone, whatever else lies in the folder
+            parts = sorted(part for part in path.iterdir() if part.name == METADATA or is_bag_file(part))
+            content = b"".join(bytes.fromhex(sha256(part)) for part in parts)
+        digest = config.digest(content, readings)
     except OSError as error:
         raise SourceError(f"{error.filename}: cannot be read: {error.strerror or error}") from error
     stem = find_source(path, BuildOptions()).name
     return f"{stem}-{file_name(config.mapper)}-s{config.seed}-{digest}"
-
-
-def _digests(folder: Path) -> bytes:
-    """Return digests of a bag's files, ordered by name, without other files of the folder."""
-    digests = []
-    for path in sorted(p for p in folder.iterdir() if p.name == METADATA or is_bag_file(p)):
-        with path.open("rb") as file:
-            digests.append(hashlib.file_digest(file, "sha256").digest())
-    return b"".join(digests)
 
 
 @contextmanager
@@ -427,24 +394,23 @@ def resolve_source(
     Raises:
         WctError: there is no such source, the log cannot be mapped, or the map cannot be written.
     """
-    found = find_source(source, BuildOptions())
-    if found.kind is not SourceKind.LOG:
+    log = find_source(source, BuildOptions())
+    if log.kind is not SourceKind.LOG:
         return source
     config = MapConfig(log=str(source), resolution=options.resolution, second="none")
-    out = Path(out)
-    folder = out / folder_name(config)
-    found_before = _read_ending(folder)
-    if found_before is None:
-        record = run_mapping(config, out=out, progress=progress).record
-        found_before = record.status, record.reason
-    status, reason = found_before
+    folder = Path(out) / folder_name(config)
+    ending = _read_ending(folder)
+    if ending is None:
+        record = run_mapping(config, out=Path(out), progress=progress).record
+        ending = record.status, record.reason
+    status, reason = ending
     if status != "ok":
         what = "left out scans of" if status == "incomplete" else "lost its place in"
         raise SourceError(
             f"{source}: {config.mapper} {what} this log ({reason}), its map is no world (see {folder}); "
             f"lirs-wct map {source} --mapper NAME maps it with another method"
         )
-    named = folder / f"{found.name}.yaml"
+    named = folder / f"{log.name}.yaml"
     with atomic_write(named) as path:
         path.write_bytes((folder / "map.yaml").read_bytes())
     return named
