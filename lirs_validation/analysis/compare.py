@@ -73,9 +73,7 @@ class Difference:
         metric: Compared metric; all values are in its unit.
         a: Mean in the first result.
         b: Mean in the second result.
-        difference: Mean of the paired differences.
-        low: Lower end of the 95 % interval; None of one pair.
-        high: Upper end of the 95 % interval; None of one pair.
+        difference: Mean of the paired differences, with its 95 % interval `low` to `high`; None of one pair.
         pairs: Number of seeds with the metric in both results.
         seeds: Number of seeds in which both runs succeeded, with the metric or without.
         test: Paired t; Wilcoxon's signed ranks where the differences are plainly not normal (the interval is
@@ -151,14 +149,24 @@ def compare(
 
 def by_shared(entries: Sequence[Entry], across: Sequence[str]) -> dict[RunGroup, dict[int, Entry]]:
     """Return the runs of each group by seed, with the fields in `across` ignored."""
-    found: dict[RunGroup, dict[int, Entry]] = {}
+    placeholders = {name: 0.0 if name == "seconds" else "*" for name in across}
+    groups: dict[RunGroup, dict[int, Entry]] = {}
     for entry in entries:
-        runs = found.setdefault(_open_fields(RunGroup.of(entry), across), {})
-        seed = int(entry["seed"])
+        own, seed = RunGroup.of(entry), int(entry["seed"])
+        runs = groups.setdefault(own.replaced(**placeholders), {})
         if seed in runs:
-            raise ConfigError(_ambiguous(runs[seed], entry, across))
+            other = RunGroup.of(runs[seed])
+            both = (
+                f"one result holds two runs of one group and seed, {runs[seed]['name']} and {entry['name']}"
+            )
+            differing = [f for f in FIELDS if f in across and own[f] != other[f]]
+            if not differing:
+                raise ConfigError(f"{both}: move one of them to another folder")
+            values = ", ".join(f"{f} ({other[f]} and {own[f]})" for f in differing)
+            choice = " ".join(f"{f}={other[f]}" for f in differing)
+            raise ConfigError(f"{both}; they differ in {values}: choose one as FOLDER:{choice}")
         runs[seed] = entry
-    return found
+    return groups
 
 
 def correct_p_values(differences: Sequence[Difference]) -> tuple[Difference, ...]:
@@ -218,32 +226,12 @@ def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float 
 
 
 def holm(p: FloatArray) -> FloatArray:
-    """Correct p values (n,) after Holm.
-
-    The k-th smallest is multiplied by n - k + 1; the results never decrease.
-    """
+    """Correct p values (n,) after Holm: the k-th smallest times n - k + 1, never decreasing."""
     order = np.argsort(p, kind="stable")
     raised = p[order] * np.arange(len(p), 0, -1)
     result = np.empty_like(p)
     result[order] = np.minimum(np.maximum.accumulate(raised), 1.0)
     return result
-
-
-def _open_fields(group: RunGroup, across: Sequence[str]) -> RunGroup:
-    """Return the group with placeholders in the fields of `across`."""
-    return group.replaced(**{name: 0.0 if name == "seconds" else "*" for name in FIELDS if name in across})
-
-
-def _ambiguous(first: Entry, second: Entry, across: Sequence[str]) -> str:
-    """Return the message for two runs of one result with the same group and seed."""
-    groups = RunGroup.of(first), RunGroup.of(second)
-    differing = [f for f in FIELDS if f in across and groups[0][f] != groups[1][f]]
-    runs = f"one result holds two runs of one group and seed, {first['name']} and {second['name']}"
-    if not differing:
-        return f"{runs}: move one of them to another folder"
-    values = ", ".join(f"{f} ({groups[0][f]} and {groups[1][f]})" for f in differing)
-    chosen = " ".join(f"{f}={groups[0][f]}" for f in differing)
-    return f"{runs}; they differ in {values}: choose one as FOLDER:{chosen}"
 
 
 def only(entries: Sequence[Entry], fields: Mapping[str, str]) -> list[Entry]:

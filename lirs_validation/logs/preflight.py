@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray
+from lirs_wct.arrays import FloatArray
 from lirs_wct.formats.laser_log import LaserLog, LogTopic
 
 TILTED = math.radians(20)
@@ -93,7 +93,9 @@ def _facts(log: LaserLog) -> Iterator[tuple[str, str]]:
     stamps = log.stamps
     yield "time", f"{stamps[-1] - stamps[0]:.1f} s from {stamps[0]:.3f} s"
     if len(log.topics) > 1 and len(log.track):
-        yield "common to scans and odometry", f"{max(0.0, _common(*log.topics[:2])):.1f} s"
+        a, b = (topic.stamps for topic in log.topics[:2])
+        common = float(min(a.max(), b.max()) - max(a.min(), b.min()))
+        yield "common to scans and odometry", f"{max(0.0, common):.1f} s"
     if len(log.track) > 1:
         _, speed, turn = _motion(log)
         fastest = f"{speed.max(initial=0.0):.2f} m/s, {np.degrees(turn.max(initial=0.0)):.0f} deg/s"
@@ -134,10 +136,6 @@ def _lag(topic: LogTopic) -> float | None:
     if not len(topic.received):
         return None
     return float(np.median(topic.received - topic.stamps))
-
-
-def _common(a: LogTopic, b: LogTopic) -> float:
-    return float(min(a.stamps.max(), b.stamps.max()) - max(a.stamps.min(), b.stamps.min()))
 
 
 def _pauses(log: LaserLog) -> Iterator[Deviation]:
@@ -186,42 +184,32 @@ def _scan_faults(log: LaserLog) -> Iterator[Deviation]:
     up = np.array([scan.T_base_laser.rotation[2, 2] for scan in log.scans])
     tilt = float(np.degrees(np.median(np.arccos(np.clip(np.abs(up), 0.0, 1.0)))))
     if tilt > np.degrees(TILTED):
-        yield Deviation(
-            f"the transforms mount the laser at {tilt:.0f} deg to the ground",
-            "--scan-topic of a level laser",
-            True,
-        )
+        tilted = f"the transforms mount the laser at {tilt:.0f} deg to the ground"
+        yield Deviation(tilted, "--scan-topic of a level laser", unfit=True)
     seeing = np.mean([scan.hits.sum() >= FEW_RETURNS for scan in log.scans])
     if seeing < SEEING:
-        yield Deviation(
-            f"{100 * (1 - seeing):.0f} % of the scans have fewer than {FEW_RETURNS} returns", unfit=True
-        )
+        share = f"{100 * (1 - seeing):.0f} %"
+        yield Deviation(f"{share} of the scans have fewer than {FEW_RETURNS} returns", unfit=True)
 
 
 def _inertial_faults(log: LaserLog) -> Iterator[Deviation]:
     gyro = _gyro_at_rest(log)
     if gyro is not None and max(gyro) > SHAKY:
-        yield Deviation(
-            f"the gyroscope at rest shows {gyro[1]:.3f} rad/s with a noise of {gyro[0]:.3f} rad/s"
-        )
+        shown = f"{gyro[1]:.3f} rad/s with a noise of {gyro[0]:.3f} rad/s"
+        yield Deviation(f"the gyroscope at rest shows {shown}")
 
 
 def _gyro_at_rest(log: LaserLog) -> tuple[float, float] | None:
     """Return noise and mean of the gyroscope at rest, rad/s; None without readings."""
     if log.inertial is None or len(log.track) < 2:
         return None
-    rates = log.inertial.angular_velocity[_rests(log, log.inertial.stamps)]
+    begins, speed, turn = _motion(log)
+    resting = begins[(speed < STANDING) & (turn < STANDING_TURN)]
+    in_rest = np.isin(np.floor(log.inertial.stamps / WINDOW), np.rint(resting / WINDOW))
+    rates = log.inertial.angular_velocity[in_rest]
     if len(rates) < REST:
         return None
     return float(rates.std(axis=0).max()), float(np.abs(rates.mean(axis=0)).max())
-
-
-def _rests(log: LaserLog, stamps: FloatArray) -> BoolArray:
-    """Return whether the robot is at rest at each stamp (n,), by its odometry."""
-    begins, speed, turn = _motion(log)
-    resting = begins[(speed < STANDING) & (turn < STANDING_TURN)]
-    found: BoolArray = np.isin(np.floor(stamps / WINDOW), np.rint(resting / WINDOW))
-    return found
 
 
 def _motion(log: LaserLog) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,8 @@ from rich.table import Table
 
 from lirs_envs.robots.robot import ROBOTS, make_robot
 from lirs_validation.logs.preflight import Preflight
-from lirs_validation.metrics.world_geometry import ScanSupport, mesh_error, scan_support
-from lirs_wct import Float32Array, HeightField, WallGrid, World
+from lirs_validation.metrics.world_geometry import mesh_error, scan_support
+from lirs_wct import Float32Array, HeightField, World
 
 CELLS, MAP_CELLS = 1000, 2000
 """Cells along the longer side, at most, of the grid on which drivable ground is counted: of a terrain, and of
@@ -22,41 +23,63 @@ STRIP = 256
 
 def facts_table(world: World, robot: str = "husky") -> Table:
     """Return facts of a world and of a scanner's view as a table."""
-    surface, walls, mesh = world.surface, world.walls, world.file_mesh
-    (width, depth), (nodes_north, nodes_east) = surface.size, surface.shape
-    median, p95 = np.percentile(_slopes(surface), (50, 95), overwrite_input=True).tolist()
-    support = scan_support(world, make_robot(robot))
-    place = () if world.place is None else (("place on earth", world.place.label()),)
-    of_map = () if walls is None else (("walls", _walls_text(walls)),)
-    rows = [
-        ("size", f"{width:g} x {depth:g} m"),
-        *place,
-        ("surface", f"{nodes_east} x {nodes_north} nodes, {_cells(world)} m apart"),
-        *of_map,
-        ("heights", f"{surface.z.min():.3f} to {surface.z.max():.3f} m"),
-        ("slopes", f"median {median:.1f} deg, 95 % below {p95:.1f} deg"),
-        *((f"drivable, {name}", _drivable_text(world, name, share)) for name, share in _drivable(world)),
-        (f"walls in sight, {support.robot}", _support(support)),
-        ("expectation", support.expectation),
-        ("start poses", _starts(world)),
-        ("triangles", f"{len(mesh.faces)}"),
-        ("watertight", f"{'yes' if mesh.is_watertight_as_written else 'no'}, {mesh.volume:.6g} m3"),
-        ("mesh error", "exact" if walls is not None else _mesh_error(world)),
-    ]
     table = Table(title=f"{world.name}: {world.kind}, {world.scale}", show_header=False, title_justify="left")
-    for row in rows:
-        table.add_row(*row)
+    for facts in (_ground_facts(world), _robot_facts(world, robot), _mesh_facts(world)):
+        for row in facts:
+            table.add_row(*row)
     return table
 
 
-def preflight_table(log: str, found: Preflight) -> Table:
+def _ground_facts(world: World) -> Iterator[tuple[str, str]]:
+    surface, walls = world.surface, world.walls
+    (width, depth), (nodes_north, nodes_east), (across, along) = surface.size, surface.shape, surface.cell
+    yield "size", f"{width:g} x {depth:g} m"
+    if world.place is not None:
+        yield "place on earth", world.place.label()
+    apart = f"{across:.4g}" if math.isclose(across, along) else f"{across:.4g} and {along:.4g}"
+    yield "surface", f"{nodes_east} x {nodes_north} nodes, {apart} m apart"
+    if walls is not None:
+        cells = f"{walls.solid.sum()} of {walls.solid.size} cells of {walls.resolution:g} m"
+        yield "walls", f"{cells}, {walls.height:g} m high"
+    yield "heights", f"{surface.z.min():.3f} to {surface.z.max():.3f} m"
+    median, p95 = np.percentile(_slopes(surface), (50, 95), overwrite_input=True).tolist()
+    yield "slopes", f"median {median:.1f} deg, 95 % below {p95:.1f} deg"
+
+
+def _robot_facts(world: World, robot: str) -> Iterator[tuple[str, str]]:
+    for name, share in _drivable(world):
+        yield f"drivable, {name}", _drivable_text(world, name, share)
+    support, hits = scan_support(world, make_robot(robot)), "-"
+    if support.poses:
+        hits = (
+            f"{support.wall_median:.0f} of {support.beams} beams a scan, {support.wall_p10:.0f} in the worst "
+            f"tenth of places; {support.ground_median:.0f} meet other ground"
+        )
+    yield f"walls in sight, {support.robot}", hits
+    yield "expectation", support.expectation
+    yield "start poses", _starts(world)
+
+
+def _mesh_facts(world: World) -> Iterator[tuple[str, str]]:
+    mesh, error = world.file_mesh, "exact"
+    yield "triangles", f"{len(mesh.faces)}"
+    yield "watertight", f"{'yes' if mesh.is_watertight_as_written else 'no'}, {mesh.volume:.6g} m3"
+    if world.walls is None:
+        error = f"{mesh_error(world, mesh):.6f} m at the nodes"
+        # Without a budget the mesh has every node and the field's diagonals; a closed mesh stays itself.
+        budget = world.file_options.max_error
+        error += f", at most {budget:.6f} m between them" if budget else ""
+    yield "mesh error", error
+
+
+def preflight_table(log: str, preflight: Preflight) -> Table:
     """Return the facts of a log and its deviations as a table to print."""
     table = Table(title=log, show_header=False, title_justify="left")
-    for name, value in found.facts:
+    for name, value in preflight.facts:
         table.add_row(name, value)
-    for finding in found.findings:
+    for finding in preflight.findings:
         table.add_row("deviation", str(finding), style="yellow")
-    for repair in found.repairs:
+    for repair in preflight.repairs:
         table.add_row("put right", repair, style="yellow")
     return table
 
@@ -73,28 +96,6 @@ def _resolves(world: World, robot: str) -> bool:
     return world.sample_spacing is None or world.sample_spacing <= 2 * ROBOTS[robot].radius
 
 
-def _walls_text(walls: WallGrid) -> str:
-    cells = f"{walls.solid.sum()} of {walls.solid.size} cells of {walls.resolution:g} m"
-    return f"{cells}, {walls.height:g} m high"
-
-
-def _mesh_error(world: World) -> str:
-    at_nodes = f"{mesh_error(world, world.file_mesh):.6f} m at the nodes"
-    budget = world.file_options.max_error
-    # Without a budget the mesh has every node and the height field's diagonals; a closed mesh stays itself.
-    return f"{at_nodes}, at most {budget:.6f} m between them" if budget else at_nodes
-
-
-def _support(found: ScanSupport) -> str:
-    """Return the hits of a scan's beams in words."""
-    if not found.poses:
-        return "-"
-    return (
-        f"{found.wall_median:.0f} of {found.beams} beams a scan, {found.wall_p10:.0f} in the worst tenth of "
-        f"places; {found.ground_median:.0f} meet other ground"
-    )
-
-
 def _starts(world: World) -> str:
     """Return how many there are, and for whom if the source's samples resolve that robot."""
     if not world.spawn_poses:
@@ -103,11 +104,6 @@ def _starts(world: World) -> str:
         return f"{len(world.spawn_poses)}, unknown whether {world.spawn_for} can stand between the samples"
     whom = f", for {world.spawn_for} and smaller robots" if world.spawn_for else ""
     return f"{len(world.spawn_poses)}{whom}"
-
-
-def _cells(world: World) -> str:
-    across, along = world.surface.cell
-    return f"{across:.4g}" if math.isclose(across, along) else f"{across:.4g} and {along:.4g}"
 
 
 def _slopes(surface: HeightField) -> Float32Array:
