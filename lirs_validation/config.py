@@ -16,7 +16,7 @@ from typing import Any, Literal, get_args
 
 from lirs_wct import BuildOptions, ConfigError, unknown_name
 from lirs_wct.contact import ContactGeometry
-from lirs_wct.formats.suffixes import STORAGES, Clock, Storage
+from lirs_wct.formats import STORAGES, Clock, Storage
 from lirs_wct.option import (
     Options,
     Slider,

@@ -22,9 +22,8 @@ from lirs_validation.experiment.recording import sensor_errors
 from lirs_validation.record.run_record import maps_clouds
 from lirs_wct import FloatArray, Pose2, Pose3, SourceError, unknown_name
 from lirs_wct.files import atomic_write
-from lirs_wct.formats import carmen_log, drive_files, map_server
+from lirs_wct.formats import Storage, carmen_log, drive_files, map_server
 from lirs_wct.formats.rosbag.messages import BagDrive, BagTick
-from lirs_wct.formats.suffixes import Storage
 
 POSE_HEADER = "stamp,x,y,z,qw,qx,qy,qz"
 MODULE = "lirs_wct_run"

@@ -19,7 +19,7 @@ from lirs_validation.cli.progress import note, out, progress_bar
 from lirs_validation.config import WORLD_FLAGS
 from lirs_wct import BuildOptions, ConfigError, unknown_name
 from lirs_wct.errors import did_you_mean
-from lirs_wct.formats.suffixes import Storage
+from lirs_wct.formats import Storage
 from lirs_wct.option import Option, Options, argument, declared, option
 from lirs_wct.sources.source import is_log
 

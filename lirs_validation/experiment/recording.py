@@ -15,9 +15,9 @@ from lirs_validation.experiment.scenario import sensor_noise
 from lirs_validation.record.run_record import BAG
 from lirs_wct import OccupancyGrid, Pose2, Pose3
 from lirs_wct.files import scratch_folder
-from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
 
 if TYPE_CHECKING:
+    from lirs_wct.formats.rosbag.messages import BagTick, SensorErrors
     from lirs_wct.formats.rosbag.writer import BagWriter
 
 
@@ -49,6 +49,8 @@ class Recording:
 
 def bag_tick(observation: Observation, T_map_truth: Pose3, T_map_base: Pose2 | None) -> BagTick:
     """Return the messages' values of an observation, the true pose and the mapper's pose."""
+    from lirs_wct.formats.rosbag.messages import BagTick  # prepares the layouts of all messages
+
     return BagTick(
         scan=observation.scan,
         odometry=observation.odometry,
@@ -63,6 +65,8 @@ def bag_tick(observation: Observation, T_map_truth: Pose3, T_map_base: Pose2 | N
 
 def sensor_errors(config: RunConfig) -> SensorErrors:
     """Return the standard deviations of a run's sensors, for the covariances of its bag."""
+    from lirs_wct.formats.rosbag.messages import SensorErrors
+
     noise = sensor_noise(config)
     imu, wheels = noise.imu, noise.odometry
     return SensorErrors(

@@ -28,7 +28,7 @@ from lirs_validation.record.run_record import RunRecord
 from lirs_validation.record.verdict import Verdict
 from lirs_wct import BuildOptions, ConfigError, Pose2, SimulationError, World
 from lirs_wct.files import atomic_folder, check_writable
-from lirs_wct.formats import carmen_log, drive_files, map_server
+from lirs_wct.formats import drive_files, map_server
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from slam_baselines.mapper import MAPPERS
@@ -78,7 +78,7 @@ class Run:
             times = np.arange(len(log.commands)) * period
             commands = np.column_stack((times, [(c.v, c.omega) for c in log.commands]))
             drive_files.write_commands(temporary / COMMANDS, drive_files.Commands(log.start, commands))
-            carmen_log.write_log(temporary / "scans.clf.gz", zip(log.scans, log.odometry, strict=True))
+            drive_files.write_scans(temporary / "scans.clf.gz", zip(log.scans, log.odometry, strict=True))
             drive_files.write_imu(temporary / "imu.csv.gz", log.imu)
             lines = [f"{second},{rtf:.4f}" for second, rtf in enumerate(record.rtf["series"], start=1)]
             (temporary / "rtf.csv").write_text("\n".join(["second,rtf", *lines]) + "\n", encoding="utf-8")

@@ -15,7 +15,7 @@ from lirs_validation.logs.map_log import resolve_source
 from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct import BuildOptions, SourceError, World, build_world
 from lirs_wct.export.package import DEFAULT_FORMATS, GazeboTerrain, write_package
-from lirs_wct.formats import map_server, suffixes
+from lirs_wct.formats import MAPS, map_server
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.build import preview_world
 
@@ -108,7 +108,7 @@ class Uploads:
     def add(self, name: str, content: bytes) -> Path:
         """Keep a file under its name without folders and unsafe characters; another is replaced."""
         path = self.folder / harmless(name)
-        if path.suffix.lower() in suffixes.MAPS:
+        if path.suffix.lower() in MAPS:
             content = with_own_picture(path.name, content)
         path.write_bytes(content)
         return path

@@ -61,11 +61,11 @@ from lirs_wct import (
     unknown_name,
 )
 from lirs_wct.files import atomic_folder, atomic_write, check_writable
+from lirs_wct.formats import METADATA
 from lirs_wct.formats.drive_files import write_tum
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.formats.map_server import read_map, write_map
 from lirs_wct.formats.rosbag.topics import ANY
-from lirs_wct.formats.suffixes import METADATA, is_bag_file
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
@@ -366,7 +366,8 @@ def folder_name(config: MapConfig) -> str:
         readings = None if config.imu is None else Path(config.imu).read_bytes()
         content: bytes | Path = path
         if path.is_dir():  # a bag: its own files alone, whatever else lies in the folder
-            parts = sorted(part for part in path.iterdir() if part.name == METADATA or is_bag_file(part))
+            files = filter(Path.is_file, path.iterdir())
+            parts = sorted(part for part in files if part.name == METADATA or is_bag(part))
             content = b"".join(bytes.fromhex(sha256(part)) for part in parts)
         digest = config.digest(content, readings)
     except OSError as error:

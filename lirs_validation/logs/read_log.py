@@ -15,8 +15,8 @@ from lirs_validation.metrics.mapped_log import RelativePoseConstraint
 from lirs_validation.metrics.trajectory import MAX_GAP, associated
 from lirs_wct import ConfigError, FloatArray, Imu, Pose2, SourceError, Trajectory
 from lirs_wct.files import read_gzipped, readable_lines
-from lirs_wct.formats.carmen_log import read_carmen, read_mount
-from lirs_wct.formats.drive_files import read_imu, read_tum
+from lirs_wct.formats.carmen_log import read_carmen
+from lirs_wct.formats.drive_files import read_imu, read_mount, read_tum
 from lirs_wct.formats.laser_log import LaserLog, LineStamps
 from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.sources.source import is_bag

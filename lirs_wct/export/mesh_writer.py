@@ -14,10 +14,10 @@ from PIL import Image
 
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import atomic_write
+from lirs_wct.formats import MESHES
 from lirs_wct.formats.gazebo import FRICTION, GRAVITY
 from lirs_wct.formats.meshes import reader, textured
 from lirs_wct.formats.meshes.writers import MeshPart, stream_collada, write_glb, write_obj, write_stl
-from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.texture import cube_uv
 from lirs_wct.progress import Progress, no_progress

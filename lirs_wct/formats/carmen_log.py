@@ -1,12 +1,8 @@
-"""CARMEN logs (.clf, .log, also gzipped): laser scans with the robot's odometry, read and written.
+"""Reading of CARMEN logs (.clf, .log, also gzipped): laser scans with the robot's odometry.
 
 A line is a message: `NAME contents ipc_stamp host logger_stamp`. The reader uses ODOM, PARAM and the messages
 of one laser: FLASER, ROBOTLASER1 or RAWLASER1. A log of only the rear laser has RLASER, ROBOTLASER2 or
 RAWLASER2. Other messages are counted, not kept.
-
-Written logs have `ROBOTLASER1` messages. Each states start angle, field of view, resolution and largest
-range, so that no reader has to assume 180 degrees. Ranges have steps of a millimeter. No return is the
-largest range or more, too near is 0, and invalid is 81.91, the code of a SICK.
 """
 
 from __future__ import annotations
@@ -14,17 +10,14 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.files import read_gzipped, readable_lines, write_gzipped
+from lirs_wct.files import read_gzipped
 from lirs_wct.formats.laser_log import (
     MAX_DELAY,
     LaserConfig,
@@ -334,75 +327,3 @@ def _steady_mount(mounts: Sequence[Pose2]) -> Pose2 | None:
     off = [max(math.hypot(m.x - x, m.y - y), abs(math.remainder(m.yaw - yaw, math.tau))) for m in mounts]
     steady = float(np.median(off)) <= MOUNT_SPREAD and math.hypot(x, y) <= MOUNT_REACH
     return Pose2(x, y, yaw) if steady else None
-
-
-LABEL = "# laser on base_link, x y z roll pitch yaw:"
-"""Meters and radians follow."""
-
-
-def mount_comment(T_base_laser: Pose3) -> str:
-    """Return the comment line with the pose of the laser. Messages hold only the planar part."""
-    x, y, z = T_base_laser.position.tolist()
-    angles = f"{T_base_laser.roll:.6f} {T_base_laser.pitch:.6f} {T_base_laser.yaw:.6f}"
-    return f"{LABEL} {x:.6f} {y:.6f} {z:.6f} {angles}\n"
-
-
-def read_mount(path: Path) -> Pose3 | None:
-    """Return `T_base_laser` from the comments before the first message; None without it."""
-    for line in takewhile(lambda text: text.startswith(b"#"), readable_lines(path)):
-        if line.startswith(LABEL.encode()):
-            with suppress(ValueError):
-                x, y, z, roll, pitch, yaw = map(float, line.removeprefix(LABEL.encode()).split())
-                return Pose3.from_rpy(x, y, z, roll, pitch, yaw)
-    return None
-
-
-INVALID = 81.91
-"""Code of an invalid measurement, meters."""
-HEADER = (
-    "# CARMEN log: ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range\n"
-    "#   accuracy remission_mode num_readings [ranges] num_remissions laser_x laser_y laser_theta\n"
-    "#   robot_x robot_y robot_theta laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis\n"
-    "#   timestamp host logger_timestamp\n"
-    "# meters, radians, seconds since the start; the robot's pose is its odometry\n"
-)
-
-
-def write_log(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
-    """Write scans and their odometry `T_odom_base`; the same data give the same bytes.
-
-    Messages hold only the planar part of the laser's mount (x, y, yaw); a comment holds all of it.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    with write_gzipped(path) as zipped:
-        zipped.write(HEADER.encode())
-        for k, (scan, T_odom_base) in enumerate(scans):
-            if k == 0:
-                zipped.write(mount_comment(scan.T_base_laser).encode())
-            zipped.write(_message(scan, T_odom_base))
-
-
-def _message(scan: LaserScan, T_odom_base: Pose2) -> bytes:
-    n = len(scan.ranges)
-    poses = T_odom_base @ scan.T_base_laser.to_pose2(), T_odom_base
-    fov = scan.angle_increment * (n - 1)
-    farthest = scan.limits[1]
-    geometry = f"{scan.angle_min:.9f} {fov:.9f} {scan.angle_increment:.12f} {farthest:.3f}"
-    places = " ".join(f"{pose.x:.6f} {pose.y:.6f} {pose.yaw:.8f}" for pose in poses)
-    stamp = f"{scan.stamp:.6f}"
-    before, after = f"ROBOTLASER1 0 {geometry} 0 0 {n}", f" 0 {places} 0 0 0 0 0 {stamp} lirs-wct {stamp}\n"
-    texts = _formatted_ranges(math.ceil(farthest * 1000) + 1)
-    none = len(texts) - 2  # a hit stays below
-    mm = np.rint(np.where(np.isfinite(scan.ranges), scan.ranges, 0) * 1000.0)
-    mm = np.clip(mm, 0, none - 1).astype(np.int64)
-    mm[scan.ranges == np.inf] = none
-    mm[np.isnan(scan.ranges)] = -1
-    return before.encode() + texts[mm].tobytes().translate(None, b"\0") + after.encode()
-
-
-@cache
-def _formatted_ranges(millimeters: int) -> NDArray[np.bytes_]:
-    """Return texts of ranges by millimeter, a space before each; the last means invalid."""
-    return np.array([*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"], np.bytes_)

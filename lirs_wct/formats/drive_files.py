@@ -1,4 +1,4 @@
-"""Text files of a drive: waypoints, velocity commands, inertial readings, trajectories.
+"""Text files of a drive: scans, waypoints, velocity commands, inertial readings, trajectories.
 
 A file that is missing, damaged or of another form raises a SourceError, one that cannot be written an
 OutputError.
@@ -10,17 +10,21 @@ import math
 import re
 import warnings
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lirs_wct.errors import SourceError
-from lirs_wct.files import atomic_write, read_text, write_gzipped
+from lirs_wct.files import atomic_write, read_text, readable_lines, write_gzipped
 from lirs_wct.formats.yaml_text import load_yaml
-from lirs_wct.geometry import FloatArray, Imu, Pose2, Trajectory
+from lirs_wct.geometry import FloatArray, Imu, LaserScan, Pose2, Pose3, Trajectory
 
 COMMANDS_HEADER = "time,v,omega"
 """Time of the command since the start, seconds; m/s; rad/s."""
@@ -71,6 +75,71 @@ def read_imu(path: Path) -> tuple[Imu, ...]:
     """Read inertial readings, gzipped or not: as many finite numbers a line as the header has names."""
     rows = _read_rows(path, read_text(path).splitlines(), IMU_HEADER, 1)
     return tuple(Imu.from_row(*row) for row in rows.tolist())
+
+
+MOUNT = "# laser on base_link, x y z roll pitch yaw:"
+"""Meters and radians follow."""
+INVALID = 81.91
+"""Code of an invalid measurement, meters, as a SICK has it."""
+SCANS_HEADER = (
+    "# CARMEN log: ROBOTLASER1 laser_type start_angle field_of_view angular_resolution maximum_range\n"
+    "#   accuracy remission_mode num_readings [ranges] num_remissions laser_x laser_y laser_theta\n"
+    "#   robot_x robot_y robot_theta laser_tv laser_rv forward_safety_dist side_safety_dist turn_axis\n"
+    "#   timestamp host logger_timestamp\n"
+    "# meters, radians, seconds since the start; the robot's pose is its odometry\n"
+)
+
+
+def write_scans(path: Path, scans: Iterable[tuple[LaserScan, Pose2]]) -> None:
+    """Write scans and their odometry `T_odom_base` as a CARMEN log; the same data give the same bytes.
+
+    Its `ROBOTLASER1` messages state start angle, field of view, resolution and largest range, so that no
+    reader has to assume 180 degrees. They hold only the planar part of the laser's mount (x, y, yaw); a
+    comment holds all of it.
+    """
+    with write_gzipped(path) as zipped:
+        zipped.write(SCANS_HEADER.encode())
+        for k, (scan, T_odom_base) in enumerate(scans):
+            if k == 0:
+                mount = scan.T_base_laser
+                values = *mount.position.tolist(), mount.roll, mount.pitch, mount.yaw
+                zipped.write(f"{MOUNT} {' '.join(f'{value:.6f}' for value in values)}\n".encode())
+            zipped.write(_message(scan, T_odom_base))
+
+
+def _message(scan: LaserScan, T_odom_base: Pose2) -> bytes:
+    """Return a line with ranges in millimeters; no return is the largest range, too near is 0."""
+    n = len(scan.ranges)
+    poses = T_odom_base @ scan.T_base_laser.to_pose2(), T_odom_base
+    fov = scan.angle_increment * (n - 1)
+    farthest = scan.limits[1]
+    geometry = f"{scan.angle_min:.9f} {fov:.9f} {scan.angle_increment:.12f} {farthest:.3f}"
+    places = " ".join(f"{pose.x:.6f} {pose.y:.6f} {pose.yaw:.8f}" for pose in poses)
+    stamp = f"{scan.stamp:.6f}"
+    before, after = f"ROBOTLASER1 0 {geometry} 0 0 {n}", f" 0 {places} 0 0 0 0 0 {stamp} lirs-wct {stamp}\n"
+    texts = _formatted_ranges(math.ceil(farthest * 1000) + 1)
+    none = len(texts) - 2  # a hit stays below
+    mm = np.rint(np.where(np.isfinite(scan.ranges), scan.ranges, 0) * 1000.0)
+    mm = np.clip(mm, 0, none - 1).astype(np.int64)
+    mm[scan.ranges == np.inf] = none
+    mm[np.isnan(scan.ranges)] = -1
+    return before.encode() + texts[mm].tobytes().translate(None, b"\0") + after.encode()
+
+
+@cache
+def _formatted_ranges(millimeters: int) -> NDArray[np.bytes_]:
+    """Return texts of ranges by millimeter, a space before each; the last means invalid."""
+    return np.array([*(f" {mm / 1000:.3f}" for mm in range(millimeters)), f" {INVALID:.2f}"], np.bytes_)
+
+
+def read_mount(path: Path) -> Pose3 | None:
+    """Return `T_base_laser` from the comments before a log's first message; None without it."""
+    for line in takewhile(lambda text: text.startswith(b"#"), readable_lines(path)):
+        if line.startswith(MOUNT.encode()):
+            with suppress(ValueError):
+                x, y, z, roll, pitch, yaw = map(float, line.removeprefix(MOUNT.encode()).split())
+                return Pose3.from_rpy(x, y, z, roll, pitch, yaw)
+    return None
 
 
 def _read_rows(path: Path, lines: Sequence[str], header: str, number: int) -> FloatArray:

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.files import first_bytes, read_text
-from lirs_wct.formats import limited, picture
-from lirs_wct.formats.suffixes import Encoding
+from lirs_wct.formats import Encoding, limited, picture
 from lirs_wct.geometry.geodesy import (
     TURNED,
     WGS84,

@@ -13,7 +13,7 @@ import numpy as np
 
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.picture import MAX_PIXELS, read_picture, write_image
+from lirs_wct.formats.picture import MAX_PIXELS, read_picture
 from lirs_wct.formats.yaml_text import load_yaml
 from lirs_wct.geometry import FREE, OCCUPIED, FloatArray, OccupancyGrid, Pose2
 
@@ -121,7 +121,9 @@ def write_map(stem: Path, grid: OccupancyGrid) -> None:
     pixels[p > OCCUPIED] = BLACK
     pixels[p < FREE] = WHITE
     pgm, yaml = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
-    write_image(pgm, np.ascontiguousarray(pixels[::-1]))
+    with atomic_write(pgm) as path:
+        rows, cols = grid.shape
+        path.write_bytes(b"P5\n%d %d\n255\n" % (cols, rows) + pixels[::-1].tobytes())
     with atomic_write(yaml) as path:
         path.write_text(
             f"image: {pgm.name}\nmode: trinary\nresolution: {float(grid.resolution)!r}\n"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, SourceError
+from lirs_wct.formats import ENCODINGS
 from lirs_wct.formats.elevation import (
     Raster,
     RasterInfo,
@@ -22,8 +23,6 @@ from lirs_wct.formats.elevation import (
     read_raster,
     tile_georeference,
 )
-from lirs_wct.formats.picture import check_size
-from lirs_wct.formats.suffixes import ENCODINGS
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.grid import nearest_values, resample
@@ -93,8 +92,6 @@ def read_terrain(source: Source, options: BuildOptions) -> Reading:
 def _bundled_raster(path: Path, options: BuildOptions) -> tuple[Raster, str, BuildOptions]:
     """Return a bundled world's picture, the origin of its meters, and its options."""
     bundled = bundled_picture(path.name)
-    rows, cols = bundled.pixels.shape
-    check_size(path, cols, rows, options.max_pixels)
     resized = options.size or options.resolution or options.height
     size = options.size if options.size or options.resolution else SIZE
     own = replace(options, size=size, height=options.height or bundled.height)

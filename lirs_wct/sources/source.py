@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 from lirs_wct.errors import ConfigError, SourceError, did_you_mean
 from lirs_wct.files import read_manifest
-from lirs_wct.formats import map_server, picture, suffixes
+from lirs_wct.formats import BAGS, CLOUDS, LOGS, MAPS, MESHES, ZSTD, Encoding, map_server, picture
 from lirs_wct.geometry import Pose2
 from lirs_wct.meshing.export_options import ExportOptions
 from lirs_wct.option import Options, Slider, changed, declared, documented, option, positive, within
@@ -178,7 +178,7 @@ class SourceOptions(Options):
         rare=True,
         **_SCALE | {"kinds": {SourceKind.PICTURE}},
     )
-    encoding: suffixes.Encoding = option(
+    encoding: Encoding = option(
         "gray",
         "How the pixels are heights: by their gray, or by their color as tiles of Mapbox or Terrarium.",
         rare=True,
@@ -326,7 +326,7 @@ def find_source(given: str | Path, options: BuildOptions) -> Source:
 
 def _yaml_beside(path: Path) -> Path | None:
     """Return the ROS map's YAML beside a picture, if it names the picture."""
-    for beside in filter(Path.is_file, map(path.with_suffix, suffixes.MAPS)):
+    for beside in filter(Path.is_file, map(path.with_suffix, MAPS)):
         with suppress(SourceError):  # a YAML other than of a map
             if map_server.read_metadata(beside).image.resolve() == path.resolve():
                 return beside
@@ -335,14 +335,14 @@ def _yaml_beside(path: Path) -> Path | None:
 
 def is_log(path: Path) -> bool:
     """Return whether a path is a CARMEN log or a ROS bag."""
-    return _strip_compression(path).suffix.lower() in suffixes.LOGS or is_bag(path)
+    return _strip_compression(path).suffix.lower() in LOGS or is_bag(path)
 
 
 def is_bag(path: Path) -> bool:
     """Return whether a path is a ROS bag: a file, or a folder of them."""
     if path.is_dir():
-        return not (path / "world.json").exists() and any(suffixes.is_bag_file(p) for p in path.iterdir())
-    return suffixes.is_bag_file(path)
+        return not (path / "world.json").exists() and any(map(is_bag, filter(Path.is_file, path.iterdir())))
+    return path.name.lower().removesuffix(ZSTD).endswith(BAGS)
 
 
 def warn_without_effect(source: Source, options: BuildOptions) -> None:
@@ -366,6 +366,23 @@ def _holds_points(path: Path) -> bool:
     return is_cloud_ply(path)
 
 
+UNREAD = {
+    ".gltf": ("a glTF scene in several files", "save it as .glb"),
+    ".fbx .blend .3ds .skp .x3d .wrl .off .3mf .usd .usda .usdc .usdz": (
+        "a scene of another 3D program",
+        "export it as .glb, .dae, .obj, .ply or .stl, by Blender for example",
+    ),
+    ".step .stp .iges .igs .ifc .dxf .dwg": ("a CAD model", "export it as .stl, by FreeCAD for example"),
+    ".e57 .pts .ptx": ("a point cloud", "convert it to .las, .ply or .pcd, by CloudCompare for example"),
+    ".bt .ot": ("an OctoMap", "octree2pointcloud IN OUT.pcd makes a point cloud of it"),
+    ".world .sdf .urdf .xacro": ("a description in XML", "give the mesh or the heightmap that it names"),
+    ".svg .pdf .heic": ("a drawing", "export it as .png"),
+    ".npy .npz .mat": ("an array", "save it as .tif or .png"),
+    ".zip .7z .rar .tar .tgz": ("an archive", "unpack it"),
+}
+"""Kinds of files that are not read, by suffixes, and the way to one that is."""
+
+
 def _kind(path: Path, options: BuildOptions) -> SourceKind:
     suffix = path.suffix.lower()
     if is_bag(path):
@@ -376,21 +393,22 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         if "world.json" in read_manifest(path):
             raise SourceError(f"{path}: is incomplete, its build was broken off: build it again")
         raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
-    if suffix in suffixes.MAPS:
+    if suffix in MAPS:
         return SourceKind.MAP
-    if suffix in suffixes.CLOUDS or (suffix == ".ply" and _holds_points(path)):
+    if suffix in CLOUDS or (suffix == ".ply" and _holds_points(path)):
         return SourceKind.CLOUD
-    if suffix in suffixes.MESHES:
+    if suffix in MESHES:
         return SourceKind.MESH
     if is_log(path):
         return SourceKind.LOG
-    if way := suffixes.way_to_read(path):
-        raise SourceError(f"{path}: {way}")
+    for suffixes, (content, way) in UNREAD.items():
+        if suffix in suffixes.split():
+            raise SourceError(f"{path}: is {content}, which is not read: {way}")
     return SourceKind.MAP_PICTURE if options.kind == "map" else SourceKind.PICTURE
 
 
 def _strip_compression(path: Path) -> Path:
-    return path.with_suffix("") if path.suffix.lower() in (".gz", suffixes.ZSTD) else path
+    return path.with_suffix("") if path.suffix.lower() in (".gz", ZSTD) else path
 
 
 def _name(stem: str, options: BuildOptions) -> str:

@@ -34,7 +34,7 @@ from lirs_validation.logs.map_log import MappedLog, run_mapping
 from lirs_validation.logs.read_log import read_truth, truth_in_time
 from lirs_validation.metrics.mapped_log import RelativePoseConstraint, trajectory_accuracy
 from lirs_wct import FloatArray, LaserScan, Pose2, SourceError, Trajectory, unknown_name
-from lirs_wct.formats import carmen_log, drive_files
+from lirs_wct.formats import drive_files
 from lirs_wct.progress import Progress
 from slam_baselines.mapper import MAPPERS
 
@@ -263,7 +263,7 @@ def replay_log(
     paths = [folder / f"simulated-{config.seed + k}.clf.gz" for k in range(draws)]
     logs = [path.simulate_log(noise, config.seed + k) for k in range(draws)]
     for written, log in zip(paths, logs, strict=True):
-        carmen_log.write_log(written, log)
+        drive_files.write_scans(written, log)
     truth = relations, reference = read_truth(config)
     metric = "ATE" if reference else f"ATE to the path of {config.mapper}"
     metric = "mean error of the relations" if relations else metric

@@ -19,9 +19,9 @@ import numpy as np
 from lirs_wct.arrays import IntArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import referenced_file
+from lirs_wct.formats import MESHES
 from lirs_wct.formats.meshes.document import STL_FACET, STL_HEAD, Document, cut_polygons, numbers
 from lirs_wct.formats.meshes.scenes import collada_frame, read_collada, read_glb
-from lirs_wct.formats.suffixes import MESHES, way_to_read
 from lirs_wct.geometry.mesh import TriangleMesh, weld
 
 MAX_COORDINATE = 1e9
@@ -45,8 +45,7 @@ def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMes
         SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
     """
     if path.suffix.lower() not in MESHES:
-        reason = way_to_read(path) or "not a mesh that is read"
-        raise SourceError(f"{path}: {reason}; legal: {', '.join(MESHES)}")
+        raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(MESHES)}")
     mesh = read_mesh(path)
     a, b, c = mesh.faces.T
     return upright(path, TriangleMesh(mesh.vertices, mesh.faces[(a != b) & (b != c) & (c != a)]), up)

@@ -31,7 +31,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.msg import normalize_msgtype
 
 from lirs_wct.errors import SourceError, reason_of
-from lirs_wct.formats.suffixes import BAGS, METADATA, ZSTD, is_bag_file
+from lirs_wct.formats import BAGS, METADATA, ZSTD
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -284,7 +284,8 @@ def _files(path: Path, names: Sequence[str]) -> list[Path]:
     if not path.is_dir():
         return [path]
     # A compressed file and its decompressed copy count once.
-    by_name = {p.name.removesuffix(ZSTD): p for p in sorted(path.iterdir(), reverse=True) if is_bag_file(p)}
+    by_name = {p.name.removesuffix(ZSTD): p for p in sorted(path.iterdir(), reverse=True)}
+    by_name = {name: p for name, p in by_name.items() if name.lower().endswith(BAGS)}
     stated = [by_name[name] for name in (name.removesuffix(ZSTD) for name in names) if name in by_name]
     if stated:
         return stated

@@ -18,7 +18,8 @@ from lirs_extensions.originals.gmapping.mapper import (
     path_map,
 )
 from lirs_wct import Imu, Pose2
-from lirs_wct.formats.carmen_log import read_carmen, write_log
+from lirs_wct.formats.carmen_log import read_carmen
+from lirs_wct.formats.drive_files import write_scans
 from lirs_wct.geometry.scan import LaserScan
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.linalg import wrap
@@ -81,7 +82,7 @@ def test_attitude_changes_nothing() -> None:
 def test_a_run_and_its_recorded_log_give_the_same(tmp_path: Path) -> None:
     rng, path = np.random.default_rng(0), loop(25)
     scans = [room_scan(pose, 0.1 * k, rng) for k, pose in enumerate(path)]
-    write_log(tmp_path / "scans.clf.gz", zip(scans, path, strict=True))
+    write_scans(tmp_path / "scans.clf.gz", zip(scans, path, strict=True))
     log = read_carmen(tmp_path / "scans.clf.gz")
     online, offline = (GmappingOriginalMapper(GmappingOriginalConfig(seed=2, particles=5)) for _ in range(2))
     for scan, pose, logged, logged_pose in zip(scans, path, log.scans, log.odometry, strict=True):

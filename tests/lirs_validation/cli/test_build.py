@@ -13,8 +13,8 @@ from lirs_validation.cli.commands.info import STRIP, _slopes
 from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct import World
 from lirs_wct.files import MANIFEST
+from lirs_wct.formats import MESHES
 from lirs_wct.formats.meshes.reader import read_upright
-from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2
 from tests.command_line import run_command

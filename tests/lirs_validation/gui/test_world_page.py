@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from lirs_wct.formats.carmen_log import write_log
+from lirs_wct.formats.drive_files import write_scans
 from lirs_wct.world import World
 from tests.lirs_validation.gui.pages import drop, field, upload, wait_for
 
@@ -99,7 +99,7 @@ def test_logs_and_compressed_bags_are_dropped(open_page: Open, tmp_path: Path) -
 
     ticks = drives.drive(40).ticks
     log, bag = tmp_path / "office.clf.gz", tmp_path / "walls_0.mcap.zstd"
-    write_log(log, [(tick.scan, tick.odometry) for tick in ticks])
+    write_scans(log, [(tick.scan, tick.odometry) for tick in ticks])
     write_bag(tmp_path / "walls", BagDrive(ticks=ticks))
     bag.write_bytes(zstd.compress((tmp_path / "walls" / "walls.mcap").read_bytes()))
     page = open_page()

@@ -13,7 +13,8 @@ from lirs_validation.logs.map_log import check_log_file
 from lirs_validation.logs.preflight import check_log_data
 from lirs_validation.record.verdict import judge_log
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen_log import read_carmen, write_log
+from lirs_wct.formats.carmen_log import read_carmen
+from lirs_wct.formats.drive_files import write_scans
 from lirs_wct.formats.laser_log import LaserLog, LineStamps, LogTopic
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import ImuReadings, LaserScan
@@ -136,7 +137,7 @@ def test_mapping_warns_of_an_unfit_log_and_keeps_the_findings(finished_run: Path
     own = read_carmen(finished_run / "scans.clf.gz")
     poses = [pose or Pose2() for pose in own.odometry]
     far = [Pose2(100, 0, 0) @ pose if k > len(poses) // 2 else pose for k, pose in enumerate(poses)]
-    write_log(tmp_path / "jump.clf.gz", zip(own.scans, far, strict=True))
+    write_scans(tmp_path / "jump.clf.gz", zip(own.scans, far, strict=True))
     with pytest.warns(UserWarning, match=r"jump\.clf\.gz: not fit for planar mapping: odometry jumps by"):
         mapped = map_log(tmp_path / "jump.clf.gz", mapper="hector", second="none")
     assert mapped.record.log["findings"] == [mapped.record.log["unfit"]]
@@ -160,6 +161,6 @@ def test_a_car_on_a_road_does_not_jump() -> None:
 def test_odometry_that_leaves_no_map_is_refused(finished_run: Path, tmp_path: Path) -> None:
     own = read_carmen(finished_run / "scans.clf.gz")
     poses = [Pose2(1e6) if k == 50 else pose or Pose2() for k, pose in enumerate(own.odometry)]
-    write_log(tmp_path / "far.clf.gz", zip(own.scans, poses, strict=True))
+    write_scans(tmp_path / "far.clf.gz", zip(own.scans, poses, strict=True))
     with pytest.raises(SourceError, match=r"far\.clf\.gz: not fit for planar mapping: odometry jumps"):
         map_log(tmp_path / "far.clf.gz", mapper="hector", second="none")

@@ -16,8 +16,7 @@ from lirs_validation.logs.map_log import folder_name
 from lirs_validation.logs.read_log import read_reference, truth_in_time
 from lirs_validation.metrics.mapped_log import RelativePoseConstraint
 from lirs_wct.errors import ConfigError, SourceError
-from lirs_wct.formats import carmen_log
-from lirs_wct.formats.drive_files import write_imu, write_tum
+from lirs_wct.formats.drive_files import read_mount, write_imu, write_scans, write_tum
 from lirs_wct.formats.laser_log import LineStamps
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
@@ -109,7 +108,7 @@ def recorded(tmp_path: Path) -> Path:
     scans = [
         LaserScan(ranges, float(angles[0]), math.radians(2), 0.05, 20.0, 0.1 * k, MOUNT) for k in range(SCANS)
     ]
-    carmen_log.write_log(tmp_path / "scans.clf.gz", [(scan, Pose2(0.01 * k)) for k, scan in enumerate(scans)])
+    write_scans(tmp_path / "scans.clf.gz", [(scan, Pose2(0.01 * k)) for k, scan in enumerate(scans)])
     write_imu(tmp_path / "imu.csv.gz", [Imu(pitch=0.01 * k, stamp=0.1 * k) for k in range(SCANS - 2)])
     (tmp_path / "noting_log_slam.py").write_text(NOTING)
     return tmp_path
@@ -144,11 +143,11 @@ def test_readings_and_attitude_tell_folders_apart_and_neither_changes_older_name
 
 
 def test_a_log_without_the_comment_has_no_recorded_mount(recorded: Path, tmp_path: Path) -> None:
-    found = carmen_log.read_mount(recorded / "scans.clf.gz")
+    found = read_mount(recorded / "scans.clf.gz")
     assert found.yaw == pytest.approx(0.3)
     for text in ("", "# carmen\nFLASER 1\n", "# laser on base_link, x y z roll pitch yaw: 1 2\nODOM 1\n"):
         (tmp_path / "a.clf").write_text(text)
-        assert carmen_log.read_mount(tmp_path / "a.clf") is None
+        assert read_mount(tmp_path / "a.clf") is None
 
 
 def test_readings_that_do_not_fit_are_refused(recorded: Path) -> None:

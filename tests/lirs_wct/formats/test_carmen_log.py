@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.carmen_log import messages_of, read_carmen, write_log as write_scans
+from lirs_wct.formats.carmen_log import messages_of, read_carmen
+from lirs_wct.formats.drive_files import write_scans
 from lirs_wct.formats.laser_log import LaserConfig, LaserLog, Message
 from lirs_wct.formats.range_codes import no_return
 from lirs_wct.geometry.pose import Pose2, Pose3

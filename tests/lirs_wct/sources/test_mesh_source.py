@@ -14,8 +14,8 @@ from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.export.mesh_writer import write_mesh
 from lirs_wct.export.package import write_package
+from lirs_wct.formats import MESHES
 from lirs_wct.formats.meshes.reader import read_upright
-from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh, layers, rasterize_heights
 from lirs_wct.meshing.solid import solid_mesh

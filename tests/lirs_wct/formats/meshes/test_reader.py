@@ -13,9 +13,9 @@ import trimesh
 from hypothesis import given, strategies as st
 
 from lirs_wct.errors import SourceError
+from lirs_wct.formats import MESHES
 from lirs_wct.formats.meshes.reader import read_mesh, read_upright
 from lirs_wct.formats.meshes.writers import fixed_text
-from lirs_wct.formats.suffixes import MESHES
 from lirs_wct.geometry.mesh import TriangleMesh
 
 CORNERS = np.array([(1.0, 2.0, 3.0), (5.0, 2.0, 3.5), (1.0, 7.0, 4.0)])
