@@ -1,6 +1,7 @@
 """Files that are written whole (under a temporary name, then a rename), gzipped files, and references.
 
-A killed process leaves temporary files behind. The next write of the same path removes them.
+A killed process leaves temporary files behind. The next write of the same path removes them. A file that
+cannot be read raises a SourceError, one that cannot be written an OutputError.
 """
 
 from __future__ import annotations
@@ -38,9 +39,6 @@ def atomic_write(path: Path) -> Iterator[Path]:
     The temporary name keeps the suffix, since many libraries choose the format by it. Missing parent
     folders are made. When the block raises, Ctrl-C included, the temporary file is removed and an
     older file at `path` stays unchanged.
-
-    Raises:
-        OutputError: the file cannot be written, or the block wrote none.
     """
     temporary = _temporary(path)
     _WRITING.add(temporary.name)
@@ -59,11 +57,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def first_bytes(path: Path, count: int = 64) -> bytes:
-    """Return the first bytes of a file.
-
-    Raises:
-        SourceError: the file is missing or empty, or cannot be read.
-    """
+    """Return the first bytes of a file."""
     try:
         with path.open("rb") as file:
             head = file.read(count)
@@ -75,11 +69,7 @@ def first_bytes(path: Path, count: int = 64) -> bytes:
 
 
 def read_gzipped(path: Path) -> bytes:
-    """Return the content of a file, decompressed if it is gzipped.
-
-    Raises:
-        SourceError: it cannot be read, or the gzip stream is damaged.
-    """
+    """Return the content of a file, decompressed if it is gzipped."""
     try:
         data = path.read_bytes()
         return gzip.decompress(data) if data[:2] == GZIP else data
@@ -90,11 +80,7 @@ def read_gzipped(path: Path) -> bytes:
 
 
 def read_text(path: Path, errors: str = "strict") -> str:
-    """Return the text of a file in UTF-8, gzipped or not.
-
-    Raises:
-        SourceError: it cannot be read, the gzip stream is damaged, or it is no text.
-    """
+    """Return the text of a file in UTF-8, gzipped or not."""
     try:
         return read_gzipped(path).decode("utf-8-sig", errors)
     except UnicodeDecodeError as error:
@@ -112,11 +98,7 @@ def readable_lines(path: Path) -> Iterator[bytes]:
 
 @contextmanager
 def write_gzipped(path: Path) -> Iterator[gzip.GzipFile]:
-    """Yield a file that replaces `path` when the block succeeds; the same data give the same bytes.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Yield a file that replaces `path` when the block succeeds; the same data give the same bytes."""
     # Higher levels hardly shrink sensor noise further and take many times as long.
     with (
         atomic_write(path) as temporary,
@@ -127,22 +109,14 @@ def write_gzipped(path: Path) -> Iterator[gzip.GzipFile]:
 
 
 def write_json(path: Path, document: object, default: Callable[[Any], Any] | None = None) -> None:
-    """Write a document as JSON; `default` converts values that JSON lacks.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write a document as JSON; `default` converts values that JSON lacks."""
     with atomic_write(path) as temporary:
         text = json.dumps(document, indent=1, allow_nan=False, default=default)
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], without_rows: Sequence[str]) -> None:
-    """Write rows as CSV; the header is that of the first row, or `without_rows`.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
+    """Write rows as CSV; the header is that of the first row, or `without_rows`."""
     with atomic_write(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]) if rows else without_rows)
         writer.writeheader()
@@ -156,9 +130,6 @@ def atomic_folder(path: Path) -> Iterator[Path]:
     Files that the manifest of an older folder names are replaced or removed, all others are the user's and
     stay. `MARKERS` are removed first and written last: a folder without its marker is incomplete, and the
     next write completes it. When the block raises, Ctrl-C included, the older folder stays unchanged.
-
-    Raises:
-        OutputError: the folder cannot be written, or a file of the user has the name of a new file.
     """
     target = path.resolve() if path.is_symlink() else path
     if path.exists() and not path.is_dir():
@@ -175,11 +146,7 @@ def atomic_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder(path: Path) -> Iterator[Path]:
-    """Yield an empty hidden folder beside a path, which is removed afterwards.
-
-    Raises:
-        OutputError: the folder cannot be made.
-    """
+    """Yield an empty hidden folder beside a path, which is removed afterwards."""
     temporary = _temporary(path)
     _WRITING.add(temporary.name)
     try:
@@ -193,11 +160,7 @@ def scratch_folder(path: Path) -> Iterator[Path]:
 
 
 def _replace_files(folder: Path, new: Path, shown: Path) -> None:
-    """Replace our files in a folder by new ones.
-
-    Raises:
-        OutputError: a file of the user has the name of a new file; nothing is changed.
-    """
+    """Replace our files in a folder by new ones."""
     fresh, ours = read_manifest(new), read_manifest(folder)
     for name, digests in fresh.items():
         if name not in MARKERS or name not in ours:  # an edited marker is this program's, too
@@ -285,9 +248,6 @@ def check_writable(folder: Path | None) -> None:
 
     Args:
         folder: which may not exist yet; None = nothing is to be written.
-
-    Raises:
-        OutputError: they cannot.
     """
     if folder is None:
         return
@@ -306,9 +266,6 @@ def staged_files(folder: Path) -> Iterator[Path]:
     """Yield a hidden folder whose files move into its parent when the block succeeds.
 
     When the block raises, Ctrl-C included, the files in the folder stay unchanged.
-
-    Raises:
-        OutputError: a file cannot be written.
     """
     with scratch_folder(folder / "staged") as staged, _output_errors(folder, staged):
         yield staged
@@ -383,15 +340,12 @@ _PACKAGE = ("model.config", "world.json")
 def referenced_file(owner: Path, name: str) -> Path:
     """Return the path of a referenced file, which need not exist.
 
-    A relative name begins at the owner's folder, `model://NAME/...` at the folder of its model package.
+    A relative name begins at the owner's folder, `model://NAME/...` at the folder of its model package. Other
+    URLs are refused, and files outside the owner's folder or package, also through `..` or a symbolic link.
 
     Args:
-        owner: file that holds the reference.
+        owner: File that holds the reference.
         name: Name as the owner spells it: a path, `file://` or `model://`.
-
-    Raises:
-        SourceError: the name is another URL, or leads out of the owner's folder or package, also through
-            `..` or a symbolic link. A package is a Gazebo model's folder or that of a built world.
     """
     folder = owner.parent.resolve()
     package = next(

@@ -1,4 +1,8 @@
-"""Reading and writing of file formats, and the names of their files."""
+"""Reading and writing of file formats, and the names of their files.
+
+A file that is missing or damaged raises a SourceError, one that cannot be written an OutputError. Parsers of
+bytes raise a ValueError without the path.
+"""
 
 from typing import Literal, get_args
 

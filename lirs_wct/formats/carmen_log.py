@@ -41,9 +41,6 @@ def read_carmen(path: Path, *, fov: float | None = None, range_max: float | None
         path: File of the log.
         fov: Field of view, radians, centered on the laser's x axis; None = from the log.
         range_max: Ranges from here on are no return, meters; None = from the log.
-
-    Raises:
-        SourceError: the file cannot be read, is not text, or holds no usable laser scan.
     """
     lines = read_lines(path)
     skipped, repaired = Counter[str](), Counter[str]()
@@ -113,11 +110,7 @@ Lines = dict[str, list[tuple[int, str]]]
 
 
 def read_lines(path: Path) -> Lines:
-    """Read the lines of a log, gzipped or not, without empty lines and comments.
-
-    Raises:
-        SourceError: it cannot be read, is a damaged gzip file, or is not text.
-    """
+    """Read the lines of a log, gzipped or not, without empty lines and comments."""
     data = read_gzipped(path)
     if b"\0" in data[:65_536]:
         raise SourceError(f"{path}: not a text file, a CARMEN log is one")
@@ -240,9 +233,6 @@ def scans_of(
 
     Their `range_max` is the laser's reading for no return (81.83 m of a SICK). Without such a reading, it is
     the largest range that the message or the user states.
-
-    Raises:
-        ConfigError: the field of view is unknown.
     """
     n = len(messages[0].ranges)
     ranges = np.stack([m.ranges for m in messages])

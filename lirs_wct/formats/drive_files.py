@@ -1,8 +1,4 @@
-"""Text files of a drive: scans, waypoints, velocity commands, inertial readings, trajectories.
-
-A file that is missing, damaged or of another form raises a SourceError, one that cannot be written an
-OutputError.
-"""
+"""Text files of a drive: scans, waypoints, velocity commands, inertial readings, trajectories."""
 
 from __future__ import annotations
 

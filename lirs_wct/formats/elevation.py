@@ -79,10 +79,6 @@ def read_raster(path: Path, max_pixels: int = picture.MAX_PIXELS, *, sized: bool
     """Read the raster of a file; the format follows its content.
 
     With `sized`, the caller knows the extent.
-
-    Raises:
-        SourceError: the file is missing, damaged, of an unknown format, smaller than 2x2 or larger than
-            `max_pixels`.
     """
     head = first_bytes(path)
     pixels: NDArray[Any]
@@ -192,9 +188,6 @@ def _georeference(
     """Return the georeference of (rows, cols) pixels; None where only the caller knows the extent.
 
     Without a system, the relief decides whether coordinates are degrees or meters.
-
-    Raises:
-        SourceError: pixels without extent, or neither degrees nor meters are likely.
     """
     sizes = math.hypot(affine[0], affine[3]), math.hypot(affine[1], affine[4])
     if not all(0 < size < math.inf for size in sizes):
@@ -269,9 +262,6 @@ def georeference_raster(
     """Return the georeference of (rows, cols) pixels in a coordinate system.
 
     Without one, its units count as ground meters; likewise, with a warning, where PROJ does not know it.
-
-    Raises:
-        SourceError: the raster's middle is no place on the earth.
     """
     if system.form == "unknown":
         return Georeference.on_grid(system, affine)
@@ -291,9 +281,6 @@ def read_ascii_grid(path: Path, max_pixels: int, *, sized: bool) -> tuple[FloatA
     """Read (rows, cols) heights of an ESRI ASCII grid and their metadata.
 
     Row 0 is north. The format has a header of six lines, then heights in rows from the north.
-
-    Raises:
-        SourceError: the file is missing or damaged, or of another size than is legal.
     """
     try:
         lines = iter(read_text(path).splitlines())

@@ -47,9 +47,6 @@ def model_sdf(name: str, mesh: str) -> str:
     Args:
         name: name of the model and of its folder.
         mesh: path of the mesh inside the package.
-
-    Raises:
-        ConfigError: the name holds spaces.
     """
     geometry = f"<geometry><mesh><uri>{escape(model_uri(name, mesh))}</uri></mesh></geometry>"
     surface = f"""
@@ -180,11 +177,7 @@ def _gui(view: Viewpoint | None) -> str:
 
 
 def model_uri(name: str, inside: str = "") -> str:
-    """Return the URI of a model package or of a file in it.
-
-    Raises:
-        ConfigError: the name holds spaces, which Gazebo does not accept.
-    """
+    """Return the URI of a model package or of a file in it."""
     uri = f"model://{name}/{inside}" if inside else f"model://{name}"
     if any(c.isspace() for c in uri):
         raise ConfigError(f"Gazebo finds no names with spaces, got {uri!r}")
@@ -262,9 +255,6 @@ def write_heightmap(path: Path, surface: HeightField) -> None:
 
     The picture has the smallest legal side that is not coarser than the surface, at most 4097. It has 8 bits,
     since Gazebo reads 16 bits as infinite heights.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     side = next((side for side in SIDES if side >= max(surface.shape)), SIDES[-1])
     above = surface.z - surface.z.min()

@@ -36,9 +36,6 @@ def read_limited(
     """Return what the process reads: values by name, and arrays.
 
     The size of the file scales the limits. A raster of more than `max_pixels` is described without them.
-
-    Raises:
-        SourceError: the file cannot be read, or its reader exceeded a limit.
     """
     size = path.stat().st_size
     seconds = round(SECONDS + SECONDS_PER_BYTE * size)
@@ -122,11 +119,7 @@ class GdalRaster:
 
 
 def read_gdal(path: Path, max_pixels: int) -> GdalRaster:
-    """Read a raster; one of more than `max_pixels` is described without its pixels.
-
-    Raises:
-        SourceError: GDAL cannot read the file, or the file only refers to others.
-    """
+    """Read a raster; one of more than `max_pixels` is described without its pixels."""
     if REFERRING in first_bytes(path, 1024):
         raise SourceError(f"{path}: is a VRT, which refers to other files: gdal_translate makes a TIFF of it")
     values, arrays = read_limited("raster", path, max_pixels)

@@ -52,11 +52,7 @@ KEYS = [field.name for field in fields(MapMetadata)]
 
 
 def read_map(path: Path, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
-    """Read a map YAML and its picture.
-
-    Raises:
-        SourceError: one of the two is missing or cannot be used.
-    """
+    """Read a map YAML and its picture."""
     metadata = read_metadata(path)
     try:
         there = metadata.image.is_file()
@@ -74,20 +70,12 @@ def read_map(path: Path, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
 
 
 def read_map_picture(path: Path, resolution: float, max_pixels: int = MAX_PIXELS) -> OccupancyGrid:
-    """Read a map's picture without YAML, by map_server's default thresholds.
-
-    Raises:
-        SourceError: the picture cannot be used.
-    """
+    """Read a map's picture without YAML, by map_server's default thresholds."""
     return _grid(MapMetadata(image=path, resolution=resolution, origin=Pose2()), max_pixels)
 
 
 def read_metadata(path: Path) -> MapMetadata:
-    """Read a map YAML.
-
-    Raises:
-        SourceError: missing, no YAML of a map, or a value that is not legal.
-    """
+    """Read a map YAML."""
     try:
         entry = map_entries(path, path.read_bytes())
         missing = [key for key in ("image", "resolution", "origin") if key not in entry]
@@ -111,11 +99,7 @@ def read_metadata(path: Path) -> MapMetadata:
 
 
 def write_map(stem: Path, grid: OccupancyGrid) -> None:
-    """Write `stem.pgm` and `stem.yaml`, trinary; the same grid gives the same bytes.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
+    """Write `stem.pgm` and `stem.yaml`, trinary; the same grid gives the same bytes."""
     p = grid.probability
     pixels = np.full(grid.shape, UNKNOWN, np.uint8)
     pixels[p > OCCUPIED] = BLACK
@@ -204,9 +188,6 @@ def map_entries(path: Path, content: bytes) -> dict[str, Entry]:
     """Return the entries of a map's YAML; the first of two keys counts.
 
     Scalars are text: `1e-2` can become a number and a date can be a file name.
-
-    Raises:
-        ValueError: no YAML, or no entries of a map.
     """
     wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:

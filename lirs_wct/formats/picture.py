@@ -48,10 +48,6 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
     """Decode the first page of a picture file; warn of all that is left out.
 
     With `alpha` a transparent picture keeps its fourth channel, and EXIF orientation is not applied.
-
-    Raises:
-        SourceError: the file is missing, damaged, not a picture, smaller than 2x2 or larger than
-            `max_pixels`.
     """
     full: float | None
     if first_bytes(path).startswith(TIFF) or _is_huge(path):
@@ -95,12 +91,7 @@ def _open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
 
 
 def _check_complete(path: Path, picture: Image.Image) -> None:
-    """Check for damage that Pillow does not report when it decodes.
-
-    Raises:
-        SourceError: a JPEG lacks pixels.
-        SyntaxError: a checksum of a PNG is wrong.
-    """
+    """Check for damage that Pillow does not report when it decodes."""
     if picture.format == "PNG":
         with Image.open(path, formats=FORMATS) as again:  # a verified picture cannot be decoded
             again.verify()
@@ -192,9 +183,6 @@ def write_image(path: Path, pixels: ByteArray) -> None:
     """Write an 8-bit picture, gray or BGR; create missing parent folders.
 
     OpenCV encodes and Python writes, since `cv2.imwrite` reports no reason when it cannot write.
-
-    Raises:
-        OutputError: the file cannot be written, or OpenCV cannot encode such a picture by this suffix.
     """
     try:
         done, data = cv2.imencode(path.suffix, pixels)

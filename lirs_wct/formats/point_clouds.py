@@ -52,11 +52,7 @@ def is_cloud_ply(path: Path) -> bool:
 
 
 def read_points(path: Path) -> PointFile:
-    """Read a point cloud.
-
-    Raises:
-        SourceError: the file is missing, damaged, holds no points, or needs a package that is not there.
-    """
+    """Read a point cloud."""
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
     try:

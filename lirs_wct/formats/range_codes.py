@@ -90,9 +90,6 @@ class RangeDecoder:
             ranges: (n,) meters of each scan, as recorded.
             limits: Shortest and largest range that the messages state, meters.
             range_max: Range from which on readings are no return, meters; None = as the readings show.
-
-        Raises:
-            ValueError: most readings are beyond reason.
         """
         size = Counter(len(r) for r in ranges).most_common(1)[0][0]
         usual = [r for r in ranges if len(r) == size]

@@ -26,11 +26,7 @@ TEXTURE_OPTIONS = ("texture", "wall_texture")
 
 
 def write_world(folder: Path, entry: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Path:
-    """Write the world's two files into a folder and return it.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
+    """Write the world's two files into a folder and return it."""
     with atomic_write(folder / ARRAYS) as path:
         _write_arrays(path, arrays)
     with atomic_write(folder / JSON) as path:
@@ -59,11 +55,7 @@ def _write_arrays(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
 
 
 def read_world(folder: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Read a world's metadata and arrays (within `checked_content`).
-
-    Raises:
-        SourceError: the files are of another schema.
-    """
+    """Read a world's metadata and arrays (within `checked_content`)."""
     path = folder / JSON
     entry = json.loads(path.read_text(encoding="utf-8"))
     if entry["schema"] != SCHEMA:
@@ -104,11 +96,7 @@ def keep_textures(name: str, options: dict[str, Any], folder: Path) -> dict[str,
 
 
 def find_textures(options: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the stored options of a world with the paths of its textures.
-
-    Raises:
-        SourceError: a texture lies outside the folder.
-    """
+    """Return the stored options of a world with the paths of its textures."""
     owner = folder / JSON
     return options | {
         role: referenced_file(owner, options[role]) for role in TEXTURE_OPTIONS if options.get(role)

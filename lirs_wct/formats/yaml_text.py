@@ -50,9 +50,6 @@ def load_yaml(text: str, *, typed: bool = True) -> Any:
         text: one document.
         typed: whether scalars become numbers, booleans and dates. They stay text otherwise, mappings are
             lists of pairs, and further documents are left out.
-
-    Raises:
-        ValueError: no YAML, or a duplicate key; the message is one line that names the line.
     """
     try:
         return yaml.load(text, _Typed) if typed else next(yaml.load_all(text, _Text), None)

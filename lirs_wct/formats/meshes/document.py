@@ -71,11 +71,7 @@ def place_triangles(points: FloatArray, triangles: IntArray, matrix: FloatArray)
 
 
 def numbers(text: str | bytes, kind: type[np.number[Any]]) -> NDArray[Any]:
-    """Return the numbers of a text.
-
-    Raises:
-        ValueError: a word is no number.
-    """
+    """Return the numbers of a text."""
     if not text.strip():
         return np.empty(0, kind)
     with warnings.catch_warnings():
@@ -102,9 +98,6 @@ def cut_polygons(
         corners: Indices of points, polygon after polygon.
         counts: Corners of each polygon.
         rings: Ends of the outline and of each hole, of polygons with holes.
-
-    Raises:
-        IndexError: a corner is no point.
     """
     if len(corners) != counts.sum() or (
         len(corners) and not 0 <= corners.min() <= corners.max() < len(points)

@@ -40,9 +40,6 @@ def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMes
 
     A GLB has y up by its standard. A COLLADA file states its up axis and unit. Other formats state neither,
     and count as z up in meters. `up` replaces the file's own axis.
-
-    Raises:
-        SourceError: the file is missing, damaged, of a format that is not read, or without triangles.
     """
     if path.suffix.lower() not in MESHES:
         raise SourceError(f"{path}: not a mesh that is read; legal: {', '.join(MESHES)}")
@@ -52,11 +49,7 @@ def read_upright(path: Path, up: Literal["y", "z"] | None = None) -> TriangleMes
 
 
 def upright(path: Path, mesh: TriangleMesh, up: Literal["y", "z"] | None = None) -> TriangleMesh:
-    """Convert the mesh of a file to z up and meters, with its normals.
-
-    Raises:
-        SourceError: the file's unit is not a number of meters.
-    """
+    """Convert the mesh of a file to z up and meters, with its normals."""
     if up == "y" or (up is None and path.suffix.lower() == ".glb"):
         mesh = mesh.rotated_x(90.0)
     if path.suffix.lower() == ".dae":
@@ -85,9 +78,6 @@ def read_mesh(path: Path) -> TriangleMesh:
     """Read a mesh file in its own frame, equal vertices merged.
 
     Warns of parts that are left out or simplified.
-
-    Raises:
-        SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
     """
     document = read_document(path)
     for note in dict.fromkeys(document.notes):
@@ -128,11 +118,7 @@ _END = re.compile(rb"\bend *(facet|solid)")
 
 
 def read_stl(data: bytes) -> Document:
-    """Read the triangles of an STL.
-
-    Raises:
-        ValueError: the file is cut off, or a word is not a number.
-    """
+    """Read the triangles of an STL."""
     count = int.from_bytes(data[STL_HEAD - 4 : STL_HEAD], "little")
     need = STL_HEAD + STL_FACET.itemsize * count
     text = data.removeprefix(codecs.BOM_UTF8).lstrip()
@@ -156,11 +142,7 @@ _FACE = re.compile(rb"^f +([^#\n]*)", re.M)
 
 
 def read_obj(data: bytes) -> Document:
-    """Read the faces of an OBJ; negative indices count back from the last vertex.
-
-    Raises:
-        ValueError: a word is not a number.
-    """
+    """Read the faces of an OBJ; negative indices count back from the last vertex."""
     text = _plain(data)
     points = numbers(b" ".join(_POINT.findall(text)), np.float64).reshape(-1, 3)
     lines = _FACE.findall(text)
@@ -221,11 +203,7 @@ class PlyElement:
 
 
 def read_ply(data: bytes) -> Document:
-    """Read the points and faces of a PLY.
-
-    Raises:
-        ValueError: the header is damaged, lacks x, y or z, or announces strips or more than there is.
-    """
+    """Read the points and faces of a PLY."""
     is_text, elements = ply_header(data)
     body = data[data.index(b"\n", data.index(b"end_header")) + 1 :]
     names = next((tuple(n for n, _, _ in e.properties) for e in elements if e.name == "vertex"), ())
@@ -259,11 +237,7 @@ def read_ply(data: bytes) -> Document:
 
 
 def ply_header(data: bytes) -> tuple[bool, list[PlyElement]]:
-    """Return whether the data is text, which is read as float64, and the elements.
-
-    Raises:
-        ValueError: it is no PLY, or one of an unknown format.
-    """
+    """Return whether the data is text, which is read as float64, and the elements."""
     head, end, _ = data.partition(b"end_header")
     if not (head.startswith(b"ply") and end):
         raise ValueError("has no header of a PLY")

@@ -51,11 +51,7 @@ def collada_frame(path: Path) -> tuple[str, str]:
 
 
 def read_collada(data: bytes) -> Document:
-    """Read the instances of the scene, with polygons cut and skins in their bind pose.
-
-    Raises:
-        ValueError: the document is damaged, or names a node or a geometry that it lacks.
-    """
+    """Read the instances of the scene, with polygons cut and skins in their bind pose."""
     tree = _Shapes(data)
     instances = list(tree.instances())
     parts = [
@@ -246,11 +242,7 @@ _LISTS, _STRIP, _FAN = 4, 5, 6
 
 
 def read_glb(data: bytes, referenced: Callable[[str], bytes]) -> Document:
-    """Read the instances of a GLB's scene; `referenced` reads a file that it names.
-
-    Raises:
-        ValueError: the file is damaged, or needs an extension that is not read.
-    """
+    """Read the instances of a GLB's scene; `referenced` reads a file that it names."""
     scene = _Scene(data, referenced)
     parts = [part for part in scene.instances() if len(part.faces)]
     attributes = [p["attributes"] for mesh in scene.tree.get("meshes", []) for p in mesh["primitives"]]

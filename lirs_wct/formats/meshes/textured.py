@@ -46,9 +46,6 @@ def read_textured(path: Path) -> TexturedMesh:
     """Read a mesh with its texture; vertices with different texture coordinates stay separate.
 
     Where trimesh reads other faces than the file states, its looks are left out, which a warning says.
-
-    Raises:
-        SourceError: the file is missing, damaged, of an unknown format, or holds no triangles.
     """
     document = read_document(path)
     if (loaded := _load(path)) is not None:

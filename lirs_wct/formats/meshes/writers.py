@@ -1,4 +1,4 @@
-"""Mesh files as text and bytes: COLLADA, OBJ, STL and GLB; an OutputError tells why one cannot be written.
+"""Mesh files as text and bytes: COLLADA, OBJ, STL and GLB.
 
 COLLADA documents are streamed a few thousand rows at a time. Z_UP data with a Z_UP tag and meters is upright
 in Gazebo (which ignores the tag) and in other programs. All parts are one geometry: one layer of texture
@@ -88,9 +88,6 @@ class MeshPart:
         name: Name of the material.
         mesh: Triangles in the world frame, with texture coordinates and normals.
         texture: Path of the picture relative to the file, or None for a plain color.
-
-    Raises:
-        ConfigError: the mesh lacks texture coordinates or normals.
     """
 
     name: str
@@ -125,9 +122,6 @@ def stream_collada(
 
     With `brief`, fewer digits and quads save bytes. Two consecutive triangles with a shared edge become a
     quad whose fan from the first corner gives the two triangles again.
-
-    Raises:
-        OSError: the file cannot be written.
     """
     digits = BRIEF_NORMAL_DIGITS if brief else NORMAL_DIGITS
     farthest = np.abs([part.mesh.bounds for part in parts]).max(axis=(0, 1))

@@ -264,9 +264,6 @@ def read_poses(path: Path, topic: str | None = None) -> Trajectory:
         path: Folder or file of the bag.
         topic: Topic of odometry, stamped poses or paths (the last counts), or of transforms (map ->
             base_link is taken); None = transforms that lead to a frame `map`, else the only topic of poses.
-
-    Raises:
-        SourceError: the bag cannot be read, or has no such topic, or several could be meant.
     """
     with open_bag(path) as bag:
         trajectory = _poses(bag, topic)
@@ -292,11 +289,7 @@ def _poses(bag: Bag, topic: str | None) -> Trajectory:
 
 
 def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:
-    """Return `T_map_base` along the bag's transforms; None if they do not connect the two.
-
-    Raises:
-        SourceError: they do not connect the two although this is required.
-    """
+    """Return `T_map_base` along the bag's transforms; None if they do not connect the two."""
     frames = Frames()
     topics = of_kinds(bag.kinds, TRANSFORMS)
     for line, (topic, _, message) in enumerate(bag.messages(topics)):

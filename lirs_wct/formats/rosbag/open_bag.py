@@ -58,11 +58,7 @@ class McapFile:
     """
 
     def __init__(self, path: Path) -> None:
-        """Read the topics, from the index if there is one.
-
-        Raises:
-            ValueError: not an MCAP file.
-        """
+        """Read the topics, from the index if there is one."""
         self._path = path
         with path.open("rb") as file:
             if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
@@ -95,11 +91,7 @@ class McapFile:
         return list(self._connections.values())
 
     def messages(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """Yield connection, time of recording in nanoseconds, and bytes of each message on some topics.
-
-        Raises:
-            Exception: any exception of the parser at the first damage of a file with an end.
-        """
+        """Yield connection, time of recording in nanoseconds, and bytes of each message on some topics."""
         chosen = {connection.id for connection in connections}
         for record in self._records():
             if isinstance(record, Message) and record.channel_id in chosen:
@@ -220,11 +212,7 @@ def _decoder(
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
-    """Open a bag: a folder or file of ROS 2, or a ROS 1 bag.
-
-    Raises:
-        SourceError: no part of it can be read.
-    """
+    """Open a bag: a folder or file of ROS 2, or a ROS 1 bag."""
     if not path.exists():
         raise SourceError(f"{path}: no such file or folder")
     stated = _metadata(path)
@@ -250,11 +238,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 def _open(file: Path, stack: ExitStack, faults: list[str]) -> Reader:
-    """Open a file of a bag until the stack's end; add its fault.
-
-    Raises:
-        ValueError: not such a file, a ROS 1 bag without index, or of another version of the format.
-    """
+    """Open a file of a bag until the stack's end; add its fault."""
     suffix = file.suffix.lower()
     if suffix == ".mcap":
         mcap = McapFile(file)
@@ -276,11 +260,7 @@ def _open(file: Path, stack: ExitStack, faults: list[str]) -> Reader:
 
 
 def _files(path: Path, names: Sequence[str]) -> list[Path]:
-    """Return the files of a bag: those that its metadata names, else those of one kind.
-
-    Raises:
-        SourceError: a folder of several bags, or of none.
-    """
+    """Return the files of a bag: those that its metadata names, else those of one kind."""
     if not path.is_dir():
         return [path]
     # A compressed file and its decompressed copy count once.

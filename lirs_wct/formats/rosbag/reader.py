@@ -153,9 +153,6 @@ def read_bag(
         topics: Topics of scans, odometry and inertial readings.
         range_max: Ranges from here on are no return, meters; None = as the readings show.
         time: Source of the stamps; those of reception also where headers are of no use.
-
-    Raises:
-        SourceError: it cannot be read, or has no such topic or no scan.
     """
     with open_bag(path) as bag:
         try:
@@ -293,11 +290,7 @@ def _base(c: _Contents) -> str:
 
 
 def _mounts(path: Path, c: _Contents, base: str, stamps: Sequence[float]) -> list[Pose3]:
-    """Return `T_base_laser` at each scan; the scans of a topic may come from several lasers.
-
-    Raises:
-        SourceError: a laser is far from the base.
-    """
+    """Return `T_base_laser` at each scan; the scans of a topic may come from several lasers."""
     by_laser: dict[str, list[Pose3]] = {}
     for laser in sorted(set(c.lasers)):
         mounts = c.frames.mounts(base, laser, stamps)
@@ -329,11 +322,7 @@ def _leveled(c: _Contents, steps: list[Step], mounts: list[Pose3], stamps: list[
 def _scans(
     path: Path, c: _Contents, messages: list[Message], mounts: list[Pose3], range_max: float | None
 ) -> list[LaserScan]:
-    """Return the scans, with the codes of each laser decoded.
-
-    Raises:
-        SourceError: most readings of a laser are beyond reason.
-    """
+    """Return the scans, with the codes of each laser decoded."""
     decoders = {}
     for laser in dict.fromkeys(c.lasers):
         own = [k for k, each in enumerate(c.lasers) if each == laser]

@@ -58,11 +58,7 @@ class Topics:
     others: str = ""
 
     def choose(self, path: Path, kinds: Mapping[str, str]) -> tuple[str, str | None, str | None]:
-        """Return the topics of scans, odometry (None = /tf) and inertial readings (None = none).
-
-        Raises:
-            SourceError: a topic is missing, ambiguous, or of another type.
-        """
+        """Return the topics of scans, odometry (None = /tf) and inertial readings (None = none)."""
         odometry = of_kinds(kinds, (ODOMETRY,))
         planar = of_kinds(kinds, (SCAN,)) or of_kinds(kinds, (MULTI_ECHO,))
         clouds = of_kinds(kinds, (CLOUD,))
@@ -103,11 +99,7 @@ def of_kinds(kinds: Mapping[str, str], wanted: Collection[str]) -> list[str]:
 
 
 def require_topic(path: Path, flag: str, name: str, wanted: Collection[str], kinds: Mapping[str, str]) -> str:
-    """Return the name of an existing topic of one of the types.
-
-    Raises:
-        SourceError: there is none; the error lists the existing topics.
-    """
+    """Return the name of an existing topic of one of the types."""
     if kinds.get(name) not in wanted:
         types = " or ".join(wanted)
         raise SourceError(f"{path}: {flag} {name}: no topic of {types} has that name; {list_topics(kinds)}")

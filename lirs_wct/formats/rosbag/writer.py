@@ -47,9 +47,6 @@ class BagWriter:
         storage: Storage format of the messages.
         period: Time from scan to scan, seconds.
         errors: Errors of the sensors, for covariances.
-
-    Raises:
-        OutputError: it cannot be written.
     """
 
     def __init__(
@@ -113,11 +110,7 @@ class BagWriter:
 
 
 def write_bag(folder: Path, drive: BagDrive, storage: Storage = "mcap") -> None:
-    """Write a drive as a bag folder, replacing an older one.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
+    """Write a drive as a bag folder, replacing an older one."""
     with atomic_folder(folder) as temporary:
         inner = temporary / folder.name  # the library names the file after the folder, which it creates
         bag = BagWriter(inner, storage, drive.period, drive.errors)
