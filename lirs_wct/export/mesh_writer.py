@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import warnings
 from collections.abc import Callable, Sequence
@@ -16,7 +17,7 @@ from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import atomic_write
 from lirs_wct.formats import MESHES
 from lirs_wct.formats.gazebo import FRICTION, GRAVITY
-from lirs_wct.formats.meshes import reader, textured
+from lirs_wct.formats.meshes.reader import TEXTURED, read_textured, read_upright, upright
 from lirs_wct.formats.meshes.writers import MeshPart, stream_collada, write_glb, write_obj, write_stl
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.texture import cube_uv
@@ -101,14 +102,14 @@ def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleM
         ConfigError: the target's suffix is not supported.
         OutputError: a file cannot be written, or the texture would replace another picture.
     """
-    shape, whole = reader.read_upright(source).rotated_x(rotate_x), textured.read_textured(source)
-    keeps_texture, lost = target.suffix.lower() in textured.TEXTURED, []
+    shape, whole = read_upright(source).rotated_x(rotate_x), read_textured(source)
+    keeps_texture, lost = target.suffix.lower() in TEXTURED, []
     if whole.mesh.uv is None or not keeps_texture:
         write_mesh(target, shape)
     else:
         if whole.picture is None:
             warnings.warn(f"{source}: its texture coordinates are kept, no texture was found", stacklevel=2)
-        _write_textured(target, reader.upright(source, whole.mesh).rotated_x(rotate_x), whole.picture)
+        _write_textured(target, upright(source, whole.mesh).rotated_x(rotate_x), whole.picture)
     if whole.mesh.uv is not None and not keeps_texture:
         lost.append("texture and texture coordinates" if whole.picture else "texture coordinates")
     if whole.vertex_colors:
@@ -133,11 +134,12 @@ def _write_textured(path: Path, mesh: TriangleMesh, picture: Image.Image | None)
 def _write_beside(path: Path, picture: Image.Image) -> str:
     """Write a texture next to a mesh file; return its name, which has no spaces."""
     name = f"{re.sub(r'[^A-Za-z0-9_.-]+', '_', path.stem)}-texture.png"
-    place, content = path.with_name(name), textured.png(picture)
-    if place.exists() and place.read_bytes() != content:
+    place, content = path.with_name(name), io.BytesIO()
+    picture.convert("RGBA" if picture.mode in ("RGBA", "LA", "PA") else "RGB").save(content, format="PNG")
+    if place.exists() and place.read_bytes() != content.getvalue():
         raise OutputError(f"{place}: is another picture, and the texture of {path} is to be written there")
     with atomic_write(place) as temporary:
-        temporary.write_bytes(content)
+        temporary.write_bytes(content.getvalue())
     return name
 
 

@@ -19,8 +19,6 @@ MAX_NODES = 1_000_000
 STL_HEAD = 84
 STL_FACET = np.dtype([("floats", "<f4", 12), ("attribute", "<u2")])
 """Bytes before the first facet of a binary STL; its normal and three corners, and two unused bytes."""
-_AREA_TOLERANCE, _COORDINATE_TOLERANCE = 1e-3, 1e-5
-"""Shares of the area, and of the largest coordinate (in float32), by which another reading may differ."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +48,6 @@ class Document:
         return TriangleMesh(
             np.concatenate([np.empty((0, 3)), *points]), np.concatenate([np.empty((0, 3), np.int32), *faces])
         )
-
-
-def is_same(mesh: TriangleMesh, other: TriangleMesh) -> bool:
-    """Return whether two readings of a file agree on triangles, extent and area."""
-    if len(mesh.faces) != len(other.faces):
-        return False
-    corners, others = mesh.vertices[mesh.faces], other.vertices[other.faces]
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    noise = _COORDINATE_TOLERANCE * float(np.abs((low, high)).max())
-    off = np.abs((low - others.min(axis=(0, 1)), high - others.max(axis=(0, 1)))).max()
-    area = float(mesh.face_areas.sum())
-    return bool(off <= noise and abs(area - other.face_areas.sum()) <= _AREA_TOLERANCE * area)
 
 
 def place_triangles(points: FloatArray, triangles: IntArray, matrix: FloatArray) -> TriangleMesh:

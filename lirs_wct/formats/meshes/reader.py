@@ -1,4 +1,4 @@
-"""Mesh files of any common format, read upright: z up, meters.
+"""Mesh files of any common format, read upright (z up, meters) or with their texture.
 
 trimesh reads real files wrongly: OBJ with relative indices, tabs or concave polygons, and STL with bytes
 behind its triangles.
@@ -7,6 +7,7 @@ behind its triangles.
 from __future__ import annotations
 
 import codecs
+import logging
 import re
 import warnings
 from bisect import bisect_left
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from PIL import Image
 
 from lirs_wct.arrays import IntArray
 from lirs_wct.errors import SourceError, reason_of
@@ -287,3 +289,88 @@ def _lists(body: bytes, begin: int, element: PlyElement) -> tuple[IntArray, IntA
 
 
 _READERS = {".obj": read_obj, ".stl": read_stl, ".dae": read_collada, ".ply": read_ply}
+
+
+logging.getLogger("trimesh").addHandler(logging.NullHandler())
+"""Without a handler, trimesh prints a traceback for each texture that it cannot read."""
+_AREA_TOLERANCE, _COORDINATE_TOLERANCE = 1e-3, 1e-5
+"""Shares of the area, and of the largest coordinate (in float32), by which another reading may differ."""
+TEXTURED = (".dae", ".obj", ".glb")
+"""Files that hold texture coordinates."""
+
+
+@dataclass(frozen=True)
+class TexturedMesh:
+    """A mesh in its file's frame, with its texture.
+
+    Attributes:
+        mesh: Triangles with normals, and texture coordinates (origin lower left) where the file has them.
+        picture: Texture; None = not found.
+        vertex_colors: Whether the file has colors of vertices or faces.
+    """
+
+    mesh: TriangleMesh
+    picture: Image.Image | None
+    vertex_colors: bool
+
+
+def read_textured(path: Path) -> TexturedMesh:
+    """Read a mesh with its texture; vertices with different texture coordinates stay separate.
+
+    Where trimesh reads other faces than the file states, its looks are left out, which a warning says.
+    """
+    import trimesh
+
+    document = read_document(path)
+    files = _References(path)
+    try:
+        loaded = trimesh.load_mesh(path, resolver=files)
+    except Exception:  # every loader of trimesh raises different errors
+        loaded = None
+    else:
+        visual = loaded.visual
+        uv = getattr(visual, "uv", None) if visual.kind == "texture" else None
+        mesh = TriangleMesh(
+            np.asarray(loaded.vertices, np.float64),
+            np.asarray(loaded.faces, np.int32),
+            None if uv is None else np.asarray(uv, np.float64)[:, :2],
+            np.asarray(loaded.vertex_normals, np.float64),
+        )
+        for reason in files.refused:
+            warnings.warn(f"{reason}; left out", stacklevel=3)
+    if loaded is None or document.odd_looks or not _is_same(document.whole, mesh):
+        if document.looks:
+            warnings.warn(f"{path}: its materials and colors cannot be read and are left out", stacklevel=3)
+        return TexturedMesh(document.whole, None, vertex_colors=False)
+    material = getattr(visual, "material", None)
+    picture = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    return TexturedMesh(mesh, picture, visual.kind in ("vertex", "face"))
+
+
+class _References:
+    """Reader of referenced files for trimesh, with the reasons why some are not read."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self.refused = path, list[str]()
+
+    def get(self, name: str) -> bytes:
+        """Return the content of a file, unless it lies outside the mesh's package."""
+        try:
+            return referenced_file(self._path, name).read_bytes()
+        except SourceError as error:
+            self.refused += [] if str(error) in self.refused else [str(error)]
+            raise
+
+    __getitem__ = get
+
+
+def _is_same(mesh: TriangleMesh, other: TriangleMesh) -> bool:
+    """Return whether two readings of a file agree on triangles, extent and area."""
+    if len(mesh.faces) != len(other.faces):
+        return False
+    corners, others = mesh.vertices[mesh.faces], other.vertices[other.faces]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    noise = _COORDINATE_TOLERANCE * float(np.abs((low, high)).max())
+    off = np.abs((low - others.min(axis=(0, 1)), high - others.max(axis=(0, 1)))).max()
+    area = float(mesh.face_areas.sum())
+    return bool(off <= noise and abs(area - other.face_areas.sum()) <= _AREA_TOLERANCE * area)

@@ -11,7 +11,7 @@ from PIL import Image
 
 from lirs_wct.errors import OutputError
 from lirs_wct.export.mesh_writer import convert_mesh
-from lirs_wct.formats.meshes.textured import TEXTURED, read_textured
+from lirs_wct.formats.meshes.reader import TEXTURED, read_textured
 
 PIXELS = np.random.default_rng(5).integers(0, 255, (16, 16, 3), dtype=np.uint8)
 CORNERS = np.array([(0, 0, 0), (4, 0, 0), (4, 2, 0), (0, 2, 1), (0, 0, 0), (0, 2, 1), (0, 2, 0)], np.float64)

@@ -19,7 +19,7 @@ from lirs_wct.export.package import write_package
 from lirs_wct.files import referenced_file
 from lirs_wct.formats.elevation import read_raster
 from lirs_wct.formats.map_server import read_map
-from lirs_wct.formats.meshes.textured import read_textured
+from lirs_wct.formats.meshes.reader import read_textured
 from lirs_wct.formats.meshes.writers import MeshPart, stream_collada
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.build import build_world

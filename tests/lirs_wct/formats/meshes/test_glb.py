@@ -11,8 +11,7 @@ import pytest
 from PIL import Image
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.meshes.reader import read_upright
-from lirs_wct.formats.meshes.textured import read_textured
+from lirs_wct.formats.meshes.reader import read_textured, read_upright
 from tests.kit import refused
 
 PLACES = np.array([(x, y, z) for z in (0, 1) for y in (0, 3) for x in (0, 2)], "<f4")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lirs_wct.formats.meshes.reader import read_upright
-from lirs_wct.formats.meshes.textured import read_textured
+from lirs_wct.formats.meshes.reader import read_textured, read_upright
 
 PLACES = [(x, y, z) for z in (0, 1) for y in (0, 3) for x in (0, 2)]
 QUADS = [(1, 3, 4, 2), (5, 6, 8, 7), (1, 2, 6, 5), (3, 7, 8, 4), (1, 5, 7, 3), (2, 4, 8, 6)]
