@@ -31,34 +31,33 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 """First bytes of a message: CDR, little-endian. Alignment counts from the byte after them."""
 
 
-@dataclass(frozen=True, slots=True)
-class Zeros:
-    """A number of values of a kind (as in `struct`) that are always 0."""
-
-    kind: str
-    count: int
-
-
 class Layout:
     """The fixed layout of a message.
 
     Args:
         parts: Kinds of values as in `struct`, such as "iI" or "dddd"; strings that never change, as bytes;
-            values that stay 0.
+            kind and number of values that stay 0.
     """
 
-    def __init__(self, *parts: str | bytes | Zeros) -> None:
+    def __init__(self, *parts: str | bytes | tuple[str, int]) -> None:
         self._template = bytearray()
         self._runs: list[tuple[struct.Struct, int, int]] = []
         for part in parts:
             if isinstance(part, bytes):
                 self._pad(4)
                 self._template += struct.pack("<I", len(part) + 1) + part + b"\0"
-            elif isinstance(part, Zeros):
-                self._pad(struct.calcsize(part.kind))
-                self._template += bytes(struct.calcsize(part.kind) * part.count)
+            elif isinstance(part, tuple):
+                size = struct.calcsize(part[0])
+                self._pad(size)
+                self._template += bytes(size * part[1])
             else:
-                self._add_values(part)
+                begin, form = len(self._template), "<"
+                for kind in part:
+                    before, size = len(self._template), struct.calcsize(kind)
+                    self._pad(size)
+                    form += "x" * (len(self._template) - before) + kind
+                    self._template += bytes(size)
+                self._runs.append((struct.Struct(form), len(ENCAPSULATION) + begin, len(part)))
         self._template[:0] = ENCAPSULATION
 
     def pack(self, *values: float) -> bytearray:
@@ -68,15 +67,6 @@ class Layout:
             run.pack_into(message, offset, *values[at : at + count])
             at += count
         return message
-
-    def _add_values(self, kinds: str) -> None:
-        begin, form = len(self._template), "<"
-        for kind in kinds:
-            before = len(self._template)
-            self._pad(struct.calcsize(kind))
-            form += "x" * (len(self._template) - before) + kind
-            self._template += bytes(struct.calcsize(kind))
-        self._runs.append((struct.Struct(form), len(ENCAPSULATION) + begin, len(kinds)))
 
     def _pad(self, size: int) -> None:
         self._template += bytes(-len(self._template) % size)
@@ -95,9 +85,9 @@ Message = tuple[str, float, bytearray]
 """Topic, stamp in seconds, and CDR of a message."""
 
 TIME, POSE = "iI", "ddddddd"
-DIAGONAL = ("d", Zeros("d", 3), "d", Zeros("d", 3), "d")
+DIAGONAL: tuple[str | tuple[str, int], ...] = ("d", ("d", 3), "d", ("d", 3), "d")
 """Covariance of three independent values."""
-DIAGONAL_6 = ("d", *(part for _ in range(5) for part in (Zeros("d", 6), "d")))
+DIAGONAL_6: tuple[str | tuple[str, int], ...] = ("d", *(part for _ in range(5) for part in (("d", 6), "d")))
 """Covariance of six independent values: x, y, z, roll, pitch, yaw."""
 NO_ATTITUDE = (0.0, 0.0, 0.0, 1.0, -1.0)
 """Quaternion and first covariance of a message without attitude, as `sensor_msgs/Imu` defines it."""
@@ -105,7 +95,7 @@ _CLOCK = Layout(TIME)
 _POSE = Layout(TIME, MAP.encode(), POSE)
 _ODOMETRY = Layout(TIME, ODOM.encode(), BASE.encode(), POSE, *DIAGONAL_6, "dddddd", *DIAGONAL_6)
 _IMU = Layout(TIME, BASE.encode(), "dddd", *DIAGONAL, "ddd", *DIAGONAL, "ddd", *DIAGONAL)
-_IMU_RAW = Layout(TIME, BASE.encode(), "ddddd", Zeros("d", 8), "ddd", *DIAGONAL, "ddd", *DIAGONAL)
+_IMU_RAW = Layout(TIME, BASE.encode(), "ddddd", ("d", 8), "ddd", *DIAGONAL, "ddd", *DIAGONAL)
 _SCAN = Layout(TIME, LASER.encode(), "fffffff", "I")
 _MAP = Layout(TIME, MAP.encode(), TIME, "fII", POSE, "I")
 _NO_INTENSITIES = bytes(4)
@@ -171,11 +161,6 @@ def nanoseconds(stamp: float) -> int:
     return max(1, round(stamp * 1e9))
 
 
-def clock(stamp: float) -> bytearray:
-    """Return `rosgraph_msgs/Clock`."""
-    return _CLOCK.pack(*_time(stamp))
-
-
 def laser_scan(scan: LaserScan, period: float) -> bytearray:
     """Return `sensor_msgs/LaserScan`; the period from scan to scan is in seconds."""
     n = len(scan.ranges)
@@ -215,32 +200,13 @@ def imu(reading: Imu, stamp: float, errors: SensorErrors = NO_ERRORS) -> bytearr
     )
 
 
-def imu_raw(readings: ImuReadings) -> Iterator[tuple[float, bytearray]]:
-    """Yield stamp and `sensor_msgs/Imu` in base_link, without attitude, of each reading."""
+def imu_raw(readings: ImuReadings) -> Iterator[Message]:
+    """Yield `sensor_msgs/Imu` in base_link, without attitude, of each reading."""
     of_rates, of_force = (3 * (sigma**2,) for sigma in (readings.rate_sigma, readings.acceleration_sigma))
     columns = readings.stamps, readings.angular_velocity, readings.linear_acceleration
     for stamp, rates, force in zip(*(column.tolist() for column in columns), strict=True):
-        yield stamp, _IMU_RAW.pack(*_time(stamp), *NO_ATTITUDE, *rates, *of_rates, *force, *of_force)
-
-
-def odometry(
-    stamp: float,
-    T_odom_base: Pose2,
-    velocity: tuple[float, float, float],
-    variances: tuple[Sequence[float], Sequence[float]],
-) -> bytearray:
-    """Return `nav_msgs/Odometry`; velocity: forward, leftward, m/s, and yaw rate, rad/s.
-
-    The variances of pose and velocity are six each (see `SensorErrors`).
-    """
-    vx, vy, omega = velocity
-    pose = _pose(Pose3.from_pose2(T_odom_base))
-    return _ODOMETRY.pack(*_time(stamp), *pose, *variances[0], vx, vy, 0.0, 0.0, 0.0, omega, *variances[1])
-
-
-def pose(stamp: float, T_map_base: Pose3) -> bytearray:
-    """Return `geometry_msgs/PoseStamped` in the map frame."""
-    return _POSE.pack(*_time(stamp), *_pose(T_map_base))
+        message = _IMU_RAW.pack(*_time(stamp), *NO_ATTITUDE, *rates, *of_rates, *force, *of_force)
+        yield "/imu/data_raw", stamp, message
 
 
 def transforms(stamp: float, edges: Edges, poses: tuple[Pose3, ...]) -> bytearray:
@@ -326,8 +292,7 @@ class TickMessages:
             yield "/tf_static", t, transforms(t, MOUNTED, (scan.T_base_laser,))
             self._begun = True
         if tick.inertial is not None:
-            for stamp, message in imu_raw(tick.inertial):
-                yield "/imu/data_raw", stamp, message
+            yield from imu_raw(tick.inertial)
         for stamp, T_odom_base in tick.odometry_track:
             frames = transforms(stamp, DRIVEN, (Pose3.from_pose2(T_odom_base),))
             yield from self._driven_to(stamp, T_odom_base, frames)
@@ -342,7 +307,7 @@ class TickMessages:
         yield "/scan", t, laser_scan(scan, self._period)
         if tick.cloud is not None:
             yield "/points", tick.cloud.stamp, point_cloud(tick.cloud)
-        yield "/ground_truth", t, pose(t, tick.truth)
+        yield "/ground_truth", t, _POSE.pack(*_time(t), *_pose(tick.truth))
 
     def _driven_to(self, stamp: float, T_odom_base: Pose2, frames: bytearray) -> Iterator[Message]:
         """Yield clock, transforms and odometry, with the velocity since the previous odometry; 0 at first."""
@@ -352,11 +317,13 @@ class TickMessages:
             velocity = body_velocity(self._odometry[1], T_odom_base, seconds)
             self._driven += seconds * math.hypot(velocity[0], velocity[1])
             self._seconds += seconds
+        pose, (vx, vy, omega) = _pose(Pose3.from_pose2(T_odom_base)), velocity
         variances = errors.pose_variances(self._driven, self._seconds), errors.velocity_variances(velocity)
         self._odometry = stamp, T_odom_base
-        yield "/clock", stamp, clock(stamp)
+        yield "/clock", stamp, _CLOCK.pack(*_time(stamp))
         yield "/tf", stamp, frames
-        yield "/odom", stamp, odometry(stamp, T_odom_base, velocity, variances)
+        twist = vx, vy, 0.0, 0.0, 0.0, omega
+        yield "/odom", stamp, _ODOMETRY.pack(*_time(stamp), *pose, *variances[0], *twist, *variances[1])
 
 
 @dataclass(frozen=True, kw_only=True)
