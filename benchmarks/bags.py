@@ -23,9 +23,9 @@ from benchmarks.steps import arguments
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import validate
 from lirs_validation.experiment.recording import Recording
-from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.messages import BagTick
 from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import BagWriter
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import Imu, LaserScan

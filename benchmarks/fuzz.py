@@ -57,8 +57,8 @@ from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.meshes.reader import read_mesh
 from lirs_wct.formats.picture import read_picture
 from lirs_wct.formats.point_clouds import read_points
-from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.topics import Topics
 
 LIMIT_S, HANG_S, LIMIT_GB, ADDRESS_GB = 10.0, 60, 1.0, 6.0
 """Processor seconds, wall seconds and resident memory of one input; address space, beyond which an

@@ -22,7 +22,7 @@ from lirs_wct.arrays import IntArray
 from lirs_wct.errors import SourceError, reason_of
 from lirs_wct.files import referenced_file
 from lirs_wct.formats import MESHES
-from lirs_wct.formats.meshes.document import STL_FACET, STL_HEAD, Document, cut_polygons, numbers
+from lirs_wct.formats.meshes import STL_FACET, STL_HEAD, Document, cut_polygons, numbers
 from lirs_wct.formats.meshes.scenes import collada_frame, read_collada, read_glb
 from lirs_wct.geometry.mesh import TriangleMesh, weld
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray, IntArray
-from lirs_wct.formats.meshes.document import (
+from lirs_wct.formats.meshes import (
     MAX_NODES,
     Document,
     cut_polygons,

@@ -25,7 +25,7 @@ from PIL import Image
 from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.errors import ConfigError
 from lirs_wct.files import atomic_write
-from lirs_wct.formats.meshes.document import STL_FACET
+from lirs_wct.formats.meshes import STL_FACET
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.progress import Progress, no_progress, track
 

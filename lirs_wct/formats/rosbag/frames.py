@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.rosbag.topics import PATH, POSES, TRANSFORMS, list_topics, of_kinds, require_topic
 from lirs_wct.formats.rosbag.messages import BASE, MAP
 from lirs_wct.formats.rosbag.open_bag import Bag, open_bag
+from lirs_wct.formats.rosbag.topics import PATH, POSES, TRANSFORMS, list_topics, of_kinds, require_topic
 from lirs_wct.geometry import FloatArray, Pose3, Trajectory
 
 MAX_JITTER = 1e-6

@@ -20,7 +20,6 @@ from lirs_wct.errors import SourceError
 from lirs_wct.formats import Clock
 from lirs_wct.formats.laser_log import LaserLog, LineStamps, LogTopic, Message, in_file_order, odometry_of
 from lirs_wct.formats.range_codes import RangeDecoder
-from lirs_wct.formats.rosbag.topics import ODOMETRY, TRANSFORMS, Topics, list_topics, of_kinds, of_robot
 from lirs_wct.formats.rosbag.frames import Frames, Step, is_finite, one_source, pose_of, seconds
 from lirs_wct.formats.rosbag.open_bag import Bag, open_bag
 from lirs_wct.formats.rosbag.sensor_messages import (
@@ -32,6 +31,7 @@ from lirs_wct.formats.rosbag.sensor_messages import (
     records_of,
     start_of,
 )
+from lirs_wct.formats.rosbag.topics import ODOMETRY, TRANSFORMS, Topics, list_topics, of_kinds, of_robot
 from lirs_wct.geometry import Imu, ImuReadings, LaserScan, Pose3, Trajectory
 
 Vector = tuple[float, float, float]

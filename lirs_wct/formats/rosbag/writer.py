@@ -26,8 +26,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import OutputError
 from lirs_wct.files import atomic_folder
-from lirs_wct.formats.rosbag import messages, topics
 from lirs_wct.formats import Storage
+from lirs_wct.formats.rosbag import messages, topics
 from lirs_wct.formats.rosbag.messages import BagDrive, BagTick, SensorErrors
 from lirs_wct.geometry import OccupancyGrid
 

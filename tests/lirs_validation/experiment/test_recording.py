@@ -18,8 +18,8 @@ from lirs_validation.logs.map_log import run_mapping
 from lirs_validation.sweep.tasks import RunTask
 from lirs_wct.errors import ConfigError, OutputError
 from lirs_wct.files import read_manifest
-from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.geometry.pose import Pose3
 from slam_baselines.mapper import MAPPERS
 

@@ -5,7 +5,7 @@ from collections import Counter
 import numpy as np
 from hypothesis import given, strategies as st
 
-from lirs_wct.formats.meshes.document import cut_polygons
+from lirs_wct.formats.meshes import cut_polygons
 
 
 def star(rng: np.random.Generator, n: int, low: float, high: float) -> np.ndarray:

@@ -10,8 +10,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import write_bag
 from lirs_wct.geometry.scan import PointCloud
 from tests.lirs_wct.formats.rosbag import drives

@@ -13,9 +13,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
 from lirs_wct.formats import STORAGES, Storage
-from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.messages import BagDrive
 from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import write_bag
 from lirs_wct.geometry.pose import Pose3
 from lirs_wct.sources.source import is_log

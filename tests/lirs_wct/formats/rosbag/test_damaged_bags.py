@@ -24,9 +24,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from lirs_wct.errors import SourceError
-from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.messages import BagDrive
 from lirs_wct.formats.rosbag.reader import read_bag
+from lirs_wct.formats.rosbag.topics import Topics
 from lirs_wct.formats.rosbag.writer import write_bag
 from lirs_wct.sources.source import is_bag
 from tests.lirs_wct.formats.rosbag import drives
