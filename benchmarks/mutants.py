@@ -188,7 +188,7 @@ def _with(node: ast.AST, **fields: object) -> ast.AST:
 ROOT = Path(__file__).resolve().parents[1]
 READERS = (
     *(f"lirs_wct/formats/{name}.py" for name in ("elevation", "picture", "carmen_log", "laser_log")),
-    *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "drive_files", "world_json")),
+    *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "drive_files")),
     "lirs_wct/formats/meshes/reader.py",
     *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "picture", "frame")),
     *(f"lirs_wct/{name}.py" for name in ("meshing/solid",)),

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import zipfile
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lirs_wct.display import ShownAsPicture
-from lirs_wct.errors import ConfigError
-from lirs_wct.formats.world_json import (
-    ARRAYS,
-    SCHEMA,
-    checked_content,
-    find_textures,
-    keep_textures,
-    read_world,
-    write_world,
-)
+from lirs_wct.errors import ConfigError, SourceError, reason_of
+from lirs_wct.files import atomic_write, referenced_file, write_json
 from lirs_wct.geometry import BoolArray, FloatArray, HeightField, OccupancyGrid, Pose2, Pose3, WallGrid
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -36,8 +32,15 @@ from lirs_wct.navigation import (
     traversable_by,
 )
 
+SCHEMA = 1
+JSON, ARRAYS = "world.json", "world.npz"
+"""Files of a world: metadata, and exact arrays."""
 CELLS = (1e-5, 1e6)
 """Smallest and largest distance of two nodes of a stored surface, meters."""
+TEXTURES = Path("materials") / "textures"
+"""Folder in which Gazebo looks for a model's textures."""
+TEXTURE_OPTIONS = ("texture", "wall_texture")
+"""Settings that are the user's files: a world's folder holds copies."""
 
 
 @dataclass(frozen=True)
@@ -255,8 +258,16 @@ class World(ShownAsPicture):
             entry["place"] = asdict(self.place)
         arrays = {"surface": surface.z}
         _store_ground(self.ground, entry, arrays)
-        entry["finish"] = keep_textures(self.name, asdict(self.export_options), folder)
-        return write_world(folder, entry, arrays)
+        entry["finish"] = _keep_textures(self.name, asdict(self.export_options), folder)
+        with atomic_write(folder / ARRAYS) as path, zipfile.ZipFile(path, "w") as file:
+            for name, array in arrays.items():
+                member = zipfile.ZipInfo(f"{name}.npy")
+                # Compressing heights is slow and hardly makes them smaller.
+                member.compress_type = zipfile.ZIP_STORED if name == "surface" else zipfile.ZIP_DEFLATED
+                with file.open(member, "w", force_zip64=True) as data:
+                    np.lib.format.write_array(data, array, allow_pickle=False)
+        write_json(folder / JSON, entry)
+        return folder
 
     @staticmethod
     def load(folder: str | Path) -> World:
@@ -266,19 +277,66 @@ class World(ShownAsPicture):
             SourceError: the folder is not a built world, or is damaged.
         """
         folder = Path(folder)
+        path = folder / JSON
         with checked_content(folder):
-            entry, arrays = read_world(folder)
+            entry = json.loads(path.read_text(encoding="utf-8"))
+            if entry["schema"] != SCHEMA:
+                raise SourceError(f"{path}: schema {entry['schema']}, this version reads {SCHEMA}")
+            with np.load(referenced_file(path, entry["arrays"]), allow_pickle=False) as file:
+                arrays = dict(file)
+            options = entry.get("finish", {})
+            textures = {
+                role: referenced_file(path, options[role]) for role in TEXTURE_OPTIONS if options.get(role)
+            }
             return World(
                 entry["name"],
                 _load_ground(entry, arrays),
                 tuple(Pose2(*pose) for pose in entry["starts"]),
                 entry["scale"],
-                ExportOptions(**find_textures(entry.get("finish", {}), folder)),
+                ExportOptions(**options | textures),
                 source=entry.get("source"),
                 spawn_for=str(entry.get("starts_for", "")),
                 start=Pose2(*entry["start"]) if "start" in entry else None,
                 place=_load_place(entry["place"]) if "place" in entry else None,
             )
+
+
+@contextmanager
+def checked_content(folder: Path) -> Iterator[None]:
+    """Convert errors from missing or damaged files of a world to SourceError."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise SourceError(f"{folder / JSON}: not a built world, or damaged: {reason_of(error)}") from error
+
+
+def recorded_source(folder: Path) -> str | None:
+    """Return the source of the world in a folder; None = unknown."""
+    with checked_content(folder):
+        source: str | None = json.loads((folder / JSON).read_text(encoding="utf-8")).get("source")
+        return source
+
+
+def texture_path(name: str, role: str, texture: Path | None) -> Path:
+    """Return the path of a texture in a world's folder, of the user's file or of a generated one.
+
+    The role is `texture` for the ground, or `wall_texture`.
+    """
+    stem = name if role == "texture" else f"{name}-walls"
+    return TEXTURES / f"{stem}{texture.suffix.lower() if texture else '.png'}"
+
+
+def _keep_textures(name: str, options: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Copy the user's textures into a world's folder; return options with their new paths."""
+    kept = options | {"texture": None}
+    for role in TEXTURE_OPTIONS:
+        texture: Path | None = options.get(role)
+        if texture is not None:
+            inside = texture_path(name, role, texture)
+            with atomic_write(folder / inside) as path:
+                path.write_bytes(texture.read_bytes())
+            kept[role] = inside.as_posix()
+    return kept
 
 
 def _store_ground(ground: Ground, entry: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:

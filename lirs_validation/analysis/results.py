@@ -19,10 +19,11 @@ from lirs_validation.sweep.sweep import MANIFEST
 from lirs_validation.sweep.tasks import STATUS, read_verdict
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
 from lirs_wct.errors import reason_of
-from lirs_wct.formats import carmen_log, drive_files, world_json
+from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.option import Options
 from lirs_wct.sources.source import BuildOptions
+from lirs_wct.world import TEXTURE_OPTIONS
 from slam_baselines.map_builder import KnownPoseMapper
 
 SHOWN_DIGITS = 12
@@ -157,7 +158,7 @@ def recorded_config(entry: Entry) -> RunConfig:
         for name, value in build.items():
             if name == "start" and value is not None:
                 build[name] = Pose2(**{key: float(number) for key, number in value.items()})
-            elif name in world_json.TEXTURE_OPTIONS and value is not None:
+            elif name in TEXTURE_OPTIONS and value is not None:
                 build[name] = Path(value)
             elif not _fits(value, getattr(defaults, name)):
                 raise TypeError(f"{name} is {value!r}")

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 
 from lirs_wct.formats.picture import read_picture, write_image
-from lirs_wct.formats.world_json import texture_path
 from lirs_wct.geometry import ByteArray, FloatArray, Pose2, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.texture import (
@@ -22,7 +21,7 @@ from lirs_wct.meshing.texture import (
     wall_texture,
     wall_uv,
 )
-from lirs_wct.world import World
+from lirs_wct.world import World, texture_path
 
 GROUND, WALLS = "ground", "walls"
 HALF_PIXEL = 0.5 / 1024

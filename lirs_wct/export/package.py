@@ -15,12 +15,12 @@ from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT, ground_truth_map
 from lirs_wct.export.mesh_writer import require_usd, write_parts, write_usd
 from lirs_wct.export.mjcf import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
-from lirs_wct.formats import gazebo, map_server, picture, world_json
+from lirs_wct.formats import gazebo, map_server, picture
 from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj, write_stl, write_triangles
 from lirs_wct.geometry.pose import overview
 from lirs_wct.meshing.solid import solid_triangles
 from lirs_wct.progress import Progress, Steps, no_progress
-from lirs_wct.world import World
+from lirs_wct.world import TEXTURES, World, recorded_source
 
 FORMATS = ("dae", "stl", "sdf", "mjcf", "obj", "hfield", "glb", "usd", "map")
 """Legal formats of a package in addition to `world.json`."""
@@ -89,7 +89,7 @@ def _check_place(world: World, folder: Path, overwrite: bool) -> None:
         raise OutputError(
             f"{folder}: holds files that are not a built world; choose another folder or --name"
         )
-    former = world_json.recorded_source(folder)
+    former = recorded_source(folder)
     if former not in (None, world.source) and not overwrite:
         raise OutputError(
             f"{folder}: holds the world of another source, {former}; give this one another --name, or "
@@ -158,7 +158,7 @@ def _write_textures(world: World, folder: Path) -> list[MeshPart]:
 def _write_model(world: World, folder: Path, formats: Collection[str], terrain: GazeboTerrain) -> None:
     name = world.name
     if terrain == "heightmap":
-        heights = world_json.TEXTURES / f"{name}-heights.png"
+        heights = TEXTURES / f"{name}-heights.png"
         gazebo.write_heightmap(folder / heights, world.surface)
         model = gazebo.heightmap_sdf(name, world.surface, heights.as_posix(), _heightmap_layer(world, folder))
     else:
@@ -184,6 +184,6 @@ def _heightmap_layer(world: World, folder: Path) -> gazebo.Layer:
     if wear.draped:
         texture, span = texture.with_name(f"{texture.stem}-square.png"), longest
         picture.write_image(folder / texture, pad_to_square(wear.pixels(world), world.surface.size))
-    normal = world_json.TEXTURES / f"{world.name}-normal.png"
+    normal = TEXTURES / f"{world.name}-normal.png"
     picture.write_image(folder / normal, gazebo.flat_normals())
     return gazebo.Layer(texture.as_posix(), normal.as_posix(), span)
