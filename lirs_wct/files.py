@@ -136,8 +136,12 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         raise OutputError(f"{path}: is a file, a folder is to be written there")
     with scratch_folder(target) as temporary, _output_errors(path, temporary):
         yield temporary
-        write_manifest(temporary)
-        _flush(temporary)
+        files = sorted(file for file in temporary.rglob("*") if file.is_file() and file.name != MANIFEST)
+        listed = {file.relative_to(temporary).as_posix(): {digest(file)} for file in files}
+        (temporary / MANIFEST).write_text(_lines(listed), encoding="utf-8")
+        for file in (*files, temporary / MANIFEST):
+            with file.open("rb+") as written:  # otherwise a power cut after the rename leaves empty files
+                os.fsync(written.fileno())
         if target.exists():
             _replace_files(target, temporary, shown=path)
         else:
@@ -212,13 +216,6 @@ MANIFEST = "manifest-sha256.txt"
 """Digests of the files that this program wrote, as `sha256sum` writes and checks them."""
 
 
-def write_manifest(folder: Path) -> None:
-    """List every file that a folder holds now."""
-    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST)
-    listed = {path.relative_to(folder).as_posix(): {digest(path)} for path in files}
-    (folder / MANIFEST).write_text(_lines(listed), encoding="utf-8")
-
-
 def _lines(listed: dict[str, set[str]]) -> str:
     return "".join(f"{value}  {name}\n" for name, digests in listed.items() for value in sorted(digests))
 
@@ -244,11 +241,7 @@ def digest(path: Path) -> str:
 
 
 def check_writable(folder: Path | None) -> None:
-    """Check before long work that files can be written to a folder.
-
-    Args:
-        folder: which may not exist yet; None = nothing is to be written.
-    """
+    """Check before long work that files can be written to a folder, which need not exist; None = no files."""
     if folder is None:
         return
     try:
@@ -277,14 +270,6 @@ def _merge(new: Path, old: Path) -> None:
     for path in sorted(new.iterdir()):
         target = old / path.name
         _merge(path, target) if target.is_dir() else path.replace(target)
-
-
-def _flush(folder: Path) -> None:
-    """Wait until the disk has every file: otherwise a power cut after the rename leaves empty files."""
-    for path in folder.rglob("*"):
-        if path.is_file():
-            with path.open("rb+") as file:
-                os.fsync(file.fileno())
 
 
 def remove_leftovers(paths: Iterable[Path]) -> None:
