@@ -28,13 +28,7 @@ def track(
 
 @dataclass
 class Steps:
-    """Work in named steps of equal weight, reported as one share.
-
-    Attributes:
-        count: Number of steps.
-        progress: Progress of the whole work.
-        begun: Number of steps that have begun.
-    """
+    """A number of named steps of equal weight, reported as one share."""
 
     count: int
     progress: Progress = no_progress

@@ -35,12 +35,7 @@ def read_carmen(path: Path, *, fov: float | None = None, range_max: float | None
     """Read a CARMEN log; skip and count unusable lines.
 
     The order of the file stays. Stamps that go back or repeat while the robot moves are repaired; a warning
-    states their number.
-
-    Args:
-        path: File of the log.
-        fov: Field of view, radians, centered on the laser's x axis; None = from the log.
-        range_max: Ranges from here on are no return, meters; None = from the log.
+    states their number. Field of view, radians, and largest range, meters, are by default the log's.
     """
     lines = read_lines(path)
     skipped, repaired = Counter[str](), Counter[str]()

@@ -242,11 +242,8 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 def read_tum(path: Path, scans: FloatArray | None = None) -> Trajectory:
     """Read a trajectory: TUM, EuRoC (commas, nanoseconds) or KITTI (12 numbers a line).
 
-    Stamps may be out of order or repeat; of equal stamps the last pose counts, and a warning says so.
-
-    Args:
-        path: Path of the file, gzipped or not.
-        scans: (n,) Stamps of the scans, seconds, which a KITTI file lacks.
+    Stamps may be out of order or repeat; of equal stamps the last pose counts, and a warning says so. A KITTI
+    file lacks stamps: its poses get those of the scans, seconds.
     """
     text = read_text(path, errors="replace")
     lines = [re.split(r"[,\s]+", line.strip(", \t")) for line in text.splitlines() if line.strip(", \t")]

@@ -66,9 +66,7 @@ class RasterInfo:
 class Raster:
     """Pixels that hold or encode heights; row 0 is the northernmost if that is known.
 
-    Attributes:
-        pixels: (rows, cols) gray or (rows, cols, 3) BGR, in the file's data type.
-        info: georeference and units of the pixels.
+    They are (rows, cols) gray or (rows, cols, 3) BGR, in the file's data type.
     """
 
     pixels: NDArray[Any]
@@ -387,13 +385,7 @@ MIN_ISOLATION = 0.1
 def missing_heights(
     values: NDArray[Any], nodata: float | None, *, search: bool
 ) -> tuple[BoolArray, tuple[float, ...]]:
-    """Return the pixels without a height, and the isolated codes among their values.
-
-    Args:
-        values: (rows, cols) pixels in the file's unit.
-        nodata: declared value of unmeasured pixels.
-        search: whether isolated codes count as "no height".
-    """
+    """Return the pixels without a height, and the isolated codes among their values, if searched."""
     missing = ~np.isfinite(values) | (np.abs(values) > MAX_VALUE)
     for value in (*NODATA_VALUES, *(() if nodata is None else (np.float64(nodata).astype(values.dtype),))):
         missing |= values == value

@@ -42,12 +42,7 @@ def model_config(name: str) -> str:
 
 
 def model_sdf(name: str, mesh: str) -> str:
-    """Return `model.sdf`: one static link whose visual and collision geometry is the same mesh.
-
-    Args:
-        name: name of the model and of its folder.
-        mesh: path of the mesh inside the package.
-    """
+    """Return `model.sdf`: one static link whose visual and collision geometry is the same mesh."""
     geometry = f"<geometry><mesh><uri>{escape(model_uri(name, mesh))}</uri></mesh></geometry>"
     surface = f"""
         <surface>
@@ -127,12 +122,8 @@ def world_sdf(
 ) -> str:
     """Return a world file with a sun and the model, which is its only ground.
 
-    Args:
-        name: name of the world and of the included model.
-        view: View of the user's camera as the window opens; None = Gazebo's, near the origin.
-        place: Place of the world on the earth.
-        starts: start poses of robots on the ground. Gazebo classic stores no such poses; a comment holds the
-            commands.
+    The view is that of the user's camera as the window opens. Gazebo classic stores no start poses of robots;
+    a comment holds the commands.
     """
     return f"""<?xml version="1.0"?>
 <sdf version="{VERSION}">
@@ -200,10 +191,10 @@ def gz_world_sdf(classic: str, model: str, *, starts: Sequence[Pose3] = (), albe
     """Return a world file for gz-sim that contains the model, with relative paths.
 
     Args:
-        classic: world file of Gazebo classic, whose physics, light, scene and place on earth are kept.
-        model: file of the included model.
-        starts: poses of the frames `start`, `start1`, ... for robots.
-        albedo: path of the texture of the model's visual; None = the mesh file's material.
+        classic: World file of Gazebo classic, whose physics, light, scene and place on earth are kept.
+        model: Text of the included model's file.
+        starts: Poses of the frames `start`, `start1`, ... for robots.
+        albedo: Path of the texture of the model's visual; None = the mesh file's material.
     """
     root = ElementTree.fromstring(classic)
     root.set("version", GZ_VERSION)
@@ -264,13 +255,7 @@ def write_heightmap(path: Path, surface: HeightField) -> None:
 
 @dataclass(frozen=True)
 class Layer:
-    """Texture of a heightmap.
-
-    Attributes:
-        diffuse: path of the texture inside the package.
-        normal: path of its normal map inside the package (`flat_normals` without one).
-        span: meters that the texture spans before it repeats.
-    """
+    """Texture of a heightmap: its files inside the package, and the meters that it spans before it repeats."""
 
     diffuse: str
     normal: str
@@ -283,14 +268,7 @@ def flat_normals() -> ByteArray:
 
 
 def heightmap_sdf(name: str, surface: HeightField, picture: str, layer: Layer | None = None) -> str:
-    """Return `model.sdf` of a heightmap model.
-
-    Args:
-        name: Name of the model and of its folder.
-        surface: the surface that the heightmap shows.
-        picture: path of the heightmap inside the package.
-        layer: texture; None = Gazebo's gray.
-    """
+    """Return `model.sdf` of a heightmap model; without a layer, it is Gazebo's gray."""
     width, depth = surface.size
     west, south, east, north = surface.bounds
     # Gazebo divides by the height: level ground gets a millimeter.

@@ -43,15 +43,12 @@ class LaserConfig:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A usable line.
+    """A usable line: number, stamp in seconds, and what it holds of poses, ranges and beams.
 
     Attributes:
-        line: Line number, from 0.
-        stamp: `ipc_stamp`, seconds.
-        base: `T_odom_base`; None where the message holds none.
-        laser: `T_odom_laser`; None where the message holds none.
-        ranges: (n,) Meters, as logged; empty where the message holds none.
-        config: Beams as the message states them; None where it states none.
+        base: `T_odom_base`.
+        laser: `T_odom_laser`.
+        ranges: (n,) Meters, as logged.
     """
 
     line: int
@@ -145,10 +142,10 @@ class LaserLog:
         late: Lines whose logged stamp is before that of an earlier line.
         repaired: Count of repairs by kind.
         laser: Message name of the scans.
-        left_out: Scans of the file that could not be used and are not in `scans`.
+        left_out: Number of scans that could not be used.
         clouds: Point clouds in place of scans, read one by one; None of a log of planar scans.
-        imu: Inertial readings with attitude that the log itself holds; a CARMEN log holds none.
-        inertial: All inertial readings, with or without attitude, by stamp; None = none.
+        imu: Inertial readings with attitude; a CARMEN log holds none.
+        inertial: All inertial readings, with or without attitude, by stamp.
         topics: Topics of the scans, of the odometry, and of the inertial readings, as far as they exist.
     """
 

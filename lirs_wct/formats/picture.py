@@ -33,11 +33,9 @@ TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 @dataclass(frozen=True, slots=True)
 class DecodedPicture:
-    """A decoded picture.
+    """A decoded picture, and its value of white; that of a PNM is its maximum.
 
-    Attributes:
-        pixels: (rows, cols) gray or (rows, cols, 3 or 4) BGR(A), in the file's data type.
-        full: value of white; that of a PNM is its maximum.
+    Pixels are (rows, cols) gray or (rows, cols, 3 or 4) BGR(A), in the file's data type.
     """
 
     pixels: NDArray[Any]

@@ -30,9 +30,8 @@ class PointFile:
 
     Attributes:
         xyz: (n, 3) float64 in units of the file's coordinates; finite.
-        ground: (n,) whether the file classifies a point as ground; None without classes.
-        system: coordinate system of x and y.
-        height_unit: meters per unit of z; None = not stated.
+        ground: (n,) Whether the file classifies a point as ground; None without classes.
+        height_unit: Meters per unit of z; None = not stated.
     """
 
     xyz: FloatArray

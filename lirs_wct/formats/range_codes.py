@@ -22,14 +22,10 @@ least ratio to the frequency of the three meters below it, and largest ratio to 
 
 
 def no_return(ranges: Float32Array, farthest: float = NO_RETURN) -> float:
-    """Return the smallest code for no return, meters; `farthest` without a smaller one.
+    """Return the smallest code for no return in readings (scans, beams), meters; `farthest` without one.
 
-    Many sensors report their largest range. That value repeats often, in
-    all directions, and similar values are rare.
-
-    Args:
-        ranges: (scans, beams) meters, as logged.
-        farthest: Range from which on every reading is a code, meters.
+    Many sensors report their largest range. That value repeats often, in all directions, and similar values
+    are rare. From `farthest` on, every reading is a code.
     """
     real = (ranges >= RANGE_MIN) & (ranges < farthest)
     cm = np.where(real, np.round(np.where(real, ranges, 0) * 100), 0).astype(np.int64)
@@ -84,12 +80,10 @@ class RangeDecoder:
     def __init__(
         self, ranges: Sequence[Float32Array], limits: tuple[float, float], range_max: float | None
     ) -> None:
-        """Find the codes.
+        """Find the codes in the readings (n,) of each scan, meters.
 
-        Args:
-            ranges: (n,) meters of each scan, as recorded.
-            limits: Shortest and largest range that the messages state, meters.
-            range_max: Range from which on readings are no return, meters; None = as the readings show.
+        The limits are the shortest and largest range that the messages state; from `range_max` on, readings are
+        no return.
         """
         size = Counter(len(r) for r in ranges).most_common(1)[0][0]
         usual = [r for r in ranges if len(r) == size]

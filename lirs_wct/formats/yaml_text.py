@@ -44,12 +44,9 @@ class _Text(yaml.BaseLoader):
 
 
 def load_yaml(text: str, *, typed: bool = True) -> Any:
-    """Return the value of a YAML text.
+    """Return the value of a YAML text; raise a ValueError of one line that names the line.
 
-    Args:
-        text: one document.
-        typed: whether scalars become numbers, booleans and dates. They stay text otherwise, mappings are
-            lists of pairs, and further documents are left out.
+    Untyped, scalars stay text, mappings are lists of pairs, and further documents are left out.
     """
     try:
         return yaml.load(text, _Typed) if typed else next(yaml.load_all(text, _Text), None)

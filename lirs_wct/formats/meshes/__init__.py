@@ -80,7 +80,7 @@ def cut_polygons(
     """Return triangles as (m, 3) places in `corners`, by fans where these are right.
 
     Args:
-        points: (n, 3) positions.
+        points: (n, 3) Positions.
         corners: Indices of points, polygon after polygon.
         counts: Corners of each polygon.
         rings: Ends of the outline and of each hole, of polygons with holes.

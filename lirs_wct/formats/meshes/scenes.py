@@ -73,13 +73,7 @@ def _local(element: Element) -> str:
 
 
 class _Shapes:
-    """The tree of a document.
-
-    Attributes:
-        root: Root of the tree; tags are without namespaces.
-        notes: Simplified parts, a line each.
-        skipped: Instances that are not read.
-    """
+    """The tree of a document without namespaces, with notes on simplified and skipped instances."""
 
     def __init__(self, data: bytes) -> None:
         if b"<!DOCTYPE" in data.replace(b"\0", b""):

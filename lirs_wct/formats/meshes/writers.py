@@ -82,13 +82,7 @@ _SCENE = """</mesh></geometry></library_geometries>
 
 @dataclass(frozen=True)
 class MeshPart:
-    """Triangles of one material.
-
-    Attributes:
-        name: Name of the material.
-        mesh: Triangles in the world frame, with texture coordinates and normals.
-        texture: Path of the picture relative to the file, or None for a plain color.
-    """
+    """Triangles of one material in the world frame, with the path of its picture relative to the file."""
 
     name: str
     mesh: TriangleMesh
@@ -223,12 +217,9 @@ def _chunks(table: NDArray[Any]) -> Iterator[NDArray[Any]]:
 
 
 def _position_decimals(farthest: FloatArray) -> tuple[int, int, int]:
-    """Return the decimals that distinguish float32 coordinates.
+    """Return the decimals that distinguish float32 coordinates, given the largest absolute ones (3,).
 
     Fewer would break the error budget: a millimeter sideways is meters of height on rough ground.
-
-    Args:
-        farthest: (3,) largest absolute coordinate of each axis.
     """
     step = np.spacing(farthest.astype(np.float32)).astype(np.float64)
     x, y, z = np.clip(np.ceil(-np.log10(step)), 0, 9).astype(int).tolist()
@@ -298,14 +289,7 @@ def write_stl(path: Path, mesh: TriangleMesh, progress: Progress = no_progress) 
 def write_triangles(
     path: Path, count: int, chunks: Iterable[FloatArray], progress: Progress = no_progress
 ) -> None:
-    """Write triangles from an iterator, so that a surface may exceed the memory.
-
-    Args:
-        path: Path of the file.
-        count: Number of triangles in all, below 2**32.
-        chunks: (n, 3, 3) Corners in meters each.
-        progress: Callback for the progress of the file.
-    """
+    """Write triangles from an iterator of their corners (n, 3, 3), so that a surface may exceed the memory."""
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         # The header must not begin with "solid", which marks ASCII.
         file.write(struct.pack("<80sI", b"LIRS-WCT, meters, z up", count))
@@ -363,9 +347,9 @@ def fixed_text(table: ArrayLike, decimals: ArrayLike, between: bytes = b" ") -> 
     Redundant zeros are omitted (`.5`, `-3`), as XML Schema's double allows.
 
     Args:
-        table: (rows, columns) finite numbers below 9e18 / 10**decimals.
-        decimals: digits after the point, 0 to 9, for each column.
-        between: a character that separates columns, or one for each gap between two.
+        table: (rows, columns) Finite numbers below 9e18 / 10**decimals.
+        decimals: Digits after the point, 0 to 9, for each column.
+        between: Character that separates columns, or one for each gap between two.
     """
     values = np.ascontiguousarray(table, dtype=np.float64)
     digits = np.broadcast_to(np.asarray(decimals, dtype=np.int64), values.shape[1:]).copy()

@@ -260,10 +260,8 @@ def _step_lengths(steps: list[Step], over: int) -> FloatArray:
 def read_poses(path: Path, topic: str | None = None) -> Trajectory:
     """Read the trajectory that a bag holds.
 
-    Args:
-        path: Folder or file of the bag.
-        topic: Topic of odometry, stamped poses or paths (the last counts), or of transforms (map ->
-            base_link is taken); None = transforms that lead to a frame `map`, else the only topic of poses.
+    Its topic is of odometry, stamped poses or paths (the last counts), or of transforms (map -> base_link is
+    taken); by default it is transforms that lead to a frame `map`, else the only topic of poses.
     """
     with open_bag(path) as bag:
         trajectory = _poses(bag, topic)

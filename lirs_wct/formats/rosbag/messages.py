@@ -257,13 +257,11 @@ class BagTick:
     """The sensor data of one scan, as messages hold them.
 
     Attributes:
-        scan: Scan of the lidar.
         odometry: `T_odom_base`.
-        imu: Reading of the inertial unit.
         truth: `T_map_base`, from the simulator; the map frame is the first base pose in the plane.
         estimate: `T_map_base`, a mapper's pose estimate; None = no transform from map to odom.
         cloud: Cloud of a lidar with rings in its place; None for a planar lidar.
-        inertial: Readings near 200 Hz since the previous scan; None = none.
+        inertial: Readings near 200 Hz since the previous scan.
         odometry_track: Stamps and `T_odom_base` since the previous scan.
     """
 
@@ -328,13 +326,7 @@ class TickMessages:
 
 @dataclass(frozen=True, kw_only=True)
 class BagDrive:
-    """The content of a bag.
-
-    Attributes:
-        ticks: Sensor data of each scan in order; at least one.
-        grid: The mapper's map, in the map frame; None = none.
-        errors: Errors of the sensors, for covariances.
-    """
+    """The content of a bag: at least one scan, and the mapper's map in the map frame."""
 
     ticks: Sequence[BagTick]
     grid: OccupancyGrid | None = None

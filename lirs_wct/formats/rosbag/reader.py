@@ -148,11 +148,9 @@ def read_bag(
 ) -> LaserLog:
     """Read a bag; of a damaged one the readable part, with a warning.
 
-    Args:
-        path: Folder of a ROS 2 bag, one of its files (.mcap, .db3, also .zstd), or a ROS 1 bag (.bag).
-        topics: Topics of scans, odometry and inertial readings.
-        range_max: Ranges from here on are no return, meters; None = as the readings show.
-        time: Source of the stamps; those of reception also where headers are of no use.
+    The path is a folder of a ROS 2 bag, one of its files (.mcap, .db3, also .zstd), or a ROS 1 bag (.bag).
+    From `range_max` on, meters, ranges are no return; by default as the readings show. Stamps are times of
+    reception also where headers are of no use.
     """
     with open_bag(path) as bag:
         try:

@@ -152,12 +152,10 @@ def start_of(records: NDArray[Any], header: float) -> float:
 
 @dataclass(frozen=True)
 class BagClouds:
-    """Clouds of a bag, read one by one on iteration to save memory.
+    """Usable clouds of a bag's topic, read one by one on iteration to save memory.
 
     Attributes:
-        path: Folder or file of the bag.
-        topic: Topic of the clouds.
-        stamps: Stamps of the usable clouds, seconds, in the order of the bag.
+        stamps: Stamps in the order of the bag, seconds.
         mounts: Pose of the sensor on the robot `T_base_laser` at each cloud.
     """
 

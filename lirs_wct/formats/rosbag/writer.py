@@ -38,15 +38,9 @@ BUFFERED_SCANS = 64
 
 
 class BagWriter:
-    """Incremental writer of a bag, which buffers a few scans and writes them together.
+    """Incremental writer of a bag, with the time from scan to scan in seconds.
 
-    Written one by one between steps of a simulation, messages take about three times as long.
-
-    Args:
-        folder: Folder of the bag, which is created.
-        storage: Storage format of the messages.
-        period: Time from scan to scan, seconds.
-        errors: Errors of the sensors, for covariances.
+    It buffers a few scans: written one by one between steps of a simulation, messages take three times as long.
     """
 
     def __init__(
