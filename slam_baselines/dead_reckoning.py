@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, njit
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import Imu, Pose2, Pose3, wrap_angle
+from lirs_wct.geometry import FloatArray, Imu, Pose2, Pose3, njit, wrap_angle
 from slam_baselines.linalg import moved_covariance
 
 Slope = tuple[float, float]

@@ -23,9 +23,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, IntArray, njit
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import ByteArray, Float32Array, FloatArray, IntArray, Pose2, njit
 from slam_baselines.leveling import LeveledScan, ScanPoints
 from slam_baselines.occupancy_map import SLOPE_STEP, GrowingGrid, OccupancyMap, bounding_box
 

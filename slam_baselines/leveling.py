@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import ByteArray, FloatArray, njit
-from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3
+from lirs_wct.geometry import ByteArray, FloatArray, Imu, LaserScan, Pose2, Pose3, njit
 
 
 class ScanPoints(NamedTuple):

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, njit
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import FloatArray, Pose2, njit
 
 
 @njit

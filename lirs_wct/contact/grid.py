@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, Float32Array, njit
-from lirs_wct.geometry import HeightField
+from lirs_wct.geometry import BoolArray, Float32Array, HeightField, njit
 
 VERTICAL = 0.01
 """Largest vertical deviation at nodes that touch no steep triangle, meters."""

@@ -15,9 +15,8 @@ import numpy as np
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.picture import write_image
-from lirs_wct.geometry import ByteArray, HeightField, Pose3, Viewpoint
+from lirs_wct.geometry import ByteArray, HeightField, Pose3, Viewpoint, resample
 from lirs_wct.geometry.geodesy import Place
-from lirs_wct.geometry.grid import resample
 
 VERSION = "1.6"
 GRAVITY = 9.80665
@@ -255,7 +254,7 @@ def write_heightmap(path: Path, surface: HeightField) -> None:
 
 @dataclass(frozen=True)
 class Layer:
-    """Texture of a heightmap: its files inside the package, and the meters that it spans before it repeats."""
+    """Texture of a heightmap: its files inside the package, and the meters until it repeats."""
 
     diffuse: str
     normal: str

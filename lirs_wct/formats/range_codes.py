@@ -8,8 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, Float32Array
-from lirs_wct.geometry.scan import FARTHEST
+from lirs_wct.geometry import FARTHEST, BoolArray, Float32Array
 
 NO_RETURN = 50.0
 """Ranges from here on mean no return (50, 51.2, 81.83), read as +inf, meters."""
@@ -82,8 +81,8 @@ class RangeDecoder:
     ) -> None:
         """Find the codes in the readings (n,) of each scan, meters.
 
-        The limits are the shortest and largest range that the messages state; from `range_max` on, readings are
-        no return.
+        The limits are the shortest and largest range that the messages state. From `range_max` on, readings
+        are no return.
         """
         size = Counter(len(r) for r in ranges).most_common(1)[0][0]
         usual = [r for r in ranges if len(r) == size]

@@ -1,16 +1,19 @@
 """Geometric values: poses, scans, grids, height fields, meshes, walls, trajectories.
 
-The values that a mapper takes and returns, and the types of their arrays, are imported from here.
+The values that a mapper takes and returns, the types of their arrays, and the decorator of kernels on these
+are imported from here.
 """
 
-from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray
-from lirs_wct.geometry.grid import FREE, OCCUPIED, HeightField, OccupancyGrid, WallGrid, mask_at
+from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray, njit
+from lirs_wct.geometry.grid import FREE, OCCUPIED, HeightField, OccupancyGrid, WallGrid, mask_at, resample
 from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory, Viewpoint, wrap_angle
-from lirs_wct.geometry.scan import Imu, ImuReadings, LaserScan, PointCloud
+from lirs_wct.geometry.scan import FARTHEST, POINT, Imu, ImuReadings, LaserScan, PointCloud
 
 __all__ = [
+    "FARTHEST",
     "FREE",
     "OCCUPIED",
+    "POINT",
     "BoolArray",
     "ByteArray",
     "Float32Array",
@@ -29,5 +32,7 @@ __all__ = [
     "Viewpoint",
     "WallGrid",
     "mask_at",
+    "njit",
+    "resample",
     "wrap_angle",
 ]

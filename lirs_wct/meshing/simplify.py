@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from lirs_wct.arrays import Int32Array
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import HeightField
+from lirs_wct.geometry import HeightField, Int32Array
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import base_height, close_solid, node_axes
 from lirs_wct.meshing.tin import (

@@ -9,10 +9,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.meshes.reader import read_upright
-from lirs_wct.geometry import HeightField
+from lirs_wct.geometry import BoolArray, FloatArray, HeightField
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.mesh import Grid, TriangleMesh, layers, rasterize_heights
 from lirs_wct.ground import Ground, MeshGround, Terrain

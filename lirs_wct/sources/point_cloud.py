@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import scipy  # its modules load on first use
 
-from lirs_wct.arrays import BoolArray, FloatArray
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats import elevation, point_clouds
-from lirs_wct.geometry import HeightField
+from lirs_wct.geometry import BoolArray, FloatArray, HeightField
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.ground import Terrain
 from lirs_wct.sources.frame import Reading, leveled, local_origin

@@ -21,8 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
-from lirs_wct.geometry import HeightField
+from lirs_wct.geometry import Float32Array, FloatArray, HeightField, IntArray, njit
 
 LEAF = 3
 """Level of the blocks, which hold 2^LEAF x 2^LEAF cells."""

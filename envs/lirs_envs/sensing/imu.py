@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from lirs_wct.arrays import FloatArray, IntArray, njit
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import Imu, ImuReadings
+from lirs_wct.geometry import FloatArray, Imu, ImuReadings, IntArray, njit
 
 RATE_BLOCK = 256
 """Number of gyro readings whose noise is drawn at once: single draws would cost more than the reading."""

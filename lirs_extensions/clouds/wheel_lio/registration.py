@@ -23,8 +23,7 @@ from lirs_extensions.clouds.wheel_lio.voxel_map import (
     is_behind,
     voxel_key,
 )
-from lirs_wct.arrays import BoolArray, FloatArray, njit
-from lirs_wct.geometry import PointCloud
+from lirs_wct.geometry import BoolArray, FloatArray, PointCloud, njit
 
 INSIDE = 3
 """Points of a surface beside its end."""

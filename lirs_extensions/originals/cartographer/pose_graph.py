@@ -27,8 +27,7 @@ from lirs_extensions.originals.cartographer.scan_matching import (
     rotated_cells,
     shifted_pose,
 )
-from lirs_wct.arrays import ByteArray, Float32Array, FloatArray, njit
-from lirs_wct.geometry import Pose2
+from lirs_wct.geometry import ByteArray, Float32Array, FloatArray, Pose2, njit
 from slam_baselines.cartographer.loop_closure import LoopEvent
 from slam_baselines.cartographer.pose_graph import PoseConstraint, PoseConstraints, errors, linearize
 

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
-from lirs_wct.geometry import LaserScan, Pose2
+from lirs_wct.geometry import Float32Array, FloatArray, IntArray, LaserScan, Pose2, njit
 
 UNSPLIT = 16
 """Elements that the sort of the C++ library does not split."""

@@ -15,8 +15,7 @@ import numpy as np
 
 from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig, CeresMatcher
 from lirs_extensions.originals.cartographer.probability_grid import COST, ProbabilityGrid
-from lirs_wct.arrays import Float32Array, FloatArray, IntArray, njit
-from lirs_wct.geometry import Pose2, wrap_angle
+from lirs_wct.geometry import Float32Array, FloatArray, IntArray, Pose2, njit, wrap_angle
 
 FUNCTION_TOLERANCE, GRADIENT_TOLERANCE, PARAMETER_TOLERANCE = 1e-6, 1e-10, 1e-8
 INITIAL_RADIUS, MAX_RADIUS, MIN_RADIUS = 1e4, 1e16, 1e-32

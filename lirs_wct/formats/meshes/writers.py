@@ -289,7 +289,7 @@ def write_stl(path: Path, mesh: TriangleMesh, progress: Progress = no_progress) 
 def write_triangles(
     path: Path, count: int, chunks: Iterable[FloatArray], progress: Progress = no_progress
 ) -> None:
-    """Write triangles from an iterator of their corners (n, 3, 3), so that a surface may exceed the memory."""
+    """Write triangles from parts of their corners (n, 3, 3), so that a surface may exceed the memory."""
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         # The header must not begin with "solid", which marks ASCII.
         file.write(struct.pack("<80sI", b"LIRS-WCT, meters, z up", count))

@@ -17,6 +17,7 @@ import numpy as np
 from lirs_wct.geometry import (
     FREE,
     OCCUPIED,
+    POINT,
     Imu,
     ImuReadings,
     LaserScan,
@@ -25,7 +26,6 @@ from lirs_wct.geometry import (
     Pose2,
     Pose3,
 )
-from lirs_wct.geometry.scan import POINT
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """First bytes of a message: CDR, little-endian. Alignment counts from the byte after them."""

@@ -40,7 +40,7 @@ BUFFERED_SCANS = 64
 class BagWriter:
     """Incremental writer of a bag, with the time from scan to scan in seconds.
 
-    It buffers a few scans: written one by one between steps of a simulation, messages take three times as long.
+    It buffers scans: written one by one between steps of a simulation, messages take three times as long.
     """
 
     def __init__(
