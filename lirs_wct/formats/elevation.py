@@ -291,10 +291,16 @@ def read_ascii_grid(path: Path, max_pixels: int, *, sized: bool) -> tuple[FloatA
     if values.size != rows * cols:
         raise SourceError(f"{path}: holds {values.size} heights, {cols} x {rows} are announced")
     pixels = values.reshape(rows, cols)
+    dx, dy = (header.get(axis, header.get("cellsize", 0.0)) for axis in ("dx", "dy"))
+    if not (0 < dx < np.inf and 0 < dy < np.inf):
+        raise SourceError(f"{path}: cells must be above 0, got {dx:g} x {dy:g}")
+    west = header["xllcenter"] if "xllcenter" in header else header["xllcorner"] + dx / 2
+    south = header["yllcenter"] if "yllcenter" in header else header["yllcorner"] + dy / 2
+    affine = dx, 0.0, west, 0.0, -dy, south + dy * (rows - 1)
     system, unit = _projection(path)
     unit = height_unit(path, system or CoordinateSystem(), unit)
     info = RasterInfo(None, header.get("nodata_value"), unit=unit)
-    georeference = _georeference(path, system, _affine(path, header, rows), pixels, info, sized)
+    georeference = _georeference(path, system, affine, pixels, info, sized)
     return pixels, replace(info, georeference=georeference)
 
 
@@ -328,15 +334,6 @@ def _header(path: Path, lines: Iterable[str]) -> tuple[dict[str, float], str]:
         if not (header[key] >= 1 and header[key].is_integer()):
             raise SourceError(f"{path}: {key} must be a whole number above 0, got {header[key]:g}")
     return header, first
-
-
-def _affine(path: Path, header: dict[str, float], rows: int) -> Affine:
-    dx, dy = (header.get(axis, header.get("cellsize", 0.0)) for axis in ("dx", "dy"))
-    if not (0 < dx < np.inf and 0 < dy < np.inf):
-        raise SourceError(f"{path}: cells must be above 0, got {dx:g} x {dy:g}")
-    west = header["xllcenter"] if "xllcenter" in header else header["xllcorner"] + dx / 2
-    south = header["yllcenter"] if "yllcenter" in header else header["yllcorner"] + dy / 2
-    return dx, 0.0, west, 0.0, -dy, south + dy * (rows - 1)
 
 
 _TILE = re.compile(r"(\d{1,2})/(\d+)/(\d+)(@2x)?")

@@ -124,6 +124,15 @@ def world_sdf(
     The view is that of the user's camera as the window opens. Gazebo classic stores no start poses of robots;
     a comment holds the commands.
     """
+    gui = ""
+    if view is not None:
+        pose = " ".join(f"{value:.6g}" for value in (*view.position, 0.0, view.pitch, view.yaw))
+        gui = f"""    <gui>
+      <camera name="user_camera">
+        <pose>{pose}</pose>
+      </camera>
+    </gui>
+"""
     return f"""<?xml version="1.0"?>
 <sdf version="{VERSION}">
   <world name={quoteattr(name)}>
@@ -133,7 +142,7 @@ def world_sdf(
       <real_time_factor>1</real_time_factor>
       <real_time_update_rate>1000</real_time_update_rate>
     </physics>{spherical_coordinates(place)}
-{_spawning(starts)}{_gui(view)}{_DAYLIGHT}    <include>
+{_spawning(starts)}{gui}{_DAYLIGHT}    <include>
       <uri>{escape(model_uri(name))}</uri>
     </include>
   </world>
@@ -151,18 +160,6 @@ def _spawning(starts: Sequence[Pose3]) -> str:
          ros2 run gazebo_ros spawn_entity.py -entity robot -file robot.urdf {at}
          gz model -f robot.sdf -m robot {at}{more}
     -->
-"""
-
-
-def _gui(view: Viewpoint | None) -> str:
-    if view is None:
-        return ""
-    pose = " ".join(f"{value:.6g}" for value in (*view.position, 0.0, view.pitch, view.yaw))
-    return f"""    <gui>
-      <camera name="user_camera">
-        <pose>{pose}</pose>
-      </camera>
-    </gui>
 """
 
 

@@ -199,11 +199,10 @@ def in_file_order(
     holds_scan = np.array([len(m.ranges) > 0 for m in lines])
     logged = np.array([m.stamp for m in lines])
     distances = _motion(lines)
-    repaired = logged if _sound(logged, holds_scan, distances) else _rising(logged, distances)
-    moved = [
-        m if m.stamp == stamp else replace(m, stamp=stamp)
-        for m, stamp in zip(lines, repaired.tolist(), strict=True)
-    ]
+    steps, moving = np.diff(logged), (distances > 0).any(axis=1)
+    rises = (steps >= 0).all() and (steps[moving] > 0).all() and (np.diff(logged[holds_scan]) > 0).all()
+    repaired = logged if rises else _rising(logged, distances)
+    moved = [replace(m, stamp=stamp) for m, stamp in zip(lines, repaired.tolist(), strict=True)]
     return (
         [m for m in moved if len(m.ranges)],
         [m for m in moved if not len(m.ranges)],
@@ -235,13 +234,6 @@ def _motion(lines: Sequence[Message]) -> FloatArray:
     steps = np.diff(np.array([known[k].as_array() for k in nearer.tolist()]), axis=0)
     turn = np.abs(np.remainder(steps[:, 2] + np.pi, 2 * np.pi) - np.pi)
     return np.column_stack((np.hypot(steps[:, 0], steps[:, 1]), turn))
-
-
-def _sound(stamps: FloatArray, scans: BoolArray, distances: FloatArray) -> bool:
-    """Whether stamps rise from scan to scan, and between lines of different poses."""
-    steps = np.diff(stamps)
-    moving = (distances > 0).any(axis=1)
-    return bool((steps >= 0).all() and (steps[moving] > 0).all() and (np.diff(stamps[scans]) > 0).all())
 
 
 def _rising(logged: FloatArray, distances: FloatArray) -> FloatArray:

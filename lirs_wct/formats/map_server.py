@@ -47,6 +47,23 @@ class MapMetadata:
     negate: bool = False
     mode: str = "trinary"
 
+    def __post_init__(self) -> None:
+        if not 0 < self.resolution <= MAX_RESOLUTION:
+            raise ValueError(
+                f"resolution must be a finite number above 0, at most {MAX_RESOLUTION:g} m, "
+                f"got {self.resolution}"
+            )
+        origin = self.origin
+        if not max(abs(origin.x), abs(origin.y)) <= MAX_COORDINATE:
+            raise ValueError(f"origin must lie within {MAX_COORDINATE:g} m, got {origin.x:g}, {origin.y:g}")
+        if self.mode not in MODES:
+            raise ValueError(f"unknown mode {self.mode!r}; legal: {', '.join(MODES)}")
+        free, occupied = self.free_thresh, self.occupied_thresh
+        if not (0 <= free <= 1 and 0 <= occupied <= 1):
+            raise ValueError(
+                f"thresholds must be from 0 to 1, got free_thresh {free} and occupied_thresh {occupied}"
+            )
+
 
 KEYS = [field.name for field in fields(MapMetadata)]
 
@@ -81,16 +98,14 @@ def read_metadata(path: Path) -> MapMetadata:
         missing = [key for key in ("image", "resolution", "origin") if key not in entry]
         if missing:
             raise ValueError(f"a map needs image, resolution and origin, this has no {', '.join(missing)}")
-        return _check_metadata(
-            MapMetadata(
-                image=path.parent / str(entry["image"]),
-                resolution=_number(entry, "resolution", math.nan),
-                origin=_origin(entry),
-                occupied_thresh=_number(entry, "occupied_thresh", OCCUPIED),
-                free_thresh=_number(entry, "free_thresh", WRITTEN_FREE),
-                negate=bool(_number(entry, "negate", 0.0)),
-                mode=str(entry.get("mode", "trinary")).lower(),
-            )
+        return MapMetadata(
+            image=path.parent / str(entry["image"]),
+            resolution=_number(entry, "resolution", math.nan),
+            origin=_origin(entry),
+            occupied_thresh=_number(entry, "occupied_thresh", OCCUPIED),
+            free_thresh=_number(entry, "free_thresh", WRITTEN_FREE),
+            negate=bool(_number(entry, "negate", 0.0)),
+            mode=str(entry.get("mode", "trinary")).lower(),
         )
     except OSError as error:
         raise SourceError(f"{path}: {error.strerror}") from error
@@ -163,25 +178,6 @@ def _warn_of_averages(metadata: MapMetadata, shade: FloatArray, grid: OccupancyG
             "ROS 1, which average alpha with the colors",
             stacklevel=4,
         )
-
-
-def _check_metadata(metadata: MapMetadata) -> MapMetadata:
-    if not 0 < metadata.resolution <= MAX_RESOLUTION:
-        raise ValueError(
-            f"resolution must be a finite number above 0, at most {MAX_RESOLUTION:g} m, "
-            f"got {metadata.resolution}"
-        )
-    origin = metadata.origin
-    if not max(abs(origin.x), abs(origin.y)) <= MAX_COORDINATE:
-        raise ValueError(f"origin must lie within {MAX_COORDINATE:g} m, got {origin.x:g}, {origin.y:g}")
-    if metadata.mode not in MODES:
-        raise ValueError(f"unknown mode {metadata.mode!r}; legal: {', '.join(MODES)}")
-    free, occupied = metadata.free_thresh, metadata.occupied_thresh
-    if not (0 <= free <= 1 and 0 <= occupied <= 1):
-        raise ValueError(
-            f"thresholds must be from 0 to 1, got free_thresh {free} and occupied_thresh {occupied}"
-        )
-    return metadata
 
 
 def map_entries(path: Path, content: bytes) -> dict[str, Entry]:

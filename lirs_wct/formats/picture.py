@@ -55,7 +55,11 @@ def read_picture(path: Path, max_pixels: int = MAX_PIXELS, *, alpha: bool = Fals
     else:
         with _open_picture(path) as picture:
             check_size(path, *picture.size, max_pixels)
-            _check_complete(path, picture)
+            if picture.format == "PNG":
+                with Image.open(path, formats=FORMATS) as again:  # a verified picture cannot be decoded
+                    again.verify()  # checksums, which decoding leaves out
+            if picture.format in ("JPEG", "MPO"):
+                read_gdal(path, picture.width * picture.height)  # Pillow fills in missing pixels
             pages = getattr(picture, "n_frames", 1)
             pixels, full = _decode(path, picture, oriented=not alpha)
         if pages > 1:
@@ -86,15 +90,6 @@ def _open_picture(path: Path) -> Iterator[ImageFile.ImageFile]:
         raise SourceError(f"{path}: is damaged, or not a picture; legal: {LEGAL}") from error
     except Exception as error:  # each decoder raises different errors
         raise SourceError(f"{path}: is damaged: {reason_of(error)}") from error
-
-
-def _check_complete(path: Path, picture: Image.Image) -> None:
-    """Check for damage that Pillow does not report when it decodes."""
-    if picture.format == "PNG":
-        with Image.open(path, formats=FORMATS) as again:  # a verified picture cannot be decoded
-            again.verify()
-    if picture.format in ("JPEG", "MPO"):
-        read_gdal(path, picture.width * picture.height)
 
 
 def _decode(path: Path, picture: ImageFile.ImageFile, *, oriented: bool) -> tuple[NDArray[Any], float | None]:

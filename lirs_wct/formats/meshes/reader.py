@@ -55,25 +55,11 @@ def upright(path: Path, mesh: TriangleMesh, up: Literal["y", "z"] | None = None)
     if up == "y" or (up is None and path.suffix.lower() == ".glb"):
         mesh = mesh.rotated_x(90.0)
     if path.suffix.lower() == ".dae":
-        axis, unit = _collada_frame(path)
+        axis, unit = collada_frame(path)
         turn = _UPRIGHT["Z" if up else axis]
         normals = None if mesh.normals is None else mesh.normals @ turn
         return replace(mesh, vertices=mesh.vertices @ turn * unit, normals=normals)
     return mesh
-
-
-def _collada_frame(path: Path) -> tuple[str, float]:
-    """Return the up axis and meters per unit."""
-    up, unit = collada_frame(path)
-    try:
-        meters = float(unit)
-    except ValueError:
-        raise SourceError(f"{path}: its unit is not a number of meters") from None
-    if up not in _UPRIGHT:
-        raise SourceError(f"{path}: its up axis must be X_UP, Y_UP or Z_UP")
-    if not 0 < meters < float("inf"):
-        raise SourceError(f"{path}: its unit must be above 0 m, got {meters:g}")
-    return up, meters
 
 
 def read_mesh(path: Path) -> TriangleMesh:
@@ -138,14 +124,17 @@ def read_stl(data: bytes) -> Document:
     return Document([TriangleMesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))])
 
 
-_MARK = b"\xef\xbb\xbf"
 _POINT = re.compile(rb"^v +(\S+\s+\S+\s+\S+)", re.M)
 _FACE = re.compile(rb"^f +([^#\n]*)", re.M)
 
 
 def read_obj(data: bytes) -> Document:
     """Read the faces of an OBJ; negative indices count back from the last vertex."""
-    text = _plain(data)
+    text = data.removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if b"\\\n" in text:  # continued lines
+        text = re.sub(rb"^[ \t]*#.*", b"", text, flags=re.M).replace(b"\\\n", b" ")
+    if b"\t" in text or b"\n " in text or text[:1] == b" ":
+        text = re.sub(rb"^[ \t]*(\w+)[ \t]+", rb"\1 ", text, flags=re.M).replace(b"\t", b" ")
     points = numbers(b" ".join(_POINT.findall(text)), np.float64).reshape(-1, 3)
     lines = _FACE.findall(text)
     block = b"\n".join(lines)
@@ -156,16 +145,6 @@ def read_obj(data: bytes) -> Document:
     corners = numbers(re.sub(rb"/\S*", b"", block) if b"/" in block else block, np.int64) - 1
     mesh = TriangleMesh(points, corners[cut_polygons(points, corners, counts)].astype(np.int32))
     return Document([mesh], b"usemtl" in text or b"\nvt " in text)
-
-
-def _plain(data: bytes) -> bytes:
-    """Return the text without continued, indented or tabbed lines."""
-    text = data.removeprefix(_MARK).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    if b"\\\n" in text:
-        text = re.sub(rb"^[ \t]*#.*", b"", text, flags=re.M).replace(b"\\\n", b" ")
-    if b"\t" in text or b"\n " in text or text[:1] == b" ":
-        text = re.sub(rb"^[ \t]*(\w+)[ \t]+", rb"\1 ", text, flags=re.M).replace(b"\t", b" ")
-    return text
 
 
 def _count_forward(text: bytes) -> bytes:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import re
 import struct
 from collections.abc import Callable, Iterable, Iterator
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lirs_wct.arrays import FloatArray, IntArray
+from lirs_wct.errors import SourceError
 from lirs_wct.formats.meshes import (
     MAX_NODES,
     Document,
@@ -38,16 +40,25 @@ _INSTANCES = {"instance_node", "instance_geometry", "instance_controller"}
 _PRIMITIVES = {"triangles", "polylist", "polygons", "tristrips", "trifans"}
 
 
-def collada_frame(path: Path) -> tuple[str, str]:
-    """Return the up axis and the meters per unit as written; defaults: Y, 1."""
-    depth = 0
+def collada_frame(path: Path) -> tuple[str, float]:
+    """Return the up axis and the meters per unit; defaults: Y, 1."""
+    depth, up, unit = 0, "Y", "1"
     for event, element in ElementTree.iterparse(path, ("start", "end")):
         depth += 1 if event == "start" else -1
         if (depth, event, _local(element)) == (1, "end", "asset"):
             asset = {_local(child): child for child in element}
-            up = (asset["up_axis"].text or "").strip() if "up_axis" in asset else "Y_UP"
-            return up[:1], asset["unit"].get("meter", "1") if "unit" in asset else "1"
-    return "Y", "1"
+            up = (asset["up_axis"].text or "").strip()[:1] if "up_axis" in asset else up
+            unit = asset["unit"].get("meter", "1") if "unit" in asset else unit
+            break
+    try:
+        meters = float(unit)
+    except ValueError:
+        raise SourceError(f"{path}: its unit is not a number of meters") from None
+    if up not in ("X", "Y", "Z"):
+        raise SourceError(f"{path}: its up axis must be X_UP, Y_UP or Z_UP")
+    if not 0 < meters < math.inf:
+        raise SourceError(f"{path}: its unit must be above 0 m, got {meters:g}")
+    return up, meters
 
 
 def read_collada(data: bytes) -> Document:
@@ -141,19 +152,16 @@ class _Shapes:
     def shape(self, name: str) -> list[tuple[FloatArray, IntArray]]:
         """Return the points and triangles of each primitive of a geometry."""
         if name not in self._shapes:
-            mesh = self._ids["geometry", name].find("mesh")
+            mesh, self._shapes[name] = self._ids["geometry", name].find("mesh"), []
             assert mesh is not None
-            self._shapes[name] = [self._faces(mesh, p) for p in mesh if p.tag in _PRIMITIVES]
+            for primitive in (element for element in mesh if element.tag in _PRIMITIVES):
+                inputs = primitive.findall("input")
+                width = 1 + max(int(i.get("offset", 0)) for i in inputs)
+                vertex = next(i for i in inputs if i.get("semantic") == "VERTEX")
+                rows, counts, rings = _polygons(primitive, width)
+                points, corners = _points(mesh, vertex), rows[:, int(vertex.get("offset", 0))]
+                self._shapes[name].append((points, corners[cut_polygons(points, corners, counts, rings)]))
         return self._shapes[name]
-
-    def _faces(self, mesh: Element, primitive: Element) -> tuple[FloatArray, IntArray]:
-        """Return the points and triangles of a primitive."""
-        inputs = primitive.findall("input")
-        width = 1 + max(int(i.get("offset", 0)) for i in inputs)
-        vertex = next(i for i in inputs if i.get("semantic") == "VERTEX")
-        rows, counts, rings = _polygons(primitive, width)
-        points, corners = _points(mesh, vertex), rows[:, int(vertex.get("offset", 0))]
-        return points, corners[cut_polygons(points, corners, counts, rings)]
 
 
 def _points(mesh: Element, vertex: Element) -> FloatArray:
@@ -253,10 +261,17 @@ class _Scene:
     """A GLB: its JSON, its buffers, and lines on what is simplified."""
 
     def __init__(self, data: bytes, referenced: Callable[[str], bytes]) -> None:
-        self.tree, binary = _chunks(data)
+        if data[:8] != b"glTF\2\0\0\0":
+            raise ValueError("is no GLB of version 2")
+        at, chunks = 12, dict[int, bytes]()
+        while at + 8 <= len(data):
+            size, kind = struct.unpack_from("<II", data, at)
+            chunks.setdefault(kind, data[at + 8 : at + 8 + size])
+            at += 8 + size
+        self.tree: dict[str, Any] = json.loads(chunks[_JSON])
         self.notes, self._visits = list[str](), 0
         self._buffers = [
-            _read_uri(b["uri"], referenced) if "uri" in b else b"" if i else binary
+            _read_uri(b["uri"], referenced) if "uri" in b else b"" if i else chunks.get(_BINARY, b"")
             for i, b in enumerate(self.tree.get("buffers", []))
         ]
         self._refuse(name for name in self.tree.get("extensionsRequired", []) if not _READ.match(name))
@@ -344,18 +359,6 @@ class _Scene:
             )
         except (TypeError, ValueError) as error:  # by the version of NumPy
             raise ValueError(f"is damaged: {count} numbers at byte {start} are not in its buffer") from error
-
-
-def _chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return the JSON and the binary chunk."""
-    if data[:8] != b"glTF\2\0\0\0":
-        raise ValueError("is no GLB of version 2")
-    at, chunks = 12, dict[int, bytes]()
-    while at + 8 <= len(data):
-        size, kind = struct.unpack_from("<II", data, at)
-        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
-        at += 8 + size
-    return json.loads(chunks[_JSON]), chunks.get(_BINARY, b"")
 
 
 def _read_uri(uri: str, referenced: Callable[[str], bytes]) -> bytes:

@@ -262,21 +262,18 @@ def _write_part(file: BinaryIO, mesh: TriangleMesh, written: int) -> None:
         for start in range(0, 0 if values is None else len(values), _ROWS):
             assert values is not None
             file.write(_lines(word, fixed_text(values[start : start + _ROWS], decimals)))
+    numbers = 1 + (mesh.uv is not None) + (mesh.normals is not None)
+    between = (b"/" * (numbers - 1) + b" ") * 3
     for start in range(0, len(mesh.faces), _ROWS):
-        file.write(_faces(mesh.faces[start : start + _ROWS] + 1 + written, mesh))
+        # Position, texture and normal of a corner share an index.
+        corners = np.repeat(mesh.faces[start : start + _ROWS] + 1 + written, numbers, axis=1)
+        text = fixed_text(corners, 0, between[:-1])
+        # Without texture coordinates, the field between the slashes stays empty.
+        file.write(_lines(b"f", text if mesh.uv is not None else text.replace(b"/", b"//")))
 
 
 def _lines(word: bytes, rows: bytes) -> bytes:
     return word + b" " + rows[:-1].replace(b"\n", b"\n" + word + b" ") + b"\n"
-
-
-def _faces(corners: Int32Array, mesh: TriangleMesh) -> bytes:
-    """Return the lines of faces; position, texture and normal of a corner share an index."""
-    numbers = 1 + (mesh.uv is not None) + (mesh.normals is not None)
-    between = (b"/" * (numbers - 1) + b" ") * 3
-    text = fixed_text(np.repeat(corners, numbers, axis=1), 0, between[:-1])
-    # Without texture coordinates, the field between the slashes stays empty.
-    return _lines(b"f", text if mesh.uv is not None else text.replace(b"/", b"//"))
 
 
 def write_stl(path: Path, mesh: TriangleMesh, progress: Progress = no_progress) -> None:

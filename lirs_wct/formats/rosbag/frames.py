@@ -264,26 +264,25 @@ def read_poses(path: Path, topic: str | None = None) -> Trajectory:
     taken); by default it is transforms that lead to a frame `map`, else the only topic of poses.
     """
     with open_bag(path) as bag:
-        trajectory = _poses(bag, topic)
+        topics = of_kinds(bag.kinds, POSES)
+        if topic is not None:
+            legal = *POSES, *TRANSFORMS
+            topics = [require_topic(path, "BAG:/TOPIC", topic, legal, bag.kinds)]
+        trajectory = None
+        if topic is None or bag.kinds[topic] in TRANSFORMS:
+            trajectory = _follow_transforms(bag, required=topic is not None or not topics)
+        if trajectory is None:
+            if len(topics) != 1:
+                raise SourceError(
+                    f"{path}: BAG:/TOPIC must say where its poses are; {list_topics(bag.kinds)}"
+                )
+            trajectory = _read_topic(bag, topics[0])
     if bag.faults:
         said = f"{len(trajectory)} poses could be read"
         warnings.warn(f"{path}: damaged ({'; '.join(bag.faults)}): {said}", stacklevel=2)
     if len(trajectory) == 0:
         raise SourceError(f"{path}: {topic or 'it'} holds no pose")
     return trajectory
-
-
-def _poses(bag: Bag, topic: str | None) -> Trajectory:
-    if topic is not None:
-        require_topic(bag.path, "BAG:/TOPIC", topic, (*POSES, *TRANSFORMS), bag.kinds)
-    topics = of_kinds(bag.kinds, POSES) if topic is None else [topic]
-    if topic is None or bag.kinds[topic] in TRANSFORMS:
-        in_map = _follow_transforms(bag, required=topic is not None or not topics)
-        if in_map is not None:
-            return in_map
-    if len(topics) != 1:
-        raise SourceError(f"{bag.path}: BAG:/TOPIC must say where its poses are; {list_topics(bag.kinds)}")
-    return _read_topic(bag, topics[0])
 
 
 def _follow_transforms(bag: Bag, *, required: bool) -> Trajectory | None:

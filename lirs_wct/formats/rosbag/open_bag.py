@@ -158,7 +158,10 @@ class Bag:
 
         Only the types of these topics are parsed, so that other malformed types do no harm.
         """
-        messages = merge(*(_of_topics(reader, topics) for reader in self._readers), key=itemgetter(1))
+        chosen = [[c for c in reader.connections if c.topic in topics] for reader in self._readers]
+        # The library treats an empty selection as all.
+        parts = [reader.messages(own) for reader, own in zip(self._readers, chosen, strict=True) if own]
+        messages = merge(*parts, key=itemgetter(1))
         while True:
             # Parsers raise any kind of exception for damaged binary data.
             try:
@@ -180,12 +183,6 @@ class Bag:
                 self.undecoded[connection.topic] += 1
             else:
                 yield connection.topic, received, message
-
-
-def _of_topics(reader: Reader, topics: Collection[str]) -> Iterator[tuple[Connection, int, bytes]]:
-    """Yield a file's messages on topics; the library treats an empty selection as all."""
-    chosen = [c for c in reader.connections if c.topic in topics]
-    return reader.messages(chosen) if chosen else iter(())
 
 
 @cache

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lirs_wct.formats.rosbag.frames import seconds
 from lirs_wct.formats.rosbag.open_bag import open_bag
-from lirs_wct.geometry import BoolArray, Float32Array, FloatArray, PointCloud, Pose3
+from lirs_wct.geometry import Float32Array, FloatArray, PointCloud, Pose3
 
 ANGLE_TOLERANCE = 1e-4
 """Largest difference between angle_max and the sum of increments, both float32, radians."""
@@ -187,7 +187,9 @@ def _cloud(records: NDArray[Any], header: float, stamp: float, T_base_laser: Pos
     ring = records["ring"] if "ring" in known else np.zeros(records.shape)
     xyz = np.stack([records[axis] for axis in "xyz"], axis=-1).astype(np.float32)
     valid = np.isfinite(xyz).all(axis=-1) & (xyz != 0.0).any(axis=-1)
-    column, shape = _columns(valid, ring)
+    column, shape = None, (0, 0)
+    if len(valid) > 1 and (ring == np.arange(len(valid))[:, None]).all():  # rows are rings
+        column, shape = np.nonzero(valid)[1].astype(np.uint16), (valid.shape[0], valid.shape[1])
     return PointCloud(
         xyz[valid],
         ring[valid].astype(np.uint16),
@@ -198,10 +200,3 @@ def _cloud(records: NDArray[Any], header: float, stamp: float, T_base_laser: Pos
         column,
         shape,
     )
-
-
-def _columns(valid: BoolArray, ring: NDArray[Any]) -> tuple[NDArray[np.uint16] | None, tuple[int, int]]:
-    """Return columns (n,), and rings x columns; None and (0, 0) unless rows are rings."""
-    if len(valid) < 2 or (ring != np.arange(len(valid))[:, None]).any():
-        return None, (0, 0)
-    return np.nonzero(valid)[1].astype(np.uint16), (valid.shape[0], valid.shape[1])
