@@ -36,37 +36,19 @@ if TYPE_CHECKING:
     from lirs_wct.sources.source import BuildOptions
     from lirs_wct.world import World
 
-_HOMES = {
-    "BoolArray": "arrays",
-    "ByteArray": "arrays",
-    "Float32Array": "arrays",
-    "FloatArray": "arrays",
-    "Int32Array": "arrays",
-    "IntArray": "arrays",
-    "BuildOptions": "sources.source",
-    "ConfigError": "errors",
-    "HeightField": "geometry.grid",
-    "Imu": "geometry.scan",
-    "ImuReadings": "geometry.scan",
-    "LaserScan": "geometry.scan",
-    "MapperError": "errors",
-    "OccupancyGrid": "geometry.grid",
-    "OutputError": "errors",
-    "PointCloud": "geometry.scan",
-    "Pose2": "geometry.pose",
-    "Pose3": "geometry.pose",
-    "SimulationError": "errors",
-    "SourceError": "errors",
-    "Trajectory": "geometry.pose",
-    "TriangleMesh": "geometry.mesh",
-    "WallGrid": "geometry.grid",
-    "WctError": "errors",
-    "World": "world",
-    "build_world": "sources.build",
-    "unknown_name": "errors",
-    "wrap_angle": "geometry.pose",
-    "write_package": "export.package",
+_NAMES = {
+    "arrays": "BoolArray ByteArray Float32Array FloatArray Int32Array IntArray",
+    "errors": "ConfigError MapperError OutputError SimulationError SourceError WctError unknown_name",
+    "export.package": "write_package",
+    "geometry.grid": "HeightField OccupancyGrid WallGrid",
+    "geometry.mesh": "TriangleMesh",
+    "geometry.pose": "Pose2 Pose3 Trajectory wrap_angle",
+    "geometry.scan": "Imu ImuReadings LaserScan PointCloud",
+    "sources.build": "build_world",
+    "sources.source": "BuildOptions",
+    "world": "World",
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 __all__ = [
     "BoolArray",

@@ -136,10 +136,8 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         raise OutputError(f"{path}: is a file, a folder is to be written there")
     with scratch_folder(target) as temporary, _output_errors(path, temporary):
         yield temporary
-        files = sorted(file for file in temporary.rglob("*") if file.is_file() and file.name != MANIFEST)
-        listed = {file.relative_to(temporary).as_posix(): {digest(file)} for file in files}
-        (temporary / MANIFEST).write_text(_lines(listed), encoding="utf-8")
-        for file in (*files, temporary / MANIFEST):
+        write_manifest(temporary)
+        for file in filter(Path.is_file, temporary.rglob("*")):
             with file.open("rb+") as written:  # otherwise a power cut after the rename leaves empty files
                 os.fsync(written.fileno())
         if target.exists():
@@ -214,6 +212,13 @@ MARKERS = ("world.json", "record.json", "episode.json", "twin.json", "collisions
 """Files without which a folder is incomplete."""
 MANIFEST = "manifest-sha256.txt"
 """Digests of the files that this program wrote, as `sha256sum` writes and checks them."""
+
+
+def write_manifest(folder: Path) -> None:
+    """List every file that a folder holds now."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != MANIFEST)
+    listed = {path.relative_to(folder).as_posix(): {digest(path)} for path in files}
+    (folder / MANIFEST).write_text(_lines(listed), encoding="utf-8")
 
 
 def _lines(listed: dict[str, set[str]]) -> str:
