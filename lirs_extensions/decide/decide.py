@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from operator import attrgetter
@@ -257,8 +257,13 @@ def decide(
         budget: Wall seconds.
         report: Function of a method's trial before its drives, and of any trial after each drive.
     """
-    deadline = time.monotonic() + budget
-    worlds, planned = zip(*plan_trials(configs), strict=True)
+    deadline, scenarios = time.monotonic() + budget, ScenarioCache()
+    worlds, planned = list[str](), list[Trial]()
+    for config in configs:
+        world, robot = scenarios.scenario(config).world, make_robot(config.robot)
+        make_driver(world, robot, replace(config, seconds=1.0), _no_map)  # finds a start, or refuses
+        worlds.append(world.name)
+        planned.append(Trial(config, forecast=forecast(world, robot, config)))
     for trial in planned:
         report(trial)
     trials = run_trials(planned, out, engine, deadline=deadline, report=report)
@@ -278,15 +283,6 @@ def decide(
     return tuple(map(Answer, worlds, trials, map(tuple, changed)))
 
 
-def plan_trials(configs: Sequence[RunConfig]) -> Iterator[tuple[str, Trial]]:
-    """Yield world name and trial of each config; its driver finds a start there."""
-    scenarios = ScenarioCache()
-    for config in configs:
-        world, robot = scenarios.scenario(config).world, make_robot(config.robot)
-        make_driver(world, robot, replace(config, seconds=1.0), _no_map)
-        yield world.name, Trial(config, forecast=forecast(world, robot, config))
-
-
 def _no_map() -> OccupancyGrid:
     raise NotImplementedError("no mapper runs while starts are checked")
 
@@ -299,14 +295,9 @@ def run_trials(
     deadline: float,
     report: Callable[[Trial], None],
 ) -> tuple[Trial, ...]:
-    """Drive trials until each is decided or the time is over.
+    """Drive trials with different configs until each is decided, or no drive may begin any more.
 
-    Args:
-        trials: Trials with different configs.
-        out: Folder of the drives' folders; drives that are there already are not repeated.
-        engine: Execution of the drives.
-        deadline: Time of `time.monotonic` after which no drive begins.
-        report: Function of a trial after each of its drives.
+    Drives that are in the folder already are not repeated; `report` gets a trial after each of its drives.
     """
     done, executor = list(trials), make_executor(engine)
     while time.monotonic() < deadline:

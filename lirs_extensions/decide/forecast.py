@@ -37,6 +37,12 @@ MIN_INFORMATION = 1e-4
 """Information per beam below which a scan tells nothing."""
 REVISIT_RADIUS, REVISIT_PATH = 1.0, 10.0
 """A tour revisits a place if it comes within this radius of it after this path, meters."""
+MODELS = "forecast.json"
+"""File of the models in this package; `python benchmarks/verdict_study.py fit` writes it."""
+STUDIED = ("attitude", "driver", "odometry_noise", "actors", "scan_time")
+"""Options that must have their defaults for a forecast."""
+MAX_FEATURE = 3.0
+"""Largest standardized feature, either side: beyond the studied worlds, a forecast gets no bolder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,10 +77,7 @@ FEATURES = tuple(entry.name for entry in fields(SiteFeatures))
 
 
 def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures:
-    """Cast scans along tours of a site and return their features.
-
-    The config gives mapper, lidar, seed and seconds of the drives.
-    """
+    """Cast scans along tours of a site, by a config's mapper, lidar, seed and seconds; return features."""
     preset = make_lidar_preset(config.lidar or robot.lidar)
     preset = preset if config.mapper in ALL_CLOUD_MAPPERS else preset.planar
     caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
@@ -179,14 +182,6 @@ def _loop_share(path: FloatArray) -> float:
     near = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) < REVISIT_RADIUS
     earlier = at[None] < at[:, None] - REVISIT_PATH
     return float((near & earlier).any(axis=1).mean())
-
-
-MODELS = "forecast.json"
-"""File of the models in this package; `python benchmarks/verdict_study.py fit` writes it."""
-STUDIED = ("attitude", "driver", "odometry_noise", "actors", "scan_time")
-"""Options that must have their defaults for a forecast."""
-MAX_FEATURE = 3.0
-"""Largest standardized feature, either side: beyond the studied worlds, a forecast gets no bolder."""
 
 
 @dataclass(frozen=True)

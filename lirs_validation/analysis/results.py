@@ -21,7 +21,6 @@ from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2, Pose3, S
 from lirs_wct.errors import reason_of
 from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.formats.laser_log import LaserLog
-from lirs_wct.option import Options
 from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import TEXTURE_OPTIONS
 from slam_baselines.map_builder import KnownPoseMapper
@@ -149,8 +148,8 @@ def recorded_config(entry: Entry) -> RunConfig:
         build["resolution"] = pixel
     if build.get("origin", "") is None:
         del build["origin"]
-    unknown = [name for name in run if name not in _names(RunConfig)]
-    unknown += [name for name in build if name not in _names(BuildOptions)]
+    known = [{entry.name for entry in fields(options)} for options in (RunConfig, BuildOptions)]
+    unknown = {*run} - known[0] | {*build} - known[1]
     if unknown:
         raise SourceError(f"{entry['name']}: options unknown to this version: {', '.join(sorted(unknown))}")
     defaults = BuildOptions()
@@ -177,10 +176,6 @@ def _fits(value: object, default: object) -> bool:
     if default is None:
         return isinstance(value, int | float | str | None)
     return isinstance(value, str if isinstance(default, str) else int | float)
-
-
-def _names(options: type[Options]) -> set[str]:
-    return {entry.name for entry in fields(options)}
 
 
 def recorded_world_config(entry: Entry) -> RunConfig:

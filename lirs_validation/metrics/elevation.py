@@ -20,8 +20,14 @@ from lirs_wct import HeightField, PointCloud, Pose3, Trajectory, WallGrid, World
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.errors import SourceError, reason_of
 
+ELEVATION = "elevation.npz"
+"""File of a run's elevation maps."""
 CELL = 0.10
 """Edge of a cell, meters."""
+MIN_WIDTH = 0.1
+"""A path whose width is a smaller share of its length does not say how it is turned about itself."""
+MAX_CLOUDS = 240
+"""Clouds that are kept at a time, some 100 MB of them; beyond, every second one is dropped."""
 OBSTACLE_DISTANCE = 0.20
 """Cells so near a wall or a face steeper than 45 deg are not judged, meters: what lies in them is one side of
 it, and no height of the ground."""
@@ -147,9 +153,6 @@ def _add(
             count[row, col] += 1
 
 
-ELEVATION = "elevation.npz"
-
-
 def write_elevation(path: Path, built: ElevationMap, true_pose: ElevationMap) -> None:
     """Write two elevation maps on one grid: `built` and `true_pose` (rows, cols), `cell` and `origin`."""
     arrays = {
@@ -170,10 +173,6 @@ def read_elevation(path: Path) -> tuple[ElevationMap, ElevationMap]:
     return built, true_pose
 
 
-MIN_WIDTH = 0.1
-"""A path whose width is a smaller share of its length does not say how it is turned about itself."""
-
-
 @dataclass(frozen=True)
 class Elevations:
     """Elevation maps of a run in the world frame, on one grid."""
@@ -185,9 +184,7 @@ class Elevations:
 def evaluate_elevation(
     world: World, sample: CloudSample, truth: Trajectory, estimate: Trajectory
 ) -> tuple[Elevations | None, ElevationScores]:
-    """Return elevation maps and metrics of a run.
-
-    A world with overhangs has none.
+    """Return elevation maps and metrics of a run; a world with overhangs has none.
 
     Args:
         world: World of the run.
@@ -197,15 +194,16 @@ def evaluate_elevation(
     """
     if world.overhangs:
         return None, ElevationScores()
-    bounds = _bounds(world, sample, truth)
-    made = Elevations(
-        elevation_map(_place_clouds(sample, truth, estimate), bounds),
-        elevation_map(_place_clouds(sample, truth, truth), bounds),
-    )
+    reach = max((float(np.linalg.norm(c.xyz, axis=1).max()) for c in sample.clouds if len(c)), default=0.0)
+    low, high = truth.xy.min(axis=0) - reach, truth.xy.max(axis=0) + reach
+    west, south, east, north = world.surface.bounds
+    bounds = max(west, low[0]), max(south, low[1]), min(east, high[0]), min(north, high[1])
+    built = elevation_map(_place_clouds(sample, truth, estimate), bounds)
+    true_pose = elevation_map(_place_clouds(sample, truth, truth), bounds)
     T = _alignment(truth, estimate)
     aligned = None if T is None else elevation_map(_place_clouds(sample, truth, estimate.moved(T)), bounds)
-    scores = elevation_scores(made.built, made.true_pose, aligned, surface=world.surface, walls=world.walls)
-    return made, scores
+    scores = elevation_scores(built, true_pose, aligned, surface=world.surface, walls=world.walls)
+    return Elevations(built, true_pose), scores
 
 
 def _place_clouds(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> Iterator[FloatArray]:
@@ -215,14 +213,6 @@ def _place_clouds(sample: CloudSample, truth: Trajectory, poses: Trajectory) -> 
         cloud = sample.clouds[k]
         T_world_base = Pose3.from_arrays(poses.positions[pose], poses.quaternions[pose])
         yield (T_world_base @ cloud.T_base_laser).apply(cloud.xyz)
-
-
-def _bounds(world: World, sample: CloudSample, truth: Trajectory) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of the world in the clouds' reach, meters."""
-    reach = max((float(np.linalg.norm(c.xyz, axis=1).max()) for c in sample.clouds if len(c)), default=0.0)
-    west, south, east, north = world.surface.bounds
-    low, high = truth.xy.min(axis=0) - reach, truth.xy.max(axis=0) + reach
-    return max(west, low[0]), max(south, low[1]), min(east, high[0]), min(north, high[1])
 
 
 def _alignment(truth: Trajectory, estimate: Trajectory) -> Pose3 | None:
@@ -237,15 +227,9 @@ def _alignment(truth: Trajectory, estimate: Trajectory) -> Pose3 | None:
     return spatial_alignment(estimate.positions[j], true)
 
 
-MAX_CLOUDS = 240
-"""Clouds that are kept at a time, some 100 MB of them; beyond, every second one is dropped."""
-
-
 @dataclass
 class CloudSample:
-    """Sample of clouds spread evenly over a drive.
-
-    One per second; fewer on longer drives.
+    """Sample of clouds spread evenly over a drive: one per second, fewer on longer drives.
 
     Attributes:
         clouds: Kept clouds, without the points on walkers.

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -247,9 +248,8 @@ def _checks() -> Iterator[InstallationCheck]:
     for extra, packages in EXTRAS.items():
         found = {name: _version(name) for name in packages}
         text = ", ".join(f"{name} {version or '-'}" for name, version in found.items())
-        yield InstallationCheck(
-            f"[{extra}]", text, "" if all(found.values()) else f"pip install '.[{extra}]'"
-        )
+        mend = "" if all(found.values()) else f"pip install '.[{extra}]'"
+        yield InstallationCheck(f"[{extra}]", text, mend)
 
 
 def _ray_token() -> Iterator[InstallationCheck]:
@@ -273,30 +273,19 @@ def _version(package: str) -> str | None:
 
 
 def _opengl() -> Iterator[InstallationCheck]:
-    """Draw a picture with each backend in its own process; MuJoCo chooses one per process.
-
-    Only pictures of the simulation need one.
-    """
+    """Draw a picture with each backend in its own process; only pictures of the simulation need one."""
     for backend, mend in BACKENDS.items():
         works = _draws(backend)
-        yield InstallationCheck(
-            f"OpenGL by {backend}", "draws" if works else "no picture", "" if works else mend
-        )
+        found = "draws" if works else "no picture"
+        yield InstallationCheck(f"OpenGL by {backend}", found, "" if works else mend)
 
 
 def _draws(backend: str) -> bool:
-    environment = os.environ | {"MUJOCO_GL": backend}
-    try:
-        drawn = subprocess.run(
-            [sys.executable, "-c", _RENDER],
-            env=environment,
-            capture_output=True,
-            timeout=PICTURE_SECONDS,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return False
-    return drawn.returncode == 0
+    command, environment = [sys.executable, "-c", _RENDER], os.environ | {"MUJOCO_GL": backend}
+    with suppress(OSError, subprocess.TimeoutExpired):
+        run = subprocess.run(command, env=environment, capture_output=True, timeout=PICTURE_SECONDS)
+        return run.returncode == 0
+    return False
 
 
 def _caches() -> Iterator[InstallationCheck]:
