@@ -6,6 +6,7 @@ import importlib.metadata
 import math
 import os
 import platform
+import re
 import subprocess
 import sys
 import tempfile
@@ -29,28 +30,8 @@ if TYPE_CHECKING:
 
 Data = Mapping[str, str]
 """Values by heading."""
-REQUIRED = (
-    "mujoco",
-    "gymnasium",
-    "numpy",
-    "scipy",
-    "numba",
-    "trimesh",
-    "opencv-python-headless",
-    "matplotlib",
-    "rosbags",
-)
-EXTRAS = {
-    "gui": ("viser", "pillow"),
-    "mesh": ("coacd", "embreex"),
-    "live": ("cyclonedds", "eclipse-zenoh"),
-    "rl": ("stable-baselines3",),
-    "dist": ("ray",),
-    "search": ("cma",),
-    "notebooks": ("ipykernel", "nbclient"),
-    "usd": ("usd-core",),
-}
-"""Packages of each extra."""
+FOR_DEVELOPERS = ("dev", "docs")
+"""Extras that no command needs."""
 BACKENDS = {
     "egl": "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0",
     "osmesa": "apt-get install libosmesa6",
@@ -239,14 +220,19 @@ def doctor() -> None:
 
 def _checks() -> Iterator[InstallationCheck]:
     yield InstallationCheck("python", f"{platform.python_version()}, {sys.executable}")
-    for name in ("lirs-wct", *REQUIRED):
+    extras: dict[str, list[str]] = {"": ["lirs-wct"]}  # the empty name: always required
+    for requirement in importlib.metadata.requires("lirs-wct") or ():
+        package, _, condition = requirement.partition(";")
+        extra = condition.replace("'", '"').partition('extra == "')[2].partition('"')[0]
+        extras.setdefault(extra, []).append(re.split(r"[^\w.-]", package, maxsplit=1)[0])
+    for name in extras.pop(""):
         version = _version(name)
         yield InstallationCheck(name, version or "-", "" if version else "pip install .", needed=True)
     yield from _opengl()
     yield from _caches()
     yield from _ray_token()
-    for extra, packages in EXTRAS.items():
-        found = {name: _version(name) for name in packages}
+    for extra in sorted(extras.keys() - FOR_DEVELOPERS):
+        found = {name: _version(name) for name in extras[extra]}
         text = ", ".join(f"{name} {version or '-'}" for name, version in found.items())
         mend = "" if all(found.values()) else f"pip install '.[{extra}]'"
         yield InstallationCheck(f"[{extra}]", text, mend)
