@@ -15,7 +15,7 @@ from lirs_validation.config import RunConfig
 from lirs_validation.record.map_record import is_mapped_log
 from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.record.run_record import RECORD, read_record, schema_error, source_files
-from lirs_validation.sweep.sweep import MANIFEST
+from lirs_validation.sweep.sweep import MANIFEST, read_status
 from lirs_validation.sweep.tasks import STATUS, read_verdict
 from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
 from lirs_wct.errors import reason_of
@@ -89,10 +89,12 @@ def read_results(root: Path) -> ResultFolder:
                 continue  # a source of runs, and none itself
             if (folder / RECORD).exists():
                 runs.append(read_run(folder))
-            elif (folder / STATUS).exists() and (reason := _failure(folder / STATUS)) is not None:
-                broken.append((folder.name, reason))
             elif (folder / STATUS).exists():
-                verdicts.append(read_verdict(folder))
+                ending = read_status(folder / STATUS)
+                if ending["status"] == "ok":
+                    verdicts.append(read_verdict(folder))
+                else:
+                    broken.append((folder.name, ending["reason"] or ending["status"]))
         except SourceError as error:
             skipped.append((folder.name, str(error).removeprefix(f"{folder}/")))
     manifest = _manifest(root / MANIFEST, skipped)
@@ -102,39 +104,17 @@ def read_results(root: Path) -> ResultFolder:
     return ResultFolder(root, tuple(runs), tuple(verdicts), tuple(broken), tuple(skipped), manifest)
 
 
-def _failure(path: Path) -> str | None:
-    """Return the reason of a failed collision validation; None of a successful one."""
-    entry = _json(path)
-    status, reason = entry.get("status"), entry.get("reason")
-    if not isinstance(status, str) or not isinstance(reason, str):
-        raise SourceError(f"{path}: damaged: status and reason must be text")
-    return None if status == "ok" else reason or status
-
-
 def _manifest(path: Path, skipped: list[tuple[str, str]]) -> Entry | None:
     if not path.exists():
         return None
     try:
-        entry = _json(path)
-        cells = entry.get("cells", [])
-        if not isinstance(cells, list) or not all(
-            isinstance(cell, dict) and isinstance(cell.get("name"), str) for cell in cells
-        ):
-            raise SourceError(f"{path}: damaged: cells must be a list of objects with a name")
+        entry: Entry = json.loads(path.read_text(encoding="utf-8"))
+        if not all(isinstance(cell["name"], str) for cell in entry.get("cells", [])):
+            raise ValueError("cells must be objects with a name")
         return entry
-    except SourceError as error:
-        skipped.append((path.name, str(error)))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
+        skipped.append((path.name, f"{path}: not readable, or damaged: {reason_of(error)}"))
         return None
-
-
-def _json(path: Path) -> Entry:
-    try:
-        entry = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise SourceError(f"{path}: not readable, or damaged: {reason_of(error)}") from error
-    if not isinstance(entry, dict):
-        raise SourceError(f"{path}: damaged: an object is required, got {entry!r:.40}")
-    return entry
 
 
 def recorded_config(entry: Entry) -> RunConfig:
