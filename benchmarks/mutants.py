@@ -190,8 +190,8 @@ READERS = (
     *(f"lirs_wct/formats/{name}.py" for name in ("elevation", "picture", "carmen_log", "laser_log")),
     *(f"lirs_wct/formats/{name}.py" for name in ("map_server", "drive_files")),
     "lirs_wct/formats/meshes/reader.py",
-    *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "picture", "frame")),
-    *(f"lirs_wct/{name}.py" for name in ("meshing/solid",)),
+    *(f"lirs_wct/sources/{name}.py" for name in ("laser_map", "picture")),
+    *(f"lirs_wct/{name}.py" for name in ("ground", "meshing/solid", "meshing/walls")),
 )
 GROUPS = {
     "metrics": (63, ("lirs_validation/metrics/*.py",)),

@@ -13,9 +13,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
 from lirs_wct.errors import SourceError
-from lirs_wct.geometry import HeightField, OccupancyGrid, Pose2, WallGrid
+from lirs_wct.geometry import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    HeightField,
+    IntArray,
+    OccupancyGrid,
+    Pose2,
+    WallGrid,
+    njit,
+)
 from lirs_wct.geometry.grid import sample_surface
 from lirs_wct.ground import Ground
 
@@ -41,9 +50,6 @@ def traversable_by(
     """Yield a grid of legal positions for each pair of clearance, meters, and slope, radians.
 
     The grids share the filters of the ground. See `World.traversable`.
-
-    Raises:
-        SourceError: the surface is too large for a grid of this resolution.
     """
     surface = ground.surface
     west, south, east, north = surface.bounds
@@ -72,8 +78,7 @@ def _obstacles(ground: Ground, grid: OccupancyGrid) -> dict[str, BoolArray]:
     if ground.walls is not None:
         obstacles[WALLS] = _wall_cells(ground.walls, grid)
     if truth is not None:
-        free = _lookup(truth.free, truth.resolution, truth.origin, grid)
-        obstacles["a cell that the map does not show as free"] = ~free
+        obstacles["a cell that the map does not show as free"] = ~overlaid(truth.free, truth, grid)
     return obstacles
 
 
@@ -192,25 +197,20 @@ def _wall_cells(walls: WallGrid, grid: OccupancyGrid) -> BoolArray:
     """
     barred = ~walls.floor
     local = (np.argwhere(barred)[:, ::-1] + 0.5) * walls.resolution
-    marked = _lookup(barred, walls.resolution, walls.origin, grid)
+    marked = overlaid(barred, walls, grid)
     cells = grid.cells(walls.origin.apply(local))
     rows, cols = np.clip(cells, 0, np.array(grid.shape) - 1).T
     marked[rows, cols] = True
     return marked
 
 
-def overlaid(mask: BoolArray, of: OccupancyGrid, grid: OccupancyGrid) -> BoolArray:
+def overlaid(mask: BoolArray, of: OccupancyGrid | WallGrid, grid: OccupancyGrid) -> BoolArray:
     """Sample the mask of one grid at the cell centers of another; False outside."""
     if (of.shape, of.resolution, of.origin) == (grid.shape, grid.resolution, grid.origin):
         return mask
-    return _lookup(mask, of.resolution, of.origin, grid)
-
-
-def _lookup(mask: BoolArray, resolution: float, origin: Pose2, grid: OccupancyGrid) -> BoolArray:
-    """Return the mask's values at the cell centers of a grid; False outside."""
-    T_mask_grid = origin.inverse() @ grid.origin
-    found: BoolArray = _values_at(mask, resolution, T_mask_grid.as_array(), grid.resolution, *grid.shape)
-    return found
+    T_mask_grid = (of.origin.inverse() @ grid.origin).as_array()
+    values: BoolArray = _values_at(mask, of.resolution, T_mask_grid, grid.resolution, *grid.shape)
+    return values
 
 
 @njit
@@ -246,14 +246,9 @@ def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:
 def cause_of_refusal(
     ground: Ground, grid: OccupancyGrid, place: tuple[float, float], *, clearance: float, max_slope: float
 ) -> str:
-    """Return the cause why a robot cannot stand at a position, with amount and limit.
+    """Return the cause why a robot cannot stand at x, y of the world, with amount and limit.
 
-    Args:
-        ground: ground of the world.
-        grid: geometry of the cells.
-        place: x and y in the world frame, meters.
-        clearance: distance of the robot's center from blocked cells, meters.
-        max_slope: steepest ground that the robot drives, radians.
+    The grid gives the geometry of the cells; for clearance and slope see `World.traversable`.
     """
     x, y = place
     west, south, east, north = ground.surface.bounds
@@ -355,9 +350,20 @@ def spawn_poses(free: OccupancyGrid, count: int = 8, *, corridors: bool = False)
         return ()
     room = distance_to(~area, free.resolution)[area]
     middle = points.mean(axis=0)
-    first = int(np.argmax(np.minimum(room, 3.0) - 0.02 * np.hypot(*(points - middle).T)))
-    chosen = _farthest(points, np.minimum(room, 2.0), first, min(count, len(points)))
-    return tuple(_facing(free if corridors else None, points[i], middle) for i in chosen)
+    chosen = [int(np.argmax(np.minimum(room, 3.0) - 0.02 * np.hypot(*(points - middle).T)))]
+    gap = np.full(len(points), np.inf)
+    while len(chosen) < min(count, len(points)):
+        gap = np.minimum(gap, np.hypot(*(points - points[chosen[-1]]).T))
+        chosen.append(int(np.argmax(gap + np.minimum(room, 2.0))))
+    poses = []
+    for point in points[chosen]:
+        dx, dy = (middle - point).tolist()
+        yaw = math.atan2(dy, dx) if math.hypot(dx, dy) > 1e-9 else 0.0
+        if corridors and min(MIN_VIEW, math.hypot(dx, dy)) > _view(free, point, yaw, MIN_VIEW):
+            directions = [2 * math.pi * k / DIRECTIONS - math.pi for k in range(DIRECTIONS)]
+            yaw = max(directions, key=lambda direction: _view(free, point, direction, VIEW_REACH))
+        poses.append(Pose2(float(point[0]), float(point[1]), yaw))
+    return tuple(poses)
 
 
 def _inner(area: BoolArray) -> BoolArray:
@@ -372,26 +378,6 @@ def _inner(area: BoolArray) -> BoolArray:
         outside = (at < low + RIM_SHARE * (high - low)) | (at > high - RIM_SHARE * (high - low))
         inner[(outside, slice(None)) if axis == 0 else (slice(None), outside)] = False
     return inner if inner.any() else area
-
-
-def _farthest(points: FloatArray, bonus: FloatArray, first: int, count: int) -> list[int]:
-    """Return indices; each next point maximizes its distance to the earlier ones plus its bonus."""
-    chosen = [first]
-    gap = np.full(len(points), np.inf)
-    while len(chosen) < count:
-        gap = np.minimum(gap, np.hypot(*(points - points[chosen[-1]]).T))
-        chosen.append(int(np.argmax(gap + bonus)))
-    return chosen
-
-
-def _facing(free: OccupancyGrid | None, point: FloatArray, target: FloatArray) -> Pose2:
-    """Return the pose that faces a target, or the longest view if it is hidden."""
-    dx, dy = (target - point).tolist()
-    yaw = math.atan2(dy, dx) if math.hypot(dx, dy) > 1e-9 else 0.0
-    if free is not None and min(MIN_VIEW, math.hypot(dx, dy)) > _view(free, point, yaw, MIN_VIEW):
-        directions = [2 * math.pi * k / DIRECTIONS - math.pi for k in range(DIRECTIONS)]
-        yaw = max(directions, key=lambda direction: _view(free, point, direction, VIEW_REACH))
-    return Pose2(float(point[0]), float(point[1]), yaw)
 
 
 def _view(free: OccupancyGrid, point: FloatArray, yaw: float, reach: float) -> float:

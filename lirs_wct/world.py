@@ -20,8 +20,7 @@ from lirs_wct.files import atomic_write, referenced_file, write_json
 from lirs_wct.geometry import BoolArray, FloatArray, HeightField, OccupancyGrid, Pose2, Pose3, WallGrid
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
-from lirs_wct.meshing.export_options import ExportOptions
+from lirs_wct.ground import ExportOptions, Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.navigation import (
     FOOTPRINTS,
     cause_of_refusal,

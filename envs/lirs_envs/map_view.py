@@ -14,7 +14,7 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import RADIUS
 from lirs_wct import ByteArray, FloatArray, Int32Array, LaserScan, Pose2, Pose3, World
-from lirs_wct.meshing.texture import ground_texture
+from lirs_wct.export.appearance import ground_texture
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,8 +20,7 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_envs.walkers import Walkers, add_walkers
 from lirs_wct import ConfigError, HeightField, Pose3, SimulationError, World
 from lirs_wct.arrays import FloatArray, Int32Array, IntArray, njit
-from lirs_wct.contact.grid import ContactGrid, contact_grid, surface_itself
-from lirs_wct.export.mjcf import world_spec, write_heights
+from lirs_wct.contact.spec import ContactGrid, contact_grid, surface_itself, world_spec, write_heights
 
 FULL_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 """State on which the next step depends, including the warm start."""

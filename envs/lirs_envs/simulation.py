@@ -25,8 +25,8 @@ from lirs_envs.sensing.sensors import LIDAR_STREAM, FaultInjector, Observation, 
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct import ConfigError, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
+from lirs_wct.contact.spec import write_heights
 from lirs_wct.errors import check_seed
-from lirs_wct.export.mjcf import write_heights
 
 ROW = np.zeros(1, np.int64)
 """The row of a single robot."""

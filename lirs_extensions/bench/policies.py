@@ -27,7 +27,7 @@ from lirs_extensions.bench.tasks import TASKS, BenchTask
 from lirs_validation.driving.choice import CLEARANCE
 from lirs_validation.driving.frontier_route import ExplorationMap, FrontierRoute
 from lirs_validation.driving.path_driver import DriverConfig, Frame, PathDriver, driver_config
-from lirs_validation.driving.paths import Path as DrivenPath, penalize_behind
+from lirs_validation.driving.paths import Path as DrivenPath, Reach, penalize_behind, search
 from lirs_validation.driving.routes import FreeGround, WaypointRoute
 from lirs_validation.experiment.loading import make_own, own_class, own_source_file
 from lirs_wct import (
@@ -42,7 +42,6 @@ from lirs_wct import (
     unknown_name,
 )
 from lirs_wct.formats.drive_files import RoutePoint
-from lirs_wct.geometry.grid_search import Reach, search
 from slam_baselines.mapper import make_mapper
 
 MAPPER = "hector"

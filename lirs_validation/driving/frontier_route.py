@@ -20,18 +20,19 @@ from lirs_validation.driving.paths import (
     STRAIGHT,
     TURN,
     Path,
+    Reach,
     cells_ahead,
     nearest,
     path_weight,
     penalize_behind,
     room_at,
     room_in,
+    search,
     smooth_path,
     speed_profile,
 )
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.geometry import OCCUPIED, OccupancyGrid, Pose2
-from lirs_wct.geometry.grid_search import Reach, search
 
 RESOLUTION = 0.1
 """Meters a cell, at least: finer maps are thinned out."""

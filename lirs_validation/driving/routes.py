@@ -21,6 +21,7 @@ from lirs_validation.driving.paths import (
     TURN,
     Path,
     PursuitConfig,
+    Reach,
     arc_length,
     area_round,
     cells_ahead,
@@ -29,6 +30,7 @@ from lirs_validation.driving.paths import (
     penalize_behind,
     room_at,
     room_in,
+    search,
     smooth_path,
     speed_profile,
 )
@@ -36,7 +38,6 @@ from lirs_validation.metrics.trajectory import wrap_angles
 from lirs_wct import HeightField, OccupancyGrid, Pose2, SourceError
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray
 from lirs_wct.formats.drive_files import RoutePoint
-from lirs_wct.geometry.grid_search import Reach, search
 from lirs_wct.navigation import nearest_place
 
 

@@ -13,12 +13,14 @@ from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation.config import RunConfig
 from lirs_validation.record.run_record import source_files
-from lirs_wct import BuildOptions, World, build_world
+from lirs_wct import BuildOptions, Pose2, World, build_world
 from lirs_wct.errors import LogSourceError
-from lirs_wct.sources.frame import Window, driven_window
+from lirs_wct.ground import Window
 
 MAX_WORLDS = 2
 """Worlds that a cache holds at a time; memory stays flat over a long sweep."""
+LARGE_SIDE, DRIVEN_SIDE = 200.0, 50.0
+"""Side from which a terrain is driven on a square only, and the side of that square, meters."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +72,12 @@ def build_scenario(config: RunConfig) -> Scenario:
         raise LogSourceError(
             f"{error}: lirs-wct build does both, and so does lirs_validation.resolve_source"
         ) from None
-    window = None if world.kind == "map" or world.overhangs else driven_window(world.surface, world.start)
-    if window is None or config.build.window is not None:
+    is_large = world.kind != "map" and not world.overhangs and max(world.surface.size) > LARGE_SIDE
+    if not is_large or config.build.window is not None:
         return Scenario(config, world, config.build.window, files)
+    west, south, east, north = world.surface.bounds
+    middle = world.start or Pose2((west + east) / 2, (south + north) / 2)
+    window = (middle.x, middle.y, DRIVEN_SIDE)
     cut = build_world(config.source, replace(config.build, window=window))
     return Scenario(config, cut, window, files, world.surface.size)
 

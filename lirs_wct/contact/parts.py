@@ -16,10 +16,9 @@ import numpy as np
 import scipy  # its modules load on first use
 
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, njit
-from lirs_wct.contact import ContactGeometry
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.simplify import simplified_solid
+from lirs_wct.meshing.solid import simplified_solid
 from lirs_wct.world import World
 
 MAX_PRISMS = 20_000
@@ -45,21 +44,8 @@ GRAZING = 0.2
 """Cosine of the angle between a corner's normal and a triangle's below which the triangle takes its own."""
 
 
-def contact_parts(world: World, geometry: ContactGeometry) -> Iterator[FloatArray]:
-    """Yield the convex parts of a world.
-
-    Raises:
-        ConfigError: more prisms than `MAX_PRISMS`, or coacd is not installed.
-    """
-    return prisms(world) if geometry == "prisms" else convex_parts(world.mesh)
-
-
 def prisms(world: World) -> Iterator[FloatArray]:
-    """Yield one prism for each upward triangle of the simplified mesh.
-
-    Raises:
-        ConfigError: there are more than `MAX_PRISMS`.
-    """
+    """Yield one prism for each upward triangle of the simplified mesh."""
     if world.export_options.limited or world.solid is not None:
         mesh, budget = world.mesh, ""
     else:
@@ -87,9 +73,6 @@ def convex_parts(mesh: TriangleMesh) -> Iterator[FloatArray]:
     Wei et al. 2022, "Approximate convex decomposition for 3D meshes with collision-aware concavity and
     tree search" (CoACD); the same mesh gives the same parts. Each closed body is cut separately, because
     CoACD does not terminate on several overlapping bodies.
-
-    Raises:
-        ConfigError: coacd is not installed.
     """
     try:
         coacd: Any = import_module("coacd")

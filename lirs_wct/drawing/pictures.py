@@ -168,11 +168,8 @@ def mesh_view(
 ) -> FloatArray:
     """Return a (rows, <= width, 4) orthographic view in true proportions, transparent outside.
 
-    Args:
-        mesh: drawn mesh.
-        wall_height: height of the walls of a laser map, meters; None = terrain, colored by height.
-        tilt: angle by which the viewer looks down, radians.
-        width: largest width of the picture, pixels.
+    Terrain (no `wall_height`) is colored by height. The tilt is the angle by which the viewer looks down,
+    radians; the width is the picture's largest, pixels.
     """
     forward, right_axis, up_axis = camera_axes(AZIMUTH, tilt)
     axes = np.stack((right_axis, up_axis, -forward))
@@ -204,11 +201,7 @@ EDGE = 6.0
 
 @singledispatch
 def figure_of(value: object) -> Drawing:
-    """Return the picture of a value.
-
-    Raises:
-        TypeError: the type has no picture.
-    """
+    """Return the picture of a value."""
     raise TypeError(f"a {type(value).__name__} has no picture")
 
 

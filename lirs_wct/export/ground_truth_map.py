@@ -7,9 +7,9 @@ import math
 import cv2
 import numpy as np
 
-from lirs_wct.contact.grid import steep_nodes
+from lirs_wct.contact.spec import steep_nodes
 from lirs_wct.errors import ConfigError
-from lirs_wct.geometry import BoolArray, FloatArray, HeightField, OccupancyGrid, Pose2, WallGrid
+from lirs_wct.geometry import BoolArray, FloatArray, HeightField, OccupancyGrid, Pose2
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
 from lirs_wct.world import World
 
@@ -25,23 +25,22 @@ TOUCHING = 1e-4
 
 
 def ground_truth_map(world: World, height: float = ROBOT_HEIGHT) -> OccupancyGrid:
-    """Return the obstacles of a robot of a given height: occupied, free, unknown (NaN).
+    """Return the obstacles of a robot whose lidar has a height: occupied, free, unknown (NaN).
 
     In a laser map, wall cells at least as high as the lidar and holes are occupied. In other worlds, faces
     steeper than 45 deg that rise by at least the height, ceilings lower than the height, and nodes without
     ground are occupied.
-
-    Args:
-        world: world to map.
-        height: height of the robot's lidar above the ground, meters.
-
-    Raises:
-        ConfigError: the height is not above 0.
     """
     if not 0 < height < math.inf:
         raise ConfigError(f"height of a map must be a finite number above 0 m, got {height}")
     if world.walls is not None:
-        return _of_walls(world.walls, world.truth, height)
+        walls, truth = world.walls, world.truth
+        p = np.where(walls.solid & (walls.height >= height), 1.0, 0.0)
+        if truth is not None:
+            p[~truth.known & ~walls.solid] = np.nan
+        if walls.hole is not None:
+            p[walls.hole] = 1.0
+        return OccupancyGrid.from_probability(p, walls.resolution, walls.origin)
     ground, blocked = world.surface, np.zeros(world.surface.shape, np.bool_)
     if world.overhangs:
         assert world.solid is not None
@@ -66,17 +65,7 @@ def tall_faces(surface: HeightField, height: float) -> BoolArray:
     np.maximum.at(high, labels.ravel(), z.ravel())
     tall = high - low >= height
     tall[0] = False
-    found: BoolArray = tall[labels]
-    return found
-
-
-def _of_walls(walls: WallGrid, truth: OccupancyGrid | None, height: float) -> OccupancyGrid:
-    p = np.where(walls.solid & (walls.height >= height), 1.0, 0.0)
-    if truth is not None:
-        p[~truth.known & ~walls.solid] = np.nan
-    if walls.hole is not None:
-        p[walls.hole] = 1.0
-    return OccupancyGrid.from_probability(p, walls.resolution, walls.origin)
+    return np.asarray(tall[labels])
 
 
 def _under_roofs(solid: TriangleMesh, surface: HeightField, height: float) -> tuple[HeightField, BoolArray]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -14,93 +13,55 @@ import numpy as np
 from PIL import Image
 
 from lirs_wct.errors import ConfigError, OutputError
+from lirs_wct.export.appearance import cube_uv
 from lirs_wct.files import atomic_write
 from lirs_wct.formats import MESHES
 from lirs_wct.formats.gazebo import FRICTION, GRAVITY
 from lirs_wct.formats.meshes.reader import TEXTURED, read_textured, read_upright, upright
-from lirs_wct.formats.meshes.writers import MeshPart, stream_collada, write_glb, write_obj, write_stl
+from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj, write_parts, write_stl
 from lirs_wct.geometry.mesh import TriangleMesh
-from lirs_wct.meshing.texture import cube_uv
-from lirs_wct.progress import Progress, no_progress
 from lirs_wct.world import World
 
-BULK = 500_000
-"""Triangles above which the file is compact: fewer digits, and quads."""
 
+def write_mesh(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None) -> None:
+    """Write a mesh, with its texture where the format has one, in the format of the file's suffix.
 
-def write_mesh(path: Path, mesh: TriangleMesh) -> None:
-    """Write a mesh in the format of the file's suffix; a GLB has y up.
-
-    Raises:
-        ConfigError: the suffix is not supported.
-        OutputError: the file cannot be written.
+    A GLB has y up. COLLADA and OBJ store the texture next to the file.
     """
-    writers: dict[str, Callable[[Path, TriangleMesh], None]] = {
-        ".stl": write_stl,
-        ".dae": write_collada,
-        ".obj": lambda path, mesh: write_obj(path, [("ground", mesh, None)]),
-        ".ply": _write_ply,
-        ".glb": lambda path, mesh: write_glb(path, [("ground", mesh, None)]),
-    }
     suffix = path.suffix.lower()
-    if suffix not in writers:
+    if suffix == ".stl":
+        write_stl(path, mesh)
+    elif suffix == ".ply":
+        import trimesh  # slow import, needed here only
+
+        with atomic_write(path) as temporary:
+            trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
+    elif suffix == ".glb":
+        write_glb(path, [("ground", mesh, picture)])
+    elif suffix in (".dae", ".obj"):
+        texture = None if picture is None else _write_beside(path, picture)
+        if suffix == ".dae":
+            write_collada(path, mesh, texture)
+        else:
+            write_obj(path, [("ground", mesh, texture)])
+    else:
         raise ConfigError(f"{path}: not a mesh that is written; legal: {', '.join(MESHES)}")
-    writers[suffix](path, mesh)
-
-
-def _write_ply(path: Path, mesh: TriangleMesh) -> None:
-    import trimesh  # slow import, needed here only
-
-    with atomic_write(path) as temporary:
-        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
 
 
 def write_collada(path: Path, mesh: TriangleMesh, texture: str | None = None) -> None:
     """Write a mesh with texture coordinates; missing ones are made by cube projection.
 
-    Args:
-        path: output file.
-        mesh: mesh in the world frame.
-        texture: path of the picture relative to the file, or None for a plain color.
-
-    Raises:
-        ConfigError: the texture's path has spaces, which Gazebo does not support.
-        OutputError: the file cannot be written.
+    The texture is a path relative to the file, or None for a plain color.
     """
     whole = mesh if mesh.uv is not None and mesh.normals is not None else cube_uv(mesh)
     write_parts(path, (MeshPart("ground", whole, texture),))
 
 
-def write_parts(path: Path, parts: Sequence[MeshPart], progress: Progress = no_progress) -> None:
-    """Write parts of one texture each as one COLLADA file (see `write_collada`)."""
-    for part in parts:
-        if part.texture is not None and any(c.isspace() for c in part.texture):
-            raise ConfigError(f"path of a texture must not hold spaces, got {part.texture!r}")
-    total, done = sum(len(part.mesh.faces) for part in parts), 0
-
-    def passed(count: int) -> None:
-        nonlocal done
-        done += count
-        progress(path.name, done / max(total, 1))
-
-    with atomic_write(path) as temporary:
-        stream_collada(temporary, parts, brief=total > BULK, passed=passed)
-
-
 def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleMesh:
     """Convert a mesh file and return its shape with equal vertices merged.
 
-    Texture and texture coordinates are kept if both formats support them; a warning names the losses.
-
-    Args:
-        source: input file.
-        target: output file in the format of its suffix; COLLADA and OBJ store the texture next to it.
-        rotate_x: rotation about the x axis, degrees.
-
-    Raises:
-        SourceError: the source cannot be used.
-        ConfigError: the target's suffix is not supported.
-        OutputError: a file cannot be written, or the texture would replace another picture.
+    Texture and texture coordinates are kept if both formats support them; a warning names the losses. The
+    mesh is rotated by `rotate_x` degrees about the x axis.
     """
     shape, whole = read_upright(source).rotated_x(rotate_x), read_textured(source)
     keeps_texture, lost = target.suffix.lower() in TEXTURED, []
@@ -109,7 +70,7 @@ def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleM
     else:
         if whole.picture is None:
             warnings.warn(f"{source}: its texture coordinates are kept, no texture was found", stacklevel=2)
-        _write_textured(target, upright(source, whole.mesh).rotated_x(rotate_x), whole.picture)
+        write_mesh(target, upright(source, whole.mesh).rotated_x(rotate_x), whole.picture)
     if whole.mesh.uv is not None and not keeps_texture:
         lost.append("texture and texture coordinates" if whole.picture else "texture coordinates")
     if whole.vertex_colors:
@@ -117,18 +78,6 @@ def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleM
     if lost:
         warnings.warn(f"{target}: {' and '.join(lost)} of {source} are left out", stacklevel=2)
     return shape
-
-
-def _write_textured(path: Path, mesh: TriangleMesh, picture: Image.Image | None) -> None:
-    suffix = path.suffix.lower()
-    if suffix == ".glb":
-        write_glb(path, [("ground", mesh, picture)])
-        return
-    texture = None if picture is None else _write_beside(path, picture)
-    if suffix == ".dae":
-        write_collada(path, mesh, texture)
-    else:
-        write_obj(path, [("ground", mesh, texture)])
 
 
 def _write_beside(path: Path, picture: Image.Image) -> str:
@@ -148,11 +97,7 @@ SUN = 3000.0
 
 
 def require_usd() -> None:
-    """Check that USD's library is installed.
-
-    Raises:
-        ConfigError: usd-core is not installed.
-    """
+    """Check that USD's library is installed."""
     try:
         import_module("pxr.Usd")
     except ImportError:
@@ -165,14 +110,6 @@ def write_usd(path: Path, world: World, parts: list[MeshPart]) -> None:
     `/World` is its default prim. Each part of the world is a static mesh without subdivision, with exact
     collision (`UsdPhysics.MeshCollisionAPI`, approximation none), the texture as a preview surface, and
     Coulomb friction. `/World/starts` has a frame for each start pose.
-
-    Args:
-        path: output file with suffix `.usd`, `.usda` or `.usdc`.
-        world: source of the start poses.
-        parts: meshes in the world frame; texture paths are relative to the file.
-
-    Raises:
-        ConfigError: usd-core is not installed.
     """
     require_usd()
     usd, geom, physics, lux, gf = (

@@ -1,9 +1,4 @@
-"""MuJoCo model of a world as specification and as MJCF file: ground, walls, contact geometry.
-
-The file has exact heights and the ground's texture, for MuJoCo 3.0 and later. Row 0 of MuJoCo's height field
-is at -y, row 0 of ours is in the north; `HeightField.south_up` flips it. MuJoCo scales heights to [0, 1] by
-their minimum and maximum. The geom stores both: the minimum as its z, the relief as its elevation.
-"""
+"""MJCF file of a world, with exact heights and the ground's texture, for MuJoCo 3.0 and later."""
 
 from __future__ import annotations
 
@@ -16,222 +11,18 @@ from xml.etree.ElementTree import Element
 from zlib import crc32
 
 import cv2
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from lirs_wct.contact import ContactGeometry, check_contact_geometry
-from lirs_wct.contact.grid import ContactGrid
-from lirs_wct.contact.parts import contact_parts
-from lirs_wct.errors import ConfigError
+from lirs_wct.contact.spec import BASE, contact_spec
 from lirs_wct.export.appearance import Wear, ground_wear, world_extent, world_parts
 from lirs_wct.files import atomic_write
 from lirs_wct.formats.meshes.writers import write_obj
 from lirs_wct.formats.picture import write_image
-from lirs_wct.geometry import BoolArray, ByteArray, FloatArray, HeightField, Viewpoint, WallGrid
-from lirs_wct.geometry.mesh import MUJOCO_FACES, TriangleMesh, split_tiles
+from lirs_wct.geometry import ByteArray, FloatArray, HeightField, Viewpoint
+from lirs_wct.geometry.mesh import MUJOCO_FACES, split_tiles
 from lirs_wct.geometry.pose import AZIMUTH, ELEVATION, overview
-from lirs_wct.meshing.solid import merged_rectangles
 from lirs_wct.world import World
-
-TERRAIN_GROUP = 3
-"""Geom group of ground and walls in a simulation; rays for robots and props exclude it."""
-BASE = 1.0
-"""Meters that the ground reaches below its lowest point; contacts push along the shorter direction, up."""
-RAY_GROUP = 5
-"""Geom group of a mesh with overhangs for MuJoCo's rays; no robot uses it."""
-GROUND_COLOR = (0.62, 0.57, 0.48, 1.0)
-WALL_COLOR = (0.45, 0.5, 0.55, 1.0)
-
-
-def world_spec(
-    world: World,
-    *,
-    contact: ContactGrid | None = None,
-    robot: mujoco.MjSpec | None = None,
-    contact_geometry: ContactGeometry = "hfield",
-    ray_surface: bool = False,
-    height_range: tuple[float, float] | None = None,
-) -> mujoco.MjSpec:
-    """Return the world as an MjSpec to compile.
-
-    Args:
-        world: ground and walls.
-        contact: contact grid; default: the surface itself.
-        robot: specification to which the world is added; its options and defaults stay unchanged.
-        contact_geometry: geometry of contacts (see `CONTACT_GEOMETRIES`).
-        ray_surface: whether to add the surface itself for MuJoCo's own rays if contacts use another geometry.
-        height_range: lowest and highest height of the height field, meters; `write_heights` fills it in the
-            compiled model. Default: the range of the ground.
-
-    Raises:
-        ConfigError: the terrain does not fit the world.
-    """
-    check_contact_geometry(contact_geometry, world)
-    spec = robot if robot is not None else mujoco.MjSpec()
-    spec.modelname = world.name
-    surface = world.surface if contact is None else contact.heights(world.surface)
-    _add_contact_geoms(spec, world, surface, contact_geometry, height_range)
-    if contact_geometry == "mesh" or world.overhangs:
-        _add_tiles(spec, world, RAY_GROUP if world.overhangs else TERRAIN_GROUP)
-    elif ray_surface and (contact_geometry != "hfield" or surface.shape != world.surface.shape):
-        _hide(spec)
-        _add_ground(spec, world.surface, name="seen", contype=0, conaffinity=0)
-    for geom in spec.worldbody.geoms:
-        # The robot's defaults also apply here: equal priorities would mix the contact parameters of both.
-        geom.priority = 0
-    spec.worldbody.add_light(pos=(0, 0, 50), dir=(0.3, 0.2, -1), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
-    return spec
-
-
-def contact_spec(world: World, contact_geometry: ContactGeometry) -> mujoco.MjSpec:
-    """Return only the geoms that are touched; the height field has no heights."""
-    spec = mujoco.MjSpec()
-    _add_contact_geoms(spec, world, world.surface, contact_geometry, heights=False)
-    return spec
-
-
-def _add_contact_geoms(
-    spec: mujoco.MjSpec,
-    world: World,
-    surface: HeightField,
-    contact_geometry: ContactGeometry,
-    height_range: tuple[float, float] | None = None,
-    heights: bool = True,
-) -> None:
-    walls = world.walls
-    if contact_geometry in ("prisms", "convex"):
-        _add_parts(spec, world, contact_geometry)
-    elif walls is None or walls.hole is None:
-        _add_ground(spec, surface, height_range=height_range, heights=heights)
-    else:
-        _add_boxes(spec, walls, walls.floor, (-BASE, 0.0), GROUND_COLOR)
-    if walls is not None:
-        _add_boxes(spec, walls, walls.solid, (0.0, walls.height), WALL_COLOR)
-
-
-def _add_ground(
-    spec: mujoco.MjSpec,
-    surface: HeightField,
-    name: str = "ground",
-    height_range: tuple[float, float] | None = None,
-    heights: bool = True,
-    **options: int,
-) -> None:
-    west, south, east, north = surface.bounds
-    low, relief = float(surface.z.min()), surface.relief
-    if height_range is not None:
-        low, relief = height_range[0], height_range[1] - height_range[0]
-    half = ((east - west) / 2, (north - south) / 2)
-    common = {
-        "name": name,
-        "pos": ((west + east) / 2, (south + north) / 2, low),
-        "group": TERRAIN_GROUP,
-        "rgba": GROUND_COLOR,
-        **options,
-    }
-    if relief == 0.0:
-        # A plane costs a contact test, a flat height field all the prisms under a wheel.
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(*half, 1.0), **common)
-        return
-    data = {}
-    if heights:  # slow with millions of them
-        data = dict(zip(("nrow", "ncol"), surface.shape, strict=True), userdata=surface.south_up.ravel())
-    spec.add_hfield(name=name, size=(*half, relief, BASE), **data)
-    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_HFIELD, hfieldname=name, **common)
-
-
-def write_heights(model: mujoco.MjModel, surface: HeightField, height_range: tuple[float, float]) -> None:
-    """Write heights into a compiled model's ground; its height range and nodes stay.
-
-    The ground's bounding box, used in the first phase of collision detection, is compiled from the range.
-
-    Raises:
-        ConfigError: the surface has other nodes than the ground, or exceeds the range.
-    """
-    field, (low, high) = model.hfield("ground"), height_range
-    shape = int(field.nrow[0]), int(field.ncol[0])
-    if surface.shape != shape:
-        raise ConfigError(f"heights must be {shape} nodes, those of the ground, got {surface.shape}")
-    lowest, highest = float(surface.z.min()), float(surface.z.max())
-    if not low <= lowest <= highest <= high:
-        raise ConfigError(
-            f"heights must be within {low:g} to {high:g} m, the height range, "
-            f"got {lowest:.3f} to {highest:.3f}"
-        )
-    begin = int(model.hfield_adr[field.id])
-    heights = model.hfield_data[begin : begin + surface.z.size].reshape(shape)
-    np.subtract(surface.z[::-1], np.float32(low), out=heights)
-    heights /= np.float32(high - low)
-
-
-def _add_boxes(
-    spec: mujoco.MjSpec,
-    walls: WallGrid,
-    cells: BoolArray,
-    span: tuple[float, float],
-    color: tuple[float, ...],
-) -> None:
-    """Add boxes to the world body; MuJoCo would update a separate body at every step."""
-    half_yaw = walls.origin.yaw / 2
-    quat = (math.cos(half_yaw), 0.0, 0.0, math.sin(half_yaw))
-    low, high = span
-    boxes = merged_rectangles(cells).reshape(-1, 4) * walls.resolution
-    centers = walls.origin.apply((boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2)
-    halves = (boxes[:, [3, 2]] - boxes[:, [1, 0]]) / 2
-    for (x, y), (hx, hy) in zip(centers.tolist(), halves.tolist(), strict=True):
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=(x, y, (low + high) / 2),
-            size=(hx, hy, (high - low) / 2),
-            quat=quat,
-            group=TERRAIN_GROUP,
-            rgba=color,
-        )
-    # With sleeping enabled MuJoCo skips static geoms: 2,372 boxes cost 5 us a step instead of 19.
-    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-
-
-def _add_parts(spec: mujoco.MjSpec, world: World, contact_geometry: ContactGeometry) -> None:
-    """Add each convex part as a mesh, which equals its hull."""
-    for k, corners in enumerate(contact_parts(world, contact_geometry)):
-        name = f"ground{k}"
-        spec.add_mesh(name=name, uservert=corners.ravel())
-        spec.worldbody.add_geom(
-            name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, group=TERRAIN_GROUP, rgba=GROUND_COLOR
-        )
-    spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-
-
-def _hide(spec: mujoco.MjSpec) -> None:
-    """Make the contact geoms invisible to cameras and to MuJoCo's rays."""
-    for geom in spec.worldbody.geoms:
-        if geom.group == TERRAIN_GROUP:
-            geom.rgba = (*geom.rgba[:3], 0.0)
-
-
-def _add_tiles(spec: mujoco.MjSpec, world: World, group: int) -> None:
-    """Add the world's mesh as visible geoms without contact; contact geoms become invisible."""
-    _hide(spec)
-    for k, tile in enumerate(split_tiles(world.mesh, aim=MUJOCO_FACES // 2)):
-        name = f"seen{k}"
-        spec.add_mesh(
-            name=name,
-            uservert=tile.vertices.ravel(),
-            userface=tile.faces.ravel(),
-            # A tile is open: it has no volume to take an inertia from.
-            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-        )
-        spec.worldbody.add_geom(
-            name=name,
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=name,
-            contype=0,
-            conaffinity=0,
-            group=group,
-            rgba=GROUND_COLOR,
-        )
-
 
 SKY = {"rgb1": (0.72, 0.80, 0.90), "rgb2": (0.93, 0.94, 0.95)}
 """Colors of the sky above and at the horizon, RGB."""
@@ -250,8 +41,6 @@ TOUCHED_GROUP = 3
 SEEN_GROUP = 0
 START_GROUP = 4
 """Group of sites that the viewer hides by default."""
-OLDEST_MUJOCO = "3.0.0"
-"""The oldest version that reads the written files; `.ci/run` loads worlds with it."""
 Numbers = float | Sequence[float] | FloatArray
 
 
@@ -259,13 +48,7 @@ def write_mjcf(world: World, folder: str | Path) -> Path:
     """Write NAME.xml, the surface's exact float32 heights, and the ground's texture.
 
     If no height field is visible (a laser map, a mesh with overhangs), the world's own mesh is visible, and
-    the contact geoms are in group 3.
-
-    Returns:
-        The path of NAME.xml.
-
-    Raises:
-        OutputError: the folder cannot be written.
+    the contact geoms are in group 3. Returns the path of NAME.xml.
     """
     path = Path(folder) / f"{world.name}.xml"
     contact = contact_spec(world, "convex" if world.overhangs else "hfield")
@@ -283,9 +66,16 @@ def write_mjcf(world: World, folder: str | Path) -> Path:
         _dress_field(assets, body, world, path.parent)
     else:
         _add_meshes(assets, body, world, path.parent)
-    _add_starts(body, world)
+    # Robots attach to the first site, `start`. A keyframe stores joint positions; a world has no joint.
+    for k, start in enumerate(world.starts_on_ground):
+        name = f"start{k or ''}"
+        _add(body, "site", name=name, pos=start.position, quat=start.quaternion, group=START_GROUP)
     _add_cameras(body, world, low, high)
-    _add_sun(body, center - extent * np.array(SUN), shadow=not contact.hfields)
+    # A shadow speckles a height field, whose drawn texture is shaded already.
+    shadow = "false" if contact.hfields else "true"
+    light: dict[str, Any] = {"directional": "true", "pos": center - extent * np.array(SUN), "dir": SUN}
+    colors = {"diffuse": (0.7, 0.7, 0.66), "specular": (0.1, 0.1, 0.1)}
+    _add(body, "light", name="sun", **light, **colors, castshadow=shadow)
     ElementTree.indent(root)
     with atomic_write(path) as temporary:
         temporary.write_text(ElementTree.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
@@ -316,7 +106,7 @@ def _add_settings(root: Element, center: FloatArray, extent: float) -> None:
     _add(visual, "map", znear=max(NEAR_PLANE / extent, FAR_PLANE / DEPTHS), zfar=FAR_PLANE)
 
 
-def _copy_contact_geoms(assets: Element, body: Element, contact: mujoco.MjSpec) -> None:
+def _copy_contact_geoms(assets: Element, body: Element, contact: Any) -> None:
     """Add the geoms of a specification, and the assets that they use."""
     group = SEEN_GROUP if contact.hfields else TOUCHED_GROUP
     for hfield in contact.hfields:
@@ -358,41 +148,23 @@ def _add_meshes(assets: Element, body: Element, world: World, folder: Path) -> N
         inertia = {"inertia": "shell"} if len(tiles) > 1 else {}
         for k, tile in enumerate(tiles):
             name = f"{wear}-seen{k}"
-            _add(assets, "mesh", name=name, file=_write_tile(tile, f"{world.name}-{name}", folder), **inertia)
-            _add(
-                body,
-                "geom",
-                name=name,
-                type="mesh",
-                mesh=name,
-                material=wear,
-                contype=0,
-                conaffinity=0,
-                group=SEEN_GROUP,
-            )
-
-
-def _write_tile(tile: TriangleMesh, stem: str, folder: Path) -> str:
-    """Write a mesh and return its file name, which contains its checksum."""
-    arrays = (np.ascontiguousarray(a, np.float32) for a in (tile.vertices, tile.uv))
-    file = f"{stem}-{_checksum(*arrays)}.obj"
-    write_obj(folder / file, [("ground", tile, None)])
-    return file
+            checksum = _checksum(*(np.ascontiguousarray(a, np.float32) for a in (tile.vertices, tile.uv)))
+            file = f"{world.name}-{name}-{checksum}.obj"
+            write_obj(folder / file, [("ground", tile, None)])
+            _add(assets, "mesh", name=name, file=file, **inertia)
+            seen: dict[str, Any] = {
+                "mesh": name,
+                "material": wear,
+                "contype": 0,
+                "conaffinity": 0,
+                "group": SEEN_GROUP,
+            }
+            _add(body, "geom", name=name, type="mesh", **seen)
 
 
 def _add_material(assets: Element, name: str, texture: Path, **attributes: Numbers) -> None:
     _add(assets, "texture", name=name, type="2d", file=texture.as_posix())
     _add(assets, "material", name=name, texture=name, specular=0, shininess=0, **attributes)
-
-
-def _add_starts(body: Element, world: World) -> None:
-    """Add a site on the ground for each start; robots attach to the first, `start`.
-
-    A keyframe would not work: it stores joint positions, and a world has no joint.
-    """
-    for k, start in enumerate(world.starts_on_ground):
-        name = f"start{k or ''}"
-        _add(body, "site", name=name, pos=start.position, quat=start.quaternion, group=START_GROUP)
 
 
 def _add_cameras(body: Element, world: World, low: FloatArray, high: FloatArray) -> None:
@@ -404,21 +176,6 @@ def _add_cameras(body: Element, world: World, low: FloatArray, high: FloatArray)
     for name, viewpoint in viewpoints.items():
         _, right, up = viewpoint.axes
         _add(body, "camera", name=name, pos=viewpoint.position, xyaxes=(*right, *up), fovy=math.degrees(FOVY))
-
-
-def _add_sun(body: Element, position: FloatArray, *, shadow: bool) -> None:
-    """Add the light; its shadow speckles a height field, whose drawn texture is shaded already."""
-    _add(
-        body,
-        "light",
-        name="sun",
-        directional="true",
-        pos=position,
-        dir=SUN,
-        diffuse=(0.7, 0.7, 0.66),
-        specular=(0.1, 0.1, 0.1),
-        castshadow="true" if shadow else "false",
-    )
 
 
 def _picture(world: World, wear: Wear, folder: Path, *, laid: bool = False) -> Path:
@@ -457,9 +214,6 @@ def write_hfield(path: Path, surface: HeightField) -> None:
     """Write MuJoCo's height-field file.
 
     The file has rows and columns as int32, then heights in meters, row 0 at -y.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.writelines(part.data for part in _hfield(surface))

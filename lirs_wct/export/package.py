@@ -12,11 +12,18 @@ from PIL import Image
 from lirs_wct.errors import ConfigError, OutputError, unknown_name
 from lirs_wct.export.appearance import ground_wear, pad_to_square, world_extent, world_parts
 from lirs_wct.export.ground_truth_map import ROBOT_HEIGHT, ground_truth_map
-from lirs_wct.export.mesh_writer import require_usd, write_parts, write_usd
+from lirs_wct.export.mesh_writer import require_usd, write_usd
 from lirs_wct.export.mjcf import write_hfield, write_mjcf
 from lirs_wct.files import atomic_folder
 from lirs_wct.formats import gazebo, map_server, picture
-from lirs_wct.formats.meshes.writers import MeshPart, write_glb, write_obj, write_stl, write_triangles
+from lirs_wct.formats.meshes.writers import (
+    MeshPart,
+    write_glb,
+    write_obj,
+    write_parts,
+    write_stl,
+    write_triangles,
+)
 from lirs_wct.geometry.pose import overview
 from lirs_wct.meshing.solid import solid_triangles
 from lirs_wct.progress import Progress, Steps, no_progress
@@ -59,8 +66,7 @@ def write_package(
         OutputError: the folder cannot be written, or contains other files or the world of another source.
     """
     folder = Path(parent) / world.name
-    _check(world, formats, terrain)
-    _check_place(world, folder, overwrite)
+    _check(world, folder, formats, terrain, overwrite)
     steps = Steps(2 + len(set(formats)), progress)
     with atomic_folder(folder) as temporary:
         steps.begin("world.json")
@@ -81,8 +87,21 @@ def write_package(
     return folder
 
 
-def _check_place(world: World, folder: Path, overwrite: bool) -> None:
-    """Refuse a folder with other files, or, without `overwrite`, with another source's world."""
+def _check(world: World, folder: Path, formats: Collection[str], terrain: str, overwrite: bool) -> None:
+    """Refuse formats that do not fit, and a folder of other files or, unless allowed, of another source."""
+    for name in formats:
+        if name not in FORMATS:
+            raise unknown_name("format", name, FORMATS)
+    if not formats:
+        raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
+    if "usd" in formats:
+        require_usd()
+    if terrain not in ("solid", "heightmap"):
+        raise unknown_name("terrain for Gazebo", terrain, ("solid", "heightmap"))
+    if terrain == "heightmap" and (world.walls is not None or world.overhangs):
+        raise ConfigError(f"{world.name}: a heightmap cannot hold upright walls or overhangs; take solid")
+    if "sdf" in formats and terrain == "solid" and not {"dae", "stl"} & set(formats):
+        raise ConfigError("sdf shows a mesh: ask for dae or stl as well, or for --terrain heightmap")
     if not folder.is_dir() or not any(folder.iterdir()):
         return
     if not (folder / "world.json").is_file():
@@ -97,53 +116,31 @@ def _check_place(world: World, folder: Path, overwrite: bool) -> None:
         )
 
 
-def _check(world: World, formats: Collection[str], terrain: str) -> None:
-    for wanted in formats:
-        if wanted not in FORMATS:
-            raise unknown_name("format", wanted, FORMATS)
-    if not formats:
-        raise ConfigError(f"nothing to write; legal: {', '.join(FORMATS)}")
-    if "usd" in formats:
-        require_usd()
-    if terrain not in ("solid", "heightmap"):
-        raise unknown_name("terrain for Gazebo", terrain, ("solid", "heightmap"))
-    if terrain == "heightmap" and (world.walls is not None or world.overhangs):
-        raise ConfigError(f"{world.name}: a heightmap cannot hold upright walls or overhangs; take solid")
-    if "sdf" in formats and terrain == "solid" and not {"dae", "stl"} & set(formats):
-        raise ConfigError("sdf shows a mesh: ask for dae or stl as well, or for --terrain heightmap")
-
-
 def _write_meshes(world: World, folder: Path, formats: Collection[str], steps: Steps) -> None:
-    files = {
-        kind: folder / "meshes" / f"{world.name}.{kind}"
-        for kind in ("stl", "dae", "obj", "glb", "usd")
-        if kind in formats
-    }
+    kinds = [kind for kind in ("stl", "dae", "obj", "glb", "usd") if kind in formats]
     options = world.file_options
     is_full_grid = world.kind == "terrain" and not options.limited and options.rotate_x == 0
-    if set(files) == {"stl"} and is_full_grid and world.surface.z.size > MAX_MESH_NODES:
-        write_triangles(files["stl"], *solid_triangles(world.surface), steps.begin("meshes"))
+    if kinds == ["stl"] and is_full_grid and world.surface.z.size > MAX_MESH_NODES:
+        path = folder / "meshes" / f"{world.name}.stl"
+        write_triangles(path, *solid_triangles(world.surface), steps.begin("meshes"))
         return
-    if files:
+    if kinds:
         steps.begin("triangles")
-    if "stl" in files:
-        mesh = world.file_mesh.rotated_x(options.rotate_x)
-        write_stl(files["stl"], mesh, steps.begin(files["stl"].name))
-    if not set(files) - {"stl"}:
-        return
-    parts = _write_textures(world, folder)
-    if "dae" in files:
-        write_parts(files["dae"], parts, steps.begin(files["dae"].name))
-    if "obj" in files:
-        steps.begin(files["obj"].name)
-        write_obj(files["obj"], [(p.name, p.mesh, p.texture) for p in parts])
-    if "glb" in files:
-        steps.begin(files["glb"].name)
-        pictures = [Image.open(folder / str(part.texture).removeprefix("../")) for part in parts]
-        write_glb(files["glb"], [(p.name, p.mesh, i) for p, i in zip(parts, pictures, strict=True)])
-    if "usd" in files:
-        steps.begin(files["usd"].name)
-        write_usd(files["usd"], world, parts)
+    parts = _write_textures(world, folder) if set(kinds) - {"stl"} else []
+    for kind in kinds:
+        path = folder / "meshes" / f"{world.name}.{kind}"
+        progress = steps.begin(path.name)
+        if kind == "stl":
+            write_stl(path, world.file_mesh.rotated_x(options.rotate_x), progress)
+        elif kind == "dae":
+            write_parts(path, parts, progress)
+        elif kind == "obj":
+            write_obj(path, [(p.name, p.mesh, p.texture) for p in parts])
+        elif kind == "glb":
+            pictures = [Image.open(folder / str(part.texture).removeprefix("../")) for part in parts]
+            write_glb(path, [(p.name, p.mesh, i) for p, i in zip(parts, pictures, strict=True)])
+        else:
+            write_usd(path, world, parts)
 
 
 def _write_textures(world: World, folder: Path) -> list[MeshPart]:

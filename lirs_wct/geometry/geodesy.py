@@ -63,24 +63,24 @@ class CoordinateSystem:
         return f"degrees, radius {self.ellipsoid[0] / 1000:.6g} km"
 
     def to_geographic(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return latitudes and longitudes of coordinates, degrees.
-
-        Raises:
-            ConfigError: the system is unknown, here or to PROJ.
-        """
+        """Return latitudes and longitudes of coordinates, degrees."""
         px, py = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         if self.form == "geographic":
             return py, px
-        if self.form == "other":
-            return _by_proj(self, px, py)
-        raise ConfigError("no coordinate reference system is known")
+        if self.form == "unknown":
+            raise ConfigError("no coordinate reference system is known")
+        from pyproj.exceptions import ProjError  # imported here to keep the start of other commands fast
+
+        try:
+            longitude, latitude = _transformer(self.name).transform(px, py)
+        except ProjError as error:
+            raise ConfigError(f"PROJ knows no latitudes and longitudes of {self.label}") from error
+        if not (np.isfinite(latitude).all() and np.isfinite(longitude).all()):
+            raise OutsideSystemError(f"PROJ knows no latitudes and longitudes of {self.label} there")
+        return np.asarray(latitude), np.asarray(longitude)
 
     def ground_meters(self, x: float, y: float) -> FloatArray:
-        """Return (2, 2) ground meters (rows east, north) per unit of x and y.
-
-        Raises:
-            ConfigError: latitudes are unknown, or the place is a pole or beyond.
-        """
+        """Return (2, 2) ground meters (rows east, north) per unit of x and y."""
         step = 1e-4 if self.form == "geographic" else 10.0 / self.unit
         at = np.array(((x + step, y), (x - step, y), (x, y + step), (x, y - step), (x, y)))
         latitude, longitude = self.to_geographic(at[:, 0], at[:, 1])
@@ -97,29 +97,12 @@ def meters_per_degree(latitude: float, ellipsoid: tuple[float, float] = WGS84) -
     """Return meters in a degree eastward and northward on an ellipsoid.
 
     Radii of curvature in the prime vertical and the meridian: Snyder 1987, eqs. 4-20 and 4-19.
-
-    Args:
-        latitude: degrees.
-        ellipsoid: semi-major axis, meters, and inverse flattening; 0 = sphere.
     """
     a, inverse = ellipsoid
     f = 1 / inverse if inverse else 0.0
     e2, phi = f * (2 - f), math.radians(latitude)
     w = math.sqrt(1 - e2 * math.sin(phi) ** 2)
     return math.radians(a / w * math.cos(phi)), math.radians(a * (1 - e2) / w**3)
-
-
-def _by_proj(system: CoordinateSystem, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return latitudes and longitudes of projected coordinates."""
-    from pyproj.exceptions import ProjError  # imported here to keep the start of other commands fast
-
-    try:
-        longitude, latitude = _transformer(system.name).transform(x, y)
-    except ProjError as error:
-        raise ConfigError(f"PROJ knows no latitudes and longitudes of {system.label}") from error
-    if not (np.isfinite(latitude).all() and np.isfinite(longitude).all()):
-        raise OutsideSystemError(f"PROJ knows no latitudes and longitudes of {system.label} there")
-    return np.asarray(latitude), np.asarray(longitude)
 
 
 @lru_cache(maxsize=64)
@@ -192,11 +175,7 @@ class Georeference:
 
     @staticmethod
     def of(system: CoordinateSystem, affine: Affine, shape: tuple[int, int]) -> Georeference:
-        """Return the georeference of a raster of (rows, cols) pixels.
-
-        Raises:
-            ConfigError: the raster's middle is no place on the earth, or PROJ does not know the system.
-        """
+        """Return the georeference of a raster of (rows, cols) pixels."""
         a, b, c, d, e, f = affine
         u, v = (shape[1] - 1) / 2, (shape[0] - 1) / 2
         ground = system.ground_meters(a * u + b * v + c, d * u + e * v + f)
@@ -284,19 +263,11 @@ class Place:
         return a * px + b * py + c, d * px + e * py + f
 
     def to_geographic(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return latitudes and longitudes of points of the world, degrees.
-
-        Raises:
-            ConfigError: the system is unknown, here or to PROJ.
-        """
+        """Return latitudes and longitudes of points of the world, degrees."""
         return self.system.to_geographic(*self.coordinates(x, y))
 
     def heading(self) -> float:
-        """Return the direction of the world's x axis at its origin, degrees north of east.
-
-        Raises:
-            ConfigError: the system is unknown, here or to PROJ.
-        """
+        """Return the direction of the world's x axis at its origin, degrees north of east."""
         latitude, longitude = self.to_geographic(np.array((0.0, 10.0)), np.zeros(2))
         east, north = meters_per_degree(float(latitude[0]))
         along = (float(np.diff(longitude)[0]) + 180) % 360 - 180

@@ -193,17 +193,19 @@ MUJOCO_FACES = 200_000
 
 
 def split_tiles(mesh: TriangleMesh, *, aim: int, most: int = MUJOCO_FACES) -> Iterator[TriangleMesh]:
-    """Yield tiles of a mesh, squares of the ground plan.
+    """Yield tiles of a mesh: squares of the ground plan with about `aim` and at most `most` triangles.
 
-    Args:
-        mesh: mesh to cut.
-        aim: approximate triangles per tile.
-        most: largest number of triangles per tile.
+    A triangle belongs to the square of its first vertex.
     """
     seen = np.full(len(mesh.vertices), -1, dtype=np.int32)
-    tile, count = _squares(mesh, aim)
+    side = max(1, round((len(mesh.faces) / aim) ** 0.5))
+    tile = np.zeros(len(mesh.faces), dtype=np.int32)
+    for axis in (0, 1):
+        x = mesh.vertices[:, axis]
+        step = (x[mesh.faces[:, 0]] - x.min()) * (side / max(float(np.ptp(x)), 1e-9))
+        tile = tile * side + np.minimum(step.astype(np.int32), side - 1)
     order = np.argsort(tile, kind="stable").astype(np.int32)
-    ends = np.cumsum(np.bincount(tile, minlength=count))
+    ends = np.cumsum(np.bincount(tile, minlength=side * side))
     for start, end in zip(np.concatenate(([0], ends[:-1])), ends, strict=True):
         for i in range(start, end, most):
             faces, used = _renumber(mesh.faces, order[i : min(i + most, end)], seen)
@@ -213,21 +215,6 @@ def split_tiles(mesh: TriangleMesh, *, aim: int, most: int = MUJOCO_FACES) -> It
                 None if mesh.uv is None else mesh.uv[used],
                 None if mesh.normals is None else mesh.normals[used],
             )
-
-
-def _squares(mesh: TriangleMesh, aim: int) -> tuple[Int32Array, int]:
-    """Return the square of each face's first vertex, and the number of squares."""
-    side = max(1, round((len(mesh.faces) / aim) ** 0.5))
-    square = np.zeros(len(mesh.faces), dtype=np.int32)
-    if side == 1:
-        return square, 1
-    first = mesh.faces[:, 0]
-    for axis in (0, 1):
-        x = mesh.vertices[:, axis]
-        low, extent = x.min(), max(float(np.ptp(x)), 1e-9)
-        step = ((x[first] - low) * (side / extent)).astype(np.int32)
-        square = square * side + np.minimum(step, side - 1)
-    return square, side * side
 
 
 @njit

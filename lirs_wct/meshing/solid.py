@@ -1,23 +1,26 @@
-"""Closed solids of a height field (skirt, flat base) and of a laser map (walls, floor, slab).
-
-The plan of a laser map is cut into rectangles of wall, floor and hole. Every corner of a rectangle becomes a
-vertex of all rectangles that it touches, so that no edge ends in the middle of another. Two walls, or two
-parts of the floor, may touch only at a corner. Then the northern one has separate vertices there, a
-millimeter inside its cell. Thus an edge never joins more than two triangles, also in an STL, whose readers
-merge equal positions.
-"""
+"""Closed solids of a height field: surface in full or simplified, skirt, flat base."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit
-from lirs_wct.geometry import HeightField, WallGrid
+from lirs_wct.errors import ConfigError
+from lirs_wct.geometry import FloatArray, HeightField, Int32Array
 from lirs_wct.geometry.mesh import TriangleMesh
+from lirs_wct.meshing.tin import (
+    BORDER,
+    FULL,
+    POINTS,
+    SHIFT,
+    STRIDE,
+    TRIANGLES,
+    WORST,
+    Tin,
+    align_diagonals,
+    refine,
+)
 
 MIN_THICKNESS = 0.1
 """Smallest thickness below the lowest point, meters: a wheel must not pass through it in one step."""
@@ -45,25 +48,23 @@ def solid_triangles(surface: HeightField) -> tuple[int, Iterator[FloatArray]]:
 
     It yields a few rows at a time, for surfaces whose mesh would fill the memory.
     """
-    rows, cols = surface.shape
-    count = 2 * (rows - 1) * (cols - 1) + 6 * (rows + cols - 2)
-    return count, _rows_and_rim(surface, base_height(surface))
+    (rows, cols), (x, y) = surface.shape, node_axes(surface)
 
+    def parts() -> Iterator[FloatArray]:
+        step = max(1, _BLOCK // cols)
+        for start in range(0, rows - 1, step):
+            part = slice(start, min(start + step, rows - 1) + 1)
+            strip = surface.z[part]
+            nodes = np.empty((*strip.shape, 3))
+            nodes[..., 0], nodes[..., 1], nodes[..., 2] = x, y[part, None], strip
+            yield nodes.reshape(-1, 3)[_grid_faces(len(strip), cols)]
+        row, col = np.divmod(_border(rows, cols), cols)
+        rim = np.column_stack((x[col], y[row], surface.z[row, col].astype(np.float64)))
+        border = np.arange(len(rim), dtype=np.int32)
+        rest = close_solid(rim, np.empty((0, 3), np.int32), border, base_height(surface))
+        yield rest.vertices[rest.faces]
 
-def _rows_and_rim(surface: HeightField, z_base: float) -> Iterator[FloatArray]:
-    rows, cols = surface.shape
-    x, y = node_axes(surface)
-    step = max(1, _BLOCK // cols)
-    for start in range(0, rows - 1, step):
-        part = slice(start, min(start + step, rows - 1) + 1)
-        strip = surface.z[part]
-        nodes = np.empty((*strip.shape, 3))
-        nodes[..., 0], nodes[..., 1], nodes[..., 2] = x, y[part, None], strip
-        yield nodes.reshape(-1, 3)[_grid_faces(len(strip), cols)]
-    row, col = np.divmod(_border(rows, cols), cols)
-    rim = np.column_stack((x[col], y[row], surface.z[row, col].astype(np.float64)))
-    rest = close_solid(rim, np.empty((0, 3), np.int32), np.arange(len(rim), dtype=np.int32), z_base)
-    yield rest.vertices[rest.faces]
+    return 2 * (rows - 1) * (cols - 1) + 6 * (rows + cols - 2), parts()
 
 
 def base_height(surface: HeightField) -> float:
@@ -82,13 +83,8 @@ def node_axes(surface: HeightField) -> tuple[FloatArray, FloatArray]:
 def close_solid(vertices: FloatArray, faces: Int32Array, border: Int32Array, z_base: float) -> TriangleMesh:
     """Add a skirt and a base to an open surface over a rectangle.
 
-    The base is a fan around its center, which the convex outline allows.
-
-    Args:
-        vertices: (n, 3) meters.
-        faces: (m, 3), counter-clockwise from above.
-        border: (k,) vertices along the outline, counter-clockwise from above.
-        z_base: height of the base, meters, below every vertex.
+    The base, at `z_base` meters, is a fan around its center, which the convex outline allows. The border is
+    the outline's vertices; it and the faces run counter-clockwise from above.
     """
     n, k = len(vertices), len(border)
     base = vertices[border]
@@ -126,245 +122,106 @@ def _border(rows: int, cols: int) -> Int32Array:
     return np.concatenate((west, south, last - west, last - south))
 
 
-SLAB = 0.1
-"""Thickness of the floor, meters."""
-VOID, GROUND, WALL = 0, 1, 2
-"""Kinds of cells."""
-CellKinds = NDArray[np.int8]
-BOTTOM, TWIN_BOTTOM, FLOOR, TWIN_FLOOR, TOP, TWIN_TOP, LEVELS = 0, 1, 2, 3, 4, 5, 6
-"""Levels of a corner of the plan; the twin is the vertex of a second body."""
-GAP = 0.001
-"""Distance along both axes between vertices of two bodies touching at a corner, meters; at most 0.1 cell."""
+LEAST_FACES = 14
+"""Two triangles, four skirts of two, a base of four."""
+_FIRST_SIZE = 1 << 16
+"""Initial capacity, triangles."""
+_ROUNDING = 1e-6
+"""Share of the budget reserved for rounding, and share of the relief below which an error is rounding."""
 
 
-def wall_mesh(walls: WallGrid) -> TriangleMesh:
-    """Return walls, floor and slab as one watertight solid; z = 0 is the floor."""
-    boxes = [merged_rectangles(walls.solid), merged_rectangles(walls.floor)]
-    # One layout: otherwise numba would compile the kernel again for Fortran order.
-    rectangles = np.ascontiguousarray(np.concatenate(boxes))
-    is_wall = np.repeat((True, False), [len(b) for b in boxes])
-    holes = np.empty((0, 4), np.int64) if walls.hole is None else merged_rectangles(walls.hole)
-    kind = np.where(walls.solid, np.int8(WALL), np.int8(GROUND))
-    if walls.hole is not None:
-        kind[walls.hole] = VOID
-    marked = _corners(np.concatenate((rectangles, holes)), walls.shape)
-    kind = np.pad(kind, 1)
-    codes = _triangles(rectangles, is_wall, kind, marked, len(holes) > 0)
-    used, faces = np.unique(codes, return_inverse=True)
-    vertices = _decode(used, rectangles, is_wall, kind, walls)
-    return TriangleMesh(vertices, faces.reshape(-1, 3).astype(np.int32))
+def simplified_solid(
+    surface: HeightField, *, max_error: float | None = None, max_triangles: int | None = None
+) -> TriangleMesh:
+    """Return a closed mesh whose top deviates vertically by at most `max_error` anywhere.
 
-
-def _corners(rectangles: IntArray, shape: tuple[int, int]) -> BoolArray:
-    """Mark the lattice points (rows + 1, cols + 1) that are corners of rectangles."""
-    marked = np.zeros((shape[0] + 1, shape[1] + 1), np.bool_)
-    for row, col in ((0, 1), (0, 3), (2, 1), (2, 3)):
-        marked[rectangles[:, row], rectangles[:, col]] = True
-    return marked
-
-
-def _decode(
-    used: IntArray, rectangles: IntArray, is_wall: BoolArray, kind: CellKinds, walls: WallGrid
-) -> FloatArray:
-    """Return the (n, 3) positions of codes: lattice points at a level, then rectangle centers."""
-    rows, cols = walls.shape
-    lattice = (rows + 1) * (cols + 1) * LEVELS
-    heights = np.array((-SLAB, -SLAB, 0.0, 0.0, walls.height, walls.height))
-    corner, middle = used[used < lattice], used[used >= lattice] - lattice
-    point, level = np.divmod(corner, LEVELS)
-    row, col = np.divmod(point, cols + 1)
-    # Middles of the upper sides, of the whole underside, of each underside.
-    boxes = np.concatenate((rectangles, [[0, 0, rows, cols]], rectangles))[middle]
-    upper, lower = np.where(is_wall, walls.height, 0.0), np.full(len(rectangles) + 1, -SLAB)
-    lattice_plan = np.stack((col, row), axis=-1) + _apart(row, col, level, kind, walls.resolution)
-    plan = np.concatenate((lattice_plan, (boxes[:, [1, 0]] + boxes[:, [3, 2]]) / 2))
-    xy = walls.origin.apply(plan * walls.resolution)
-    return np.column_stack((xy, np.concatenate((heights[level], np.concatenate((upper, lower))[middle]))))
-
-
-def _apart(row: IntArray, col: IntArray, level: IntArray, kind: CellKinds, resolution: float) -> FloatArray:
-    """Return (n, 2) offsets of twins into their own cell, cells; 0 for other vertices."""
-    twin = level % 2 == 1
-    least = np.where(level == TWIN_TOP, WALL, GROUND)
-    east = np.where(kind[row + 1, col + 1] >= least, 1.0, -1.0)
-    step = min(GAP / resolution, 0.1)
-    return np.where(twin[:, None], np.stack((east, np.ones_like(east)), axis=-1) * step, 0.0)
-
-
-@njit
-def _triangles(
-    rectangles: IntArray, is_wall: BoolArray, kind: CellKinds, marked: BoolArray, holed: bool
-) -> IntArray:
-    """Return (m, 3) vertex codes of the triangles; `kind` is padded with void cells."""
-    rows, cols = marked.shape[0] - 1, marked.shape[1] - 1
-    base = (rows + 1) * (cols + 1) * LEVELS + len(rectangles)
-    room = 0
-    for r0, c0, r1, c1 in rectangles:
-        room += int(marked[r0, c0:c1].sum() + marked[r1, c0:c1].sum())
-        room += int(marked[r0:r1, c0].sum() + marked[r0:r1, c1].sum()) + 4
-    faces = np.empty((6 * room + 2 * (rows + cols) + 8, 3), np.int64)
-    n = 0
-    for k in range(len(rectangles)):
-        r0, c0, r1, c1 = rectangles[k]
-        ring = _ring(r0, c0, r1, c1, marked)
-        m = len(ring)
-        low, floor, top = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
-        for i in range(m):
-            # At a corner the row of the rectangle's own cell; other points have no twin.
-            row = ring[i, 0] if ring[i, 0] == r0 else ring[i, 0] - 1
-            second = _twin(ring[i], row, kind, GROUND)
-            low[i] = _code(ring[i], TWIN_BOTTOM if second else BOTTOM, cols)
-            floor[i] = _code(ring[i], TWIN_FLOOR if second else FLOOR, cols)
-            top[i] = floor[i]
-            if is_wall[k]:
-                top[i] = _code(ring[i], TWIN_TOP if _twin(ring[i], row, kind, WALL) else TOP, cols)
-        n = _cap(faces, n, top, base - len(rectangles) + k)
-        if holed:
-            n = _cap(faces, n, low[::-1], base + 1 + k)
-        for i in range(m):
-            j = (i + 1) % m
-            beside = _beside(ring[i], ring[j], kind)
-            if is_wall[k] and beside != WALL:
-                n = _quad(faces, n, floor[i], floor[j], top[j], top[i])
-            if beside == VOID:
-                n = _quad(faces, n, low[i], low[j], floor[j], floor[i])
-                if not holed:
-                    faces[n, 0], faces[n, 1], faces[n, 2] = low[j], low[i], base
-                    n += 1
-    return faces[:n].copy()
-
-
-@njit
-def _ring(r0: int, c0: int, r1: int, c1: int, marked: BoolArray) -> IntArray:
-    """Return the (m, 2) marked points (row, col) around a rectangle.
-
-    Counter-clockwise, with rows counted northward.
+    Unlike a decimated grid, it is fine where the ground is rough and coarse where it is flat. The ground
+    between pixels is that of `HeightField`, whose cells have MuJoCo's diagonals. The border stays on straight
+    edges; skirt and base equal those of `solid_mesh`. With a limit of the whole solid's triangles instead,
+    the error is as small as they allow.
     """
-    ring = np.empty((2 * (r1 - r0 + c1 - c0), 2), np.int64)
-    m = 0
-    for c in range(c0, c1):
-        if marked[r0, c]:
-            ring[m, 0], ring[m, 1] = r0, c
-            m += 1
-    for r in range(r0, r1):
-        if marked[r, c1]:
-            ring[m, 0], ring[m, 1] = r, c1
-            m += 1
-    for c in range(c1, c0, -1):
-        if marked[r1, c]:
-            ring[m, 0], ring[m, 1] = r1, c
-            m += 1
-    for r in range(r1, r0, -1):
-        if marked[r, c0]:
-            ring[m, 0], ring[m, 1] = r, c0
-            m += 1
-    return ring[:m]
+    if (max_error is None) == (max_triangles is None):
+        raise ConfigError("give one of the options max-error, max-triangles")
+    if max_error is not None and not 0 < max_error < float("inf"):
+        raise ConfigError(f"max error must be a finite number above 0 m, got {max_error}")
+    if max_triangles is not None and max_triangles < LEAST_FACES:
+        raise ConfigError(
+            f"max triangles must be at least {LEAST_FACES}, a box has as many, got {max_triangles}"
+        )
+    if max_error is not None:
+        max_error = max(max_error - _file_rounding(surface), max_error / 2)
+    points, faces = triangulate(surface, max_error=max_error, max_triangles=max_triangles)
+    (x, y), (row, col) = node_axes(surface), points.T
+    south, east = surface.shape[0] - 1, surface.shape[1] - 1
+    border = []
+    for on_side, along in ((col == 0, row), (row == south, col), (col == east, -row), (row == 0, -col)):
+        side = np.flatnonzero(on_side)
+        # The last one is the first of the next side.
+        border.append(side[np.argsort(along[side])][:-1])
+    vertices = np.column_stack((x[col], y[row], surface.z[row, col].astype(np.float64)))
+    return close_solid(vertices, faces, np.concatenate(border).astype(np.int32), base_height(surface))
 
 
-@njit
-def _code(point: IntArray, level: int, cols: int) -> Any:
-    return (point[0] * (cols + 1) + point[1]) * LEVELS + level
+def _file_rounding(surface: HeightField) -> float:
+    """Return the vertical error of float32 mesh files on the steepest ground, meters."""
+    step = float(np.spacing(np.float32(max(map(abs, surface.bounds)))))
+    slopes = (
+        float(np.abs(np.diff(surface.z, axis=axis)).max()) / cell
+        for axis, cell in ((1, surface.cell[0]), (0, surface.cell[1]))
+    )
+    # Half a rounding step along each horizontal axis, and half a step of height.
+    return sum(slopes) * step / 2 + float(np.spacing(np.float32(np.abs(surface.z).max()))) / 2
 
 
-@njit
-def _beside(p: IntArray, q: IntArray, kind: CellKinds) -> Any:
-    """Return the kind of cell right of p -> q; `kind` is padded by a cell."""
-    if q[1] != p[1]:
-        return kind[p[0], p[1] + 1] if q[1] > p[1] else kind[p[0] + 1, p[1]]
-    return kind[p[0] + 1, p[1] + 1] if q[0] > p[0] else kind[p[0], p[1]]
+def triangulate(
+    surface: HeightField, *, max_error: float | None = None, max_triangles: int | None = None
+) -> tuple[Int32Array, Int32Array]:
+    """Choose pixels within one budget and triangulate them (Garland and Heckbert 1995; kernels in `tin`).
 
-
-@njit
-def _twin(point: IntArray, row: int, kind: CellKinds, least: int) -> Any:
-    """Whether a body has the twin at a corner.
-
-    Of two bodies that touch only there, the northern one has it.
+    Returns row and column (n, 2) of the pixels, and faces (m, 3), counter-clockwise from above.
     """
-    r, c = point[0] + 1, point[1] + 1
-    south_west, north_east = kind[r - 1, c - 1] >= least, kind[r, c] >= least
-    south_east, north_west = kind[r - 1, c] >= least, kind[r, c - 1] >= least
-    touching = south_west == north_east and south_east == north_west and south_west != south_east
-    return touching and row == point[0]
+    floor = surface.relief * _ROUNDING
+    budget = floor if max_error is None else max(max_error * (1 - _ROUNDING), floor)
+    most = np.iinfo(np.int64).max if max_triangles is None else max_triangles
+    z, cols = surface.z.ravel(), surface.shape[1]
+    low, high = (np.float64(error).view(np.int64) >> SHIFT for error in (budget, max(budget, surface.relief)))
+    tin = _two_triangles(*surface.shape, int(high - low) + 1)
+    while refine(tin, z, cols, budget, most) == FULL:
+        larger = _empty(2 * len(tin.fan))._replace(bins=tin.bins, taken=tin.taken, used=tin.used)
+        for part in (0, 1, 2):  # point, link and queue
+            larger[part][: len(tin[part])] = tin[part]
+        tin = larger
+    points, triangles = int(tin.used[POINTS]), int(tin.used[TRIANGLES])
+    align_diagonals(tin)
+    return tin.point[:points].copy(), tin.link.reshape(-1, STRIDE)[:triangles, :3].copy()
 
 
-@njit
-def _cap(faces: IntArray, n: int, ring: IntArray, middle: int) -> int:
-    """Fill a ring with triangles: two, or a fan around its middle."""
-    m = len(ring)
-    for i in range(m):
-        if m > 4:
-            faces[n, 0], faces[n, 1], faces[n, 2] = ring[i], ring[(i + 1) % m], middle
-            n += 1
-        elif i % 2 == 0:
-            faces[n, 0], faces[n, 1], faces[n, 2] = ring[i], ring[i + 1], ring[(i + 2) % m]
-            n += 1
-    return n
+def _two_triangles(rows: int, cols: int, bins: int) -> Tin:
+    tin = _empty(_FIRST_SIZE)._replace(
+        bins=np.full(bins, -1, np.int32), taken=np.zeros(rows * cols, np.bool_)
+    )
+    south, east = rows - 1, cols - 1
+    tin.point[:4] = (0, 0), (0, east), (south, 0), (south, east)
+    nw, ne, sw, se = range(4)
+    triangles = tin.link.reshape(-1, STRIDE)
+    # They share the diagonal: edge 1 of the first, edge 2 of the second.
+    triangles[0, :WORST] = nw, sw, ne, -1, STRIDE + 2, -1
+    triangles[1, :WORST] = sw, se, ne, -1, -1, 1
+    tin.used[[POINTS, TRIANGLES, BORDER]] = 4, 2, 4
+    tin.taken[[0, east, south * cols, south * cols + east]] = True
+    return tin
 
 
-@njit
-def _quad(faces: IntArray, n: int, a: int, b: int, c: int, d: int) -> int:
-    faces[n, 0], faces[n, 1], faces[n, 2] = a, b, c
-    faces[n + 1, 0], faces[n + 1, 1], faces[n + 1, 2] = a, c, d
-    return n + 2
-
-
-def merged_rectangles(mask: BoolArray) -> IntArray:
-    """Return (n, 4) disjoint rectangles that cover a mask: row0, col0, row1, col1 (ends exclusive).
-
-    Greedy: at the first uncovered cell, two rectangles grow, one along the row first and one along the column
-    first; the larger one is taken. The result is the smaller cover of the mask and its transpose.
-    """
-    straight = _cover(mask)
-    turned = _cover(np.ascontiguousarray(mask.T))[:, [1, 0, 3, 2]]
-    return straight if len(straight) <= len(turned) else turned
-
-
-def _cover(solid: BoolArray) -> IntArray:
-    boxes: IntArray = _rectangles(solid.copy())
-    return boxes
-
-
-@njit
-def _rectangles(left: BoolArray) -> IntArray:
-    """Cover a mask by rectangles in row order; the mask is cleared."""
-    rows, cols = left.shape
-    boxes = np.empty((max(1, int(left.sum())), 4), np.int64)
-    count = 0
-    for r in range(rows):
-        for c in range(cols):
-            if not left[r, c]:
-                continue
-            wide = _grown(left, r, c, True)
-            tall = _grown(left, r, c, False)
-            if (wide[0] - r) * (wide[1] - c) >= (tall[0] - r) * (tall[1] - c):
-                r1, c1 = wide
-            else:
-                r1, c1 = tall
-            left[r:r1, c:c1] = False
-            boxes[count, 0], boxes[count, 1], boxes[count, 2], boxes[count, 3] = r, c, r1, c1
-            count += 1
-    return boxes[:count].copy()
-
-
-@njit
-def _grown(left: BoolArray, r: int, c: int, along_row: bool) -> tuple[int, int]:
-    """Return the far corner of a rectangle grown from (r, c)."""
-    r1, c1 = r + 1, c + 1
-    for axis in range(2):
-        if (axis == 0) == along_row:
-            while c1 < left.shape[1] and _all(left, r, c1, r1, c1 + 1):
-                c1 += 1
-        else:
-            while r1 < left.shape[0] and _all(left, r1, c, r1 + 1, c1):
-                r1 += 1
-    return r1, c1
-
-
-@njit
-def _all(left: BoolArray, r0: int, c0: int, r1: int, c1: int) -> bool:
-    """Whether all cells of a rectangle are uncovered; faster than `all` of a slice."""
-    for r in range(r0, r1):
-        for c in range(c0, c1):
-            if not left[r, c]:
-                return False
-    return True
+def _empty(triangles: int) -> Tin:
+    t = triangles
+    return Tin(
+        point=np.empty((t, 2), np.int32),
+        link=np.empty(STRIDE * t, np.int32),
+        queue=np.empty(2 * t, np.int32),
+        bins=np.empty(0, np.int32),
+        taken=np.empty(0, np.bool_),
+        fan=np.empty(t, np.int32),
+        rim=np.empty(2 * t + 1, np.int32),
+        stack=np.empty(t + 3, np.int32),
+        used=np.zeros(4, np.int64),
+    )

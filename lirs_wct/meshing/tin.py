@@ -32,7 +32,7 @@ POINTS, TRIANGLES, BORDER, TOP = range(4)
 kernel = njit(cache=True, _nrt=False)
 DONE, FULL = 0, 1
 """Results of `refine`: the budget is met, or the arrays must grow."""
-_SHIFT = 52 - 7
+SHIFT = 52 - 7
 """Shift that keeps a float64's exponent and the first seven bits of its fraction."""
 _NOWHERE = -1
 _FIRST = -2
@@ -374,12 +374,6 @@ def align_diagonals(tin: Tin) -> None:
             link[u], link[u + 1], link[u + 2] = d, b, c
 
 
-def count_bins(least: float, most: float) -> int:
-    """Return the number of bins for errors from `least` to `most`."""
-    low, high = (int(np.float64(x).view(np.int64)) >> _SHIFT for x in (least, most))
-    return high - low + 1
-
-
 @kernel
 def order(x: float) -> int:
     """Return the bits of a non-negative number as an integer of the same order.
@@ -402,7 +396,7 @@ def worst(tin: Tin) -> int:
 @kernel
 def put(tin: Tin, t: int, error: int, least: int) -> None:
     """Put a triangle into the bin of its error; both errors are results of `order`."""
-    k = min((error >> _SHIFT) - (least >> _SHIFT), len(tin.bins) - 1)
+    k = min((error >> SHIFT) - (least >> SHIFT), len(tin.bins) - 1)
     after = tin.bins[k]
     tin.bins[k] = t
     tin.queue[2 * t], tin.queue[2 * t + 1] = _FIRST - k, after

@@ -9,21 +9,29 @@ from pathlib import Path
 
 import numpy as np
 
-from lirs_wct.errors import ConfigError, LogSourceError
+from lirs_wct.errors import ConfigError, LogSourceError, SourceError
 from lirs_wct.formats.elevation import MAX_RELIEF, MIN_RELIEF
+from lirs_wct.formats.picture import read_picture
 from lirs_wct.geometry import Float32Array, Pose2
 from lirs_wct.geometry.grid import fewer_nodes
-from lirs_wct.ground import LaserMap, Terrain
-from lirs_wct.meshing.texture import checked_texture
+from lirs_wct.ground import LaserMap, Terrain, cut_terrain
 from lirs_wct.navigation import FOOTPRINTS
-from lirs_wct.sources.frame import Reading, cut_terrain
 from lirs_wct.sources.laser_map import read_laser_map
 from lirs_wct.sources.mesh_source import read_mesh_source
 from lirs_wct.sources.picture import read_terrain
 from lirs_wct.sources.point_cloud import read_point_cloud
-from lirs_wct.sources.source import BuildOptions, Source, SourceKind, find_source, warn_without_effect
+from lirs_wct.sources.source import (
+    BuildOptions,
+    Reading,
+    Source,
+    SourceKind,
+    find_source,
+    warn_without_effect,
+)
 from lirs_wct.world import World
 
+TEXTURES = (".png", ".jpg", ".jpeg")
+"""Texture formats that both Gazebo and the MuJoCo viewer support."""
 SPAWN_AREA = 200.0
 """Side of the square at the center of a larger terrain where spawn poses are searched, meters."""
 SPAWN_CELLS = 1000
@@ -52,8 +60,7 @@ def build_world(source: str | Path, options: BuildOptions | None = None) -> Worl
         world = World(site.name, ground, scale=scale, source=site.identity, start=options.start, place=place)
         world = _with_spawn_poses(world)
     warn_of_result(site, options, world)
-    for texture in (options.texture, options.wall_texture):
-        checked_texture(texture, options.max_pixels)
+    _check_textures(options)
     return world.with_export(options)
 
 
@@ -69,22 +76,25 @@ READERS: dict[SourceKind, Callable[[Source, BuildOptions], Reading]] = {
 
 
 def preview_world(source: str | Path, options: BuildOptions, nodes: int) -> World:
-    """Return a world to look at: no start poses, and of a picture so many nodes along its longer side.
-
-    Raises:
-        WctError: see `build_world`.
-    """
+    """Return a world to look at: no start poses, and of a picture so many nodes along its longer side."""
     site = find_source(source, options)
     if site.kind is SourceKind.FOLDER:
         return World.load(site.path).with_export(options)
     ground, scale, _ = READERS[site.kind](site, options)
     if READERS[site.kind] is read_terrain:
         ground, scale = Terrain(fewer_nodes(ground.surface, nodes)), "preview"
-    for texture in (options.texture, options.wall_texture):
-        checked_texture(texture, options.max_pixels)
+    _check_textures(options)
     world = World(site.name, ground, scale=scale).with_export(options)
     warn_of_result(site, options, world)
     return world
+
+
+def _check_textures(options: BuildOptions) -> None:
+    """Check that the given textures are PNG or JPEG pictures that can be read."""
+    for path in filter(None, (options.texture, options.wall_texture)):
+        if path.suffix.lower() not in TEXTURES:
+            raise SourceError(f"{path}: a texture must be a PNG or JPEG picture ({', '.join(TEXTURES)})")
+        read_picture(path, options.max_pixels, alpha=True)
 
 
 def _load_world(source: Source, options: BuildOptions) -> World:
@@ -131,13 +141,8 @@ def _with_spawn_poses(world: World) -> World:
 def _refused_start(world: World, place: World, start: Pose2, resolution: float) -> ConfigError:
     """Return the error for a start where no robot can stand, with its cause.
 
-    The cause is that of the smallest robot, or of the best climber if the smallest fails only by slope.
-
-    Args:
-        world: the whole world.
-        place: part of the world around the start.
-        start: requested start pose.
-        resolution: cell size of the search, meters.
+    The cause is that of the smallest robot, or of the best climber if the smallest fails only by slope. The
+    place is the part of the world around the start, the resolution the cell size of the search, meters.
     """
     where = f"{world.name}: no robot can start at {start.x:g},{start.y:g}: "
     smallest, climber = FOOTPRINTS[-1], max(FOOTPRINTS, key=lambda footprint: footprint.max_slope)
@@ -211,11 +216,11 @@ def unusual_figures(world: World, kind: SourceKind) -> Iterator[str]:
 def _unusual_map(ground: LaserMap) -> Iterator[str]:
     if (grid := ground.truth) is None:
         return
-    walls, free = float(grid.occupied.mean()), int(grid.free.sum())
+    walls = float(grid.occupied.mean())
     causes = "occupied_thresh, free_thresh, negate, mode and transparency decide"
     if walls == 0 or walls > MAX_WALLS:
         yield f"{walls:.1%} of its cells are walls, usual are above 0 and up to {MAX_WALLS:.0%}: {causes}"
-    if free == 0:
+    if not grid.free.any():
         yield f"none of its {grid.occupied.size} cells is free: {causes}"
 
 

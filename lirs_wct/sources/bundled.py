@@ -66,11 +66,7 @@ class BundledPicture:
 
 
 def bundled_picture(name: str) -> BundledPicture:
-    """Make the picture of a bundled world; the same on every call.
-
-    Raises:
-        ConfigError: no bundled world has that name.
-    """
+    """Make the picture of a bundled world; the same on every call."""
     if name not in RECIPES:
         raise unknown_name("bundled world", name, RECIPES)
     recipe = RECIPES[name]

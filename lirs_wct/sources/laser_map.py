@@ -11,18 +11,12 @@ from lirs_wct.errors import ConfigError, unknown_name
 from lirs_wct.formats.map_server import read_map, read_map_picture
 from lirs_wct.geometry import HeightField, OccupancyGrid, Pose2, WallGrid
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
-from lirs_wct.ground import LaserMap
-from lirs_wct.sources.frame import Reading, cut_map, local_origin
-from lirs_wct.sources.source import UNKNOWN, BuildOptions, Source, SourceKind, Unknown
+from lirs_wct.ground import LaserMap, Window
+from lirs_wct.sources.source import UNKNOWN, BuildOptions, Reading, Source, SourceKind, Unknown, local_origin
 
 
 def read_laser_map(source: Source, options: BuildOptions) -> Reading:
-    """Read a laser map as walls on a level floor.
-
-    Raises:
-        SourceError: a file cannot be used.
-        ConfigError: a picture has no resolution, or an option does not fit the map.
-    """
+    """Read a laser map as walls on a level floor."""
     if source.kind is SourceKind.MAP:
         truth = read_map(source.path, options.max_pixels)
     elif options.resolution is None:
@@ -38,20 +32,25 @@ def read_laser_map(source: Source, options: BuildOptions) -> Reading:
     truth = without_small_walls(truth, options.speckle)
     walls = walls_of(truth, options.wall_height, options.unknown)
     place = Place(CoordinateSystem(), (1.0, 0.0, x, 0.0, 1.0, y)) if (x, y) != (0.0, 0.0) else None
-    return Reading(LaserMap(level_floor(walls), walls, truth), f"{truth.resolution:g} m a cell", place)
+    return LaserMap(level_floor(walls), walls, truth), f"{truth.resolution:g} m a cell", place
+
+
+def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
+    """Keep the cells around a square (its bounding box in the grid's own axes)."""
+    x, y, side = window
+    corners = [(x + sx * side / 2, y + sy * side / 2) for sx in (-1, 1) for sy in (-1, 1)]
+    cells = grid.cells(corners)
+    low = np.maximum(cells.min(axis=0), 0)
+    high = np.minimum(cells.max(axis=0) + 1, grid.shape)
+    if np.any(high <= low):
+        raise ConfigError(f"window {x:g},{y:g},{side:g} lies outside the map")
+    part = np.ascontiguousarray(grid.log_odds[low[0] : high[0], low[1] : high[1]])
+    shift = Pose2(float(low[1]) * grid.resolution, float(low[0]) * grid.resolution)
+    return replace(grid, log_odds=part, origin=grid.origin @ shift)
 
 
 def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> WallGrid:
-    """Return the occupied cells of a map as walls.
-
-    Args:
-        grid: the map.
-        height: height of the walls, meters.
-        unknown: kind of unknown cells: `floor`, `wall`, or `hole` (no floor).
-
-    Raises:
-        ConfigError: height is not above 0, `unknown` is illegal, or the whole map is a hole.
-    """
+    """Return the occupied cells of a map as walls; unknown cells are `floor`, `wall` or `hole` (no floor)."""
     if unknown not in UNKNOWN:
         raise unknown_name("kind of unknown cell", unknown, UNKNOWN)
     solid = grid.occupied | ~grid.known if unknown == "wall" else grid.occupied

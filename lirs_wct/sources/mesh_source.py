@@ -14,9 +14,8 @@ from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.geometry import BoolArray, FloatArray, HeightField
 from lirs_wct.geometry.geodesy import CoordinateSystem, Place
 from lirs_wct.geometry.mesh import Grid, TriangleMesh, layers, rasterize_heights
-from lirs_wct.ground import Ground, MeshGround, Terrain
-from lirs_wct.sources.frame import Reading, Window, leveled, local_origin
-from lirs_wct.sources.source import BuildOptions, Source
+from lirs_wct.ground import Ground, MeshGround, Terrain, Window, leveled
+from lirs_wct.sources.source import BuildOptions, Reading, Source, local_origin
 
 NODES = 1025
 """Default number of nodes along the longer side."""
@@ -49,10 +48,6 @@ def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
 
     The mesh keeps its own frame, meters and z up; far from its origin, its center becomes the world's. An
     open mesh without overhangs, or one cut by a window, becomes its heights from above.
-
-    Raises:
-        SourceError: the file is unusable, or has no extent in the plane.
-        ConfigError: an option does not fit a mesh.
     """
     path = source.path
     mesh, (sx, sy, _) = _scale(_outward(read_upright(path, options.up)), options)
@@ -93,7 +88,7 @@ def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
     if is_solid and options.window is None:
         ground = MeshGround(surface, mesh, overhangs, gaps)
     scaled = options.size or options.height or options.scale or options.z_scale
-    return Reading(ground, "as given" if scaled else "the file's own", place)
+    return ground, "as given" if scaled else "the file's own", place
 
 
 def _warn_of_y_up(path: Path, mesh: TriangleMesh) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import scipy  # its modules load on first use
 from numpy.typing import NDArray
 
-from lirs_wct.arrays import Float32Array
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats import ENCODINGS
 from lirs_wct.formats.elevation import (
@@ -23,13 +22,12 @@ from lirs_wct.formats.elevation import (
     read_raster,
     tile_georeference,
 )
-from lirs_wct.geometry import HeightField
+from lirs_wct.geometry import Float32Array, HeightField
 from lirs_wct.geometry.geodesy import Place
 from lirs_wct.geometry.grid import nearest_values, resample
-from lirs_wct.ground import Terrain
+from lirs_wct.ground import Terrain, Window, cut_terrain
 from lirs_wct.sources.bundled import SIZE, bundled_picture
-from lirs_wct.sources.frame import Reading, Window, cut_terrain
-from lirs_wct.sources.source import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, Source, SourceKind
+from lirs_wct.sources.source import DEFAULT_HEIGHT, DEFAULT_SIZE, BuildOptions, Reading, Source, SourceKind
 
 Rectangle = tuple[slice, slice]
 """Rows and columns of a raster."""
@@ -62,20 +60,22 @@ def read_terrain(source: Source, options: BuildOptions) -> Reading:
     A GeoTIFF keeps its own pixel size and heights unless the options change them; any other picture is scaled
     to the options or their defaults. The pixels are the nodes. Options act in this order: crop, nodata,
     invert, dequantize, denoise, smoothing, sharpness, resize, meters, scale, window.
-
-    Raises:
-        SourceError: the file is unusable, is in color without `grayscale`, or is more than half nodata.
-        ConfigError: the window lies outside the terrain, or an option does not fit the picture.
     """
     path = source.path
     if source.kind is SourceKind.BUNDLED:
         raster, scale, options = _bundled_raster(path, options)
     else:
         sized = bool(options.size or options.resolution)
-        raster = read_raster(path, options.max_pixels, sized=sized)
-        raster = _decode_colors(path, raster, options)
+        raster = _decode_colors(path, read_raster(path, options.max_pixels, sized=sized), options)
         scale = _scale_text(raster.info, options)
-    surface, height = _heights(path, raster, options)
+    pixels = _crop(path, raster.pixels, options.crop)
+    width, depth = _extent(pixels.shape, raster.info, options)
+    values = _known_heights(path, pixels, raster.info, options, (width, depth))
+    z, height = _meters(path, values, pixels, raster.info, options)
+    try:
+        surface = HeightField.centered(z, (width / (z.shape[1] - 1), depth / (z.shape[0] - 1)))
+    except ConfigError as error:
+        raise SourceError(f"{path}: {error}") from error
     _warn_slope_change(path, raster, surface, options)
     if options.kind is None and looks_like_map(raster.pixels):
         warnings.warn(
@@ -86,7 +86,7 @@ def read_terrain(source: Source, options: BuildOptions) -> Reading:
     if options.window is not None:
         terrain, lift = cut_terrain(terrain, options.window, level=options.zero is None)
         place = place and place.raised(lift)
-    return Reading(terrain, scale, place)
+    return terrain, scale, place
 
 
 def _bundled_raster(path: Path, options: BuildOptions) -> tuple[Raster, str, BuildOptions]:
@@ -144,46 +144,6 @@ def looks_like_map(pixels: NDArray[Any]) -> bool:
     return len(meanings) > 1 and bool(counts[common].sum() >= MAP_SHARE * pixels.size)
 
 
-def _heights(path: Path, raster: Raster, options: BuildOptions) -> tuple[HeightField, float | None]:
-    """Return the terrain, and the file's height of z = 0 unless rescaled."""
-    info, unit, (sx, sy, sz) = raster.info, raster.info.unit or 1.0, options.scale or (1.0, 1.0, 1.0)
-    factor = sz * (options.z_scale or 1.0)
-    own = info.unit is not None and options.height is None and factor == 1.0 and not options.invert
-    if options.zero is not None and not own:
-        raise ConfigError(f"{path}: the option zero needs the file's own heights, which these are not")
-    pixels = _crop(path, raster.pixels, options.crop)
-    width, depth = _extent(pixels.shape, info, options)
-    width, depth = width * sx, depth * sy
-    values = _known_heights(path, pixels, info, options, _kept(pixels.shape, (width, depth), options.window))
-    if info.scale != 1.0 or info.offset != 0.0:
-        values = values.astype(np.float64) * info.scale + info.offset
-    if options.invert:
-        np.negative(values, out=values)
-    base = float(values.min()) if options.zero is None else options.zero / unit
-    values -= base
-    above = values.astype(np.float32, copy=False)
-    if options.deterrace:
-        above = dequantize(above, _level_step(path, pixels) * abs(info.scale))
-    above = apply_filters(above, options)
-    if options.zero is None:
-        lowest = float(above.min())
-        above -= np.float32(lowest)
-        base += lowest
-        relief = above.max()
-        if relief > 0 and (info.unit is None or options.height is not None):
-            # Division first: the highest point is exactly `height`.
-            above /= relief
-            unit = options.height or DEFAULT_HEIGHT
-    above *= np.float32(unit)
-    above *= np.float32(factor)
-    rows, cols = above.shape
-    try:
-        surface = HeightField.centered(above, (width / (cols - 1), depth / (rows - 1)))
-    except ConfigError as error:
-        raise SourceError(f"{path}: {error}") from error
-    return surface, base * unit if own else None
-
-
 def _crop(path: Path, pixels: NDArray[Any], crop: tuple[int, int, int, int] | None) -> NDArray[Any]:
     if crop is None:
         return pixels
@@ -199,8 +159,9 @@ def _extent(shape: tuple[int, ...], info: RasterInfo, options: BuildOptions) -> 
     """Return width and depth of the ground, meters, between the outermost pixels."""
     if options.size is not None and options.resolution is not None:
         raise ConfigError("both set the extent of a picture: give one of --size, --resolution")
+    x, y, _ = options.scale or (1.0, 1.0, 1.0)
     if isinstance(options.size, tuple):
-        return options.size
+        return options.size[0] * x, options.size[1] * y
     rows, cols = shape[:2]
     sx, sy = info.georeference.pixel if info.georeference else (1.0, 1.0)
     if options.resolution is not None:
@@ -208,7 +169,28 @@ def _extent(shape: tuple[int, ...], info: RasterInfo, options: BuildOptions) -> 
     elif options.size is not None or info.georeference is None:
         factor = (options.size or DEFAULT_SIZE) / max((cols - 1) * sx, (rows - 1) * sy)
         sx, sy = sx * factor, sy * factor
-    return (cols - 1) * sx, (rows - 1) * sy
+    return (cols - 1) * sx * x, (rows - 1) * sy * y
+
+
+def _known_heights(
+    path: Path, pixels: NDArray[Any], info: RasterInfo, options: BuildOptions, size: tuple[float, float]
+) -> NDArray[np.floating[Any]]:
+    """Return (rows, cols) values; a pixel without height takes that of its nearest neighbor.
+
+    At most half of the pixels within a window may lack a height. The size is width and depth, meters.
+    """
+    values = _gray(path, pixels, options.grayscale)
+    nodata = info.nodata if options.nodata is None else options.nodata
+    # Unsigned levels have no value for "no data" unless they are heights or the file declares one.
+    if nodata is not None or info.unit is not None or pixels.dtype.kind != "u":
+        search = info.unit is not None and options.nodata is None
+        missing, codes = missing_heights(values, nodata, search=search)
+        if missing.any():
+            _report_missing(path, values, missing, codes, _kept(pixels.shape, size, options.window))
+            values = nearest_values(values, missing)
+    if nodata is None and info.unit is not None:
+        warn_nodata_border(path, values, info.unit)
+    return values
 
 
 def _kept(shape: tuple[int, ...], size: tuple[float, float], window: Window | None) -> Rectangle:
@@ -221,32 +203,6 @@ def _kept(shape: tuple[int, ...], size: tuple[float, float], window: Window | No
         start = min(max(int(first), 0), count - 1)
         spans.append(slice(start, max(start + 1, int(last) + 2)))
     return spans[0], spans[1]
-
-
-def _known_heights(
-    path: Path, pixels: NDArray[Any], info: RasterInfo, options: BuildOptions, kept: Rectangle
-) -> NDArray[np.floating[Any]]:
-    """Return (rows, cols) values; a pixel without height takes that of its nearest neighbor.
-
-    Args:
-        path: path of the raster.
-        pixels: (rows, cols) or (rows, cols, 3) pixels.
-        info: units of the pixels.
-        options: declared value of pixels without a height, and whether colors become gray.
-        kept: rows and columns of the world, of which at most half may lack a height.
-    """
-    values = _gray(path, pixels, options.grayscale)
-    nodata = info.nodata if options.nodata is None else options.nodata
-    # Unsigned levels have no value for "no data" unless they are heights or the file declares one.
-    if nodata is not None or info.unit is not None or pixels.dtype.kind != "u":
-        search = info.unit is not None and options.nodata is None
-        missing, codes = missing_heights(values, nodata, search=search)
-        if missing.any():
-            _report_missing(path, values, missing, codes, kept)
-            values = nearest_values(values, missing)
-    if nodata is None and info.unit is not None:
-        warn_nodata_border(path, values, info.unit)
-    return values
 
 
 def _report_missing(
@@ -301,13 +257,7 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
 
 
 def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: float) -> None:
-    """Warn of a border of the lowest value next to a cliff, likely no data.
-
-    Args:
-        path: path of the raster.
-        values: (rows, cols) heights with filled holes.
-        unit: meters per unit of height.
-    """
+    """Warn of a border of the lowest value next to a cliff, likely no data; the unit is meters."""
     lowest = values.min()
     low = values == lowest
     border = np.concatenate((low[0], low[-1], low[1:-1, 0], low[1:-1, -1]))
@@ -359,6 +309,42 @@ def _place(raster: Raster, surface: HeightField, height: float | None, options: 
     return Place(georeference.system, (a * across, -b * down, x0, d * across, -e * down, y0), height)
 
 
+def _meters(
+    path: Path,
+    values: NDArray[np.floating[Any]],
+    pixels: NDArray[Any],
+    info: RasterInfo,
+    options: BuildOptions,
+) -> tuple[Float32Array, float | None]:
+    """Return filtered heights, meters, and the file's height of z = 0 unless rescaled."""
+    unit, factor = info.unit or 1.0, (options.scale or (1.0, 1.0, 1.0))[2] * (options.z_scale or 1.0)
+    own = info.unit is not None and options.height is None and factor == 1.0 and not options.invert
+    if options.zero is not None and not own:
+        raise ConfigError(f"{path}: the option zero needs the file's own heights, which these are not")
+    if info.scale != 1.0 or info.offset != 0.0:
+        values = values.astype(np.float64) * info.scale + info.offset
+    if options.invert:
+        np.negative(values, out=values)
+    base = float(values.min()) if options.zero is None else options.zero / unit
+    values -= base
+    above = values.astype(np.float32, copy=False)
+    if options.deterrace:
+        above = dequantize(above, _level_step(path, pixels) * abs(info.scale))
+    above = apply_filters(above, options)
+    if options.zero is None:
+        lowest = float(above.min())
+        above -= np.float32(lowest)
+        base += lowest
+        relief = above.max()
+        if relief > 0 and (info.unit is None or options.height is not None):
+            # Division first: the highest point is exactly `height`.
+            above /= relief
+            unit = options.height or DEFAULT_HEIGHT
+    above *= np.float32(unit)
+    above *= np.float32(factor)
+    return above, base * unit if own else None
+
+
 def apply_filters(values: Float32Array, options: BuildOptions) -> Float32Array:
     """Return the values after denoising, smoothing, sharpening and resizing, in this order.
 
@@ -391,10 +377,7 @@ def dequantize(levels: Float32Array, step: float = 1.0) -> Float32Array:
     It minimizes the thin-plate energy, the sum of squared Laplacians, under |z - levels| <= step / 2. The
     method is projected gradients with momentum (Beck and Teboulle 2009, algorithm FISTA; restarted after
     O'Donoghue and Candes 2015, section 3.2), from coarse to fine: wide terraces converge on coarse levels.
-
-    Args:
-        levels: (rows, cols) gray levels.
-        step: distance of neighboring levels.
+    The step is the distance of neighboring levels.
     """
     half = np.float32(step / 2)
     pyramid = [levels]

@@ -15,11 +15,14 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from lirs_wct.errors import ConfigError, SourceError, did_you_mean
 from lirs_wct.files import read_manifest
 from lirs_wct.formats import BAGS, CLOUDS, LOGS, MAPS, MESHES, ZSTD, Encoding, map_server, picture
-from lirs_wct.geometry import Pose2
-from lirs_wct.meshing.export_options import ExportOptions
+from lirs_wct.geometry import FloatArray, Pose2
+from lirs_wct.geometry.geodesy import Place
+from lirs_wct.ground import ExportOptions, Ground, finite
 from lirs_wct.option import Options, Slider, changed, declared, documented, option, positive, within
 from lirs_wct.sources.bundled import RECIPES
 
@@ -85,15 +88,6 @@ def _numbers(text: str, label: str, form: str, *counts: int) -> tuple[float, ...
     return values
 
 
-def _finite(value: float, label: str) -> None:
-    if not math.isfinite(value):
-        raise ConfigError(f"{label} must be finite, got {value}")
-
-
-def _window(value: tuple[float, float, float], _: str) -> None:
-    positive(value[2], "window side")
-
-
 def _start(value: Pose2, _: str) -> None:
     if not all(math.isfinite(number) for number in (value.x, value.y, value.yaw)):
         raise ConfigError(f"a start must be finite, got {value.x},{value.y},{value.yaw}")
@@ -119,7 +113,7 @@ class SourceOptions(Options):
         None,
         "Keep only this square of the world, meters.",
         metavar="X,Y,SIDE",
-        check=_window,
+        check=lambda window, _: positive(window[2], "window side"),
         kinds={*_MESHES, *_MAPS, SourceKind.CLOUD, SourceKind.FOLDER},
     )
     start: Pose2 | None = option(
@@ -167,7 +161,7 @@ class SourceOptions(Options):
         None,
         "Height of the file's own that becomes z = 0, so that neighboring tiles fit; default: the lowest.",
         metavar="HEIGHT",
-        check=_finite,
+        check=finite,
         rare=True,
         **_SCALE | {"kinds": {SourceKind.PICTURE, SourceKind.CLOUD}},
     )
@@ -298,11 +292,7 @@ class Source:
 
 
 def find_source(given: str | Path, options: BuildOptions) -> Source:
-    """Return kind, path and name of a source.
-
-    Raises:
-        SourceError: no bundled world, file or built folder has this name.
-    """
+    """Return kind, path and name of a source."""
     path = Path(given)
     if str(given) in RECIPES:
         return Source(SourceKind.BUNDLED, path, _name(str(given), options))
@@ -360,12 +350,6 @@ def warn_without_effect(source: Source, options: BuildOptions) -> None:
         )
 
 
-def _holds_points(path: Path) -> bool:
-    from lirs_wct.formats.point_clouds import is_cloud_ply  # loads the kernels of meshes
-
-    return is_cloud_ply(path)
-
-
 UNREAD = {
     ".gltf": ("a glTF scene in several files", "save it as .glb"),
     ".fbx .blend .3ds .skp .x3d .wrl .off .3mf .usd .usda .usdc .usdz": (
@@ -395,7 +379,11 @@ def _kind(path: Path, options: BuildOptions) -> SourceKind:
         raise SourceError(f"{path}: a folder that was built holds world.json, this one does not")
     if suffix in MAPS:
         return SourceKind.MAP
-    if suffix in CLOUDS or (suffix == ".ply" and _holds_points(path)):
+    if suffix == ".ply":
+        from lirs_wct.formats.point_clouds import is_cloud_ply  # loads the kernels of meshes
+
+        return SourceKind.CLOUD if is_cloud_ply(path) else SourceKind.MESH
+    if suffix in CLOUDS:
         return SourceKind.CLOUD
     if suffix in MESHES:
         return SourceKind.MESH
@@ -427,3 +415,26 @@ def _name(stem: str, options: BuildOptions) -> str:
     if len(name) > MAX_NAME:
         raise ConfigError(f"--name: a world's name has at most {MAX_NAME} characters, got {len(name)}")
     return name
+
+
+Reading = tuple[Ground, str, Place | None]
+"""Result of a reader: ground in the world's frame, origin of the meters as text, georeference if known."""
+MAX_OFFSET = 10_000.0
+"""Distance from the origin, meters, beyond which the center of a source becomes the world's origin."""
+
+
+def local_origin(path: Path, low: FloatArray, high: FloatArray, unit: float = 1.0) -> tuple[float, float]:
+    """Return the coordinates of the world's origin; warn unless they are 0, 0.
+
+    The digits of float32 would not suffice for coordinates of a country. Low and high are the smallest and
+    largest x and y, the unit is meters per unit of theirs.
+    """
+    if np.abs((low, high)).max() * unit <= MAX_OFFSET:
+        return 0.0, 0.0
+    x, y = ((low + high) / 2).round().tolist()
+    if (x, y) != (0.0, 0.0):
+        warnings.warn(
+            f"{path}: lies far from its origin: its point {x:.0f}, {y:.0f} becomes 0, 0 of the world",
+            stacklevel=3,
+        )
+    return x, y

@@ -10,8 +10,7 @@ import pytest
 
 from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct import BuildOptions, World, build_world
-from lirs_wct.contact.grid import contact_grid
-from lirs_wct.export.mjcf import world_spec
+from lirs_wct.contact.spec import contact_grid, world_spec
 from lirs_wct.export.package import write_package
 from lirs_wct.formats.meshes.reader import read_upright
 from lirs_wct.geometry.mesh import rasterize_heights

@@ -9,8 +9,8 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from lirs_wct.contact.grid import ContactGrid, contact_grid, steep_nodes
 from lirs_wct.contact.parts import FEW_FACES, _thickness, bodies, convex_parts, shell_parts, touching_volume
+from lirs_wct.contact.spec import ContactGrid, contact_grid, steep_nodes
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.build import build_world
@@ -60,7 +60,7 @@ def test_smooth_ground_becomes_coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     vertical, horizontal = deviations(surface, grid)
     assert vertical == pytest.approx(grid.vertical, abs=1e-5)
     assert horizontal == 0.0
-    monkeypatch.setattr("lirs_wct.contact.grid.VERTICAL", 0.05)
+    monkeypatch.setattr("lirs_wct.contact.spec.VERTICAL", 0.05)
     assert contact_grid(surface).stride > grid.stride
 
 

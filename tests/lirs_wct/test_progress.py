@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from lirs_wct.export.mesh_writer import write_parts
+from lirs_wct.export.appearance import cube_uv
 from lirs_wct.export.package import FORMATS, write_package
-from lirs_wct.formats.meshes.writers import MeshPart
+from lirs_wct.formats.meshes.writers import MeshPart, write_parts
 from lirs_wct.geometry import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.texture import cube_uv
 from lirs_wct.progress import Steps, track
 from lirs_wct.world import World
 

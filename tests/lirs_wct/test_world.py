@@ -12,8 +12,7 @@ from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.ground import Ground, LaserMap, MeshGround, Terrain
-from lirs_wct.meshing.export_options import ExportOptions
+from lirs_wct.ground import ExportOptions, Ground, LaserMap, MeshGround, Terrain
 from lirs_wct.meshing.solid import solid_mesh
 
 

@@ -14,8 +14,8 @@ from lirs_envs.robots.robot import Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
 from lirs_wct.arrays import Float32Array
+from lirs_wct.contact.spec import TERRAIN_GROUP
 from lirs_wct.errors import ConfigError, SimulationError
-from lirs_wct.export.mjcf import TERRAIN_GROUP
 from lirs_wct.geometry import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 import pytest
 
+from lirs_wct.export.appearance import cube_uv
 from lirs_wct.export.mesh_writer import write_collada
 from lirs_wct.formats.gazebo import heightmap_sdf, model_config, model_sdf, world_sdf, write_heightmap
 from lirs_wct.geometry import HeightField
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.texture import cube_uv
 
 pytestmark = pytest.mark.slow
 
@@ -30,7 +30,7 @@ def hills() -> HeightField:
 def writer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Each way to write COLLADA."""
     if request.param == "brief":
-        monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
+        monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", 0)
     return str(request.param)
 
 

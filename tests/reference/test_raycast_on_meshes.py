@@ -150,7 +150,7 @@ GATE = [
 def gate(monkeypatch: pytest.MonkeyPatch) -> World:
     """A slab of 8 x 8 m with a gate on it: the height field from above says that its roof is solid."""
     # It is touched as the boxes that it is made of, which a decomposition would take its time to find.
-    monkeypatch.setattr("lirs_wct.export.mjcf.contact_parts", lambda *_: iter([box.vertices for box in GATE]))
+    monkeypatch.setattr("lirs_wct.contact.spec.convex_parts", lambda *_: iter([box.vertices for box in GATE]))
     whole = trimesh.util.concatenate(GATE)
     solid = TriangleMesh(np.array(whole.vertices), np.array(whole.faces, dtype=np.int32))
     top = np.zeros((81, 81), np.float32)

@@ -48,7 +48,7 @@ from lirs_envs.props import PROP_GROUP
 from lirs_envs.walkers import WALKER_GROUP, Walkers
 from lirs_wct import ConfigError, HeightField, TriangleMesh, WallGrid, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, njit
-from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP
+from lirs_wct.contact.spec import RAY_GROUP, TERRAIN_GROUP
 
 SLACK = 1e-4
 """Meters added to Embree's largest range: single precision at a kilometer."""

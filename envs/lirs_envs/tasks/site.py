@@ -162,8 +162,8 @@ def _largest(areas: IntArray, driven: BoolArray) -> int:
 def _path_lengths(free: BoolArray, row: int, col: int, limit: float) -> FloatArray:
     """Return (rows, cols) shortest path lengths to a cell in cells, inf where beyond the limit.
 
-    Paths are those of `lirs_wct.geometry.grid_search.search`. No step is shorter than a cell, so that buckets
-    of one cell's length replace the heap (Dial 1969): a fifth of the time.
+    Paths lead to the eight neighbors and cut no blocked corners (Dijkstra 1959). No step is shorter than a
+    cell, so that buckets of one cell's length replace the heap (Dial 1969): a fifth of the time.
     """
     rows, cols = free.shape
     cost = np.full((rows, cols), np.inf)

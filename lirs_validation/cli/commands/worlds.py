@@ -13,7 +13,7 @@ from lirs_validation.cli.command import Few, OneSource, common, map_logs
 from lirs_validation.cli.exit_codes import ExitCode
 from lirs_validation.cli.progress import err, out, progress_bar, say
 from lirs_validation.config import LogOptions, MapConfig
-from lirs_wct.meshing.export_options import DEFAULT_SHARE, RotationOptions
+from lirs_wct.ground import DEFAULT_SHARE, RotationOptions
 from lirs_wct.option import Options, argument, option
 from lirs_wct.sources.source import BuildOptions, is_log
 

@@ -109,18 +109,31 @@ NORMAL_DIGITS, BRIEF_NORMAL_DIGITS = 3, 2
 """Decimals of normals in usual and in brief files (shading exact to 0.5 deg)."""
 
 
-def stream_collada(
-    path: Path, parts: Sequence[MeshPart], *, brief: bool, passed: Callable[[int], None] = lambda _: None
-) -> None:
-    """Write parts as one geometry; `passed` gets the number of newly written triangles.
+BULK = 500_000
+"""Triangles above which a COLLADA file is compact: fewer digits, and quads."""
 
-    With `brief`, fewer digits and quads save bytes. Two consecutive triangles with a shared edge become a
-    quad whose fan from the first corner gives the two triangles again.
+
+def write_parts(path: Path, parts: Sequence[MeshPart], progress: Progress = no_progress) -> None:
+    """Write parts of one texture each as one geometry of a COLLADA file.
+
+    In a compact file, two consecutive triangles with a shared edge become a quad whose fan from the first
+    corner gives the two triangles again.
     """
+    for part in parts:
+        if part.texture is not None and any(c.isspace() for c in part.texture):
+            raise ConfigError(f"path of a texture must not hold spaces, got {part.texture!r}")
+    total, done = sum(len(part.mesh.faces) for part in parts), 0
+
+    def passed(count: int) -> None:
+        nonlocal done
+        done += count
+        progress(path.name, done / max(total, 1))
+
+    brief = total > BULK
     digits = BRIEF_NORMAL_DIGITS if brief else NORMAL_DIGITS
     farthest = np.abs([part.mesh.bounds for part in parts]).max(axis=(0, 1))
     normals, numbers = _distinct([part.normals for part in parts], digits)
-    with path.open("wb") as file:
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
         file.write(_head(parts).encode())
         positions = [part.mesh.vertices for part in parts]
         _write_source(file, "positions", positions, _position_decimals(farthest), "XYZ")

@@ -15,9 +15,9 @@ from lirs_envs.episodes.observations import NO_GROUND
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.tasks.site import SEEN_CELL, make_site
 from lirs_envs.tasks.task import TASKS, MappingTask, NavigationTask, Rewards, register_task
+from lirs_validation.driving.paths import search
 from lirs_wct.errors import ConfigError, SimulationError
 from lirs_wct.geometry import HeightField
-from lirs_wct.geometry.grid_search import search
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import Terrain
 from lirs_wct.world import World

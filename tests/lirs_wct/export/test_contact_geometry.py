@@ -16,15 +16,13 @@ from lirs_envs.simulation_config import SimulationConfig
 from lirs_validation import validate
 from lirs_wct import BuildOptions, World, build_world
 from lirs_wct.contact import CONTACT_GEOMETRIES, ContactGeometry
-from lirs_wct.contact.grid import ContactGrid, contact_grid, steep_nodes
-from lirs_wct.contact.parts import contact_parts, prisms
+from lirs_wct.contact.parts import convex_parts, prisms
+from lirs_wct.contact.spec import RAY_GROUP, TERRAIN_GROUP, ContactGrid, contact_grid, steep_nodes, world_spec
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.mjcf import RAY_GROUP, TERRAIN_GROUP, world_spec
 from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.ground import LaserMap, MeshGround, Terrain
-from lirs_wct.meshing.export_options import ExportOptions
+from lirs_wct.ground import ExportOptions, LaserMap, MeshGround, Terrain
 
 RADIUS, SPHERES = 0.3, 40
 
@@ -235,7 +233,7 @@ def test_a_terrain_that_does_not_fit_is_refused(
             world_spec(world, contact_geometry=terrain)  # type: ignore[arg-type]
     monkeypatch.setitem(sys.modules, "coacd", None)
     with pytest.raises(ConfigError, match=r"pip install '.\[mesh\]'"):
-        list(contact_parts(arch, "convex"))
+        list(convex_parts(arch.mesh))
     assert get_args(ContactGeometry) == CONTACT_GEOMETRIES
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from lirs_wct import BuildOptions, build_world
-from lirs_wct.contact.grid import contact_grid
-from lirs_wct.export.mjcf import spread, world_spec, write_mjcf
+from lirs_wct.contact.spec import contact_grid, world_spec
+from lirs_wct.export.appearance import cube_uv
+from lirs_wct.export.mjcf import spread, write_mjcf
 from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.ground import LaserMap, Terrain
-from lirs_wct.meshing.texture import cube_uv
 from lirs_wct.world import World
 
 

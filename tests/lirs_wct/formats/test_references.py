@@ -20,7 +20,7 @@ from lirs_wct.files import referenced_file
 from lirs_wct.formats.elevation import read_raster
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.formats.meshes.reader import read_textured
-from lirs_wct.formats.meshes.writers import MeshPart, stream_collada
+from lirs_wct.formats.meshes.writers import MeshPart, write_parts
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.sources.build import build_world
 from tests.kit import refused
@@ -157,7 +157,7 @@ def quad(texture: str, folder: Path, kind: str) -> Path:
         vertices = np.array(corners.split(), float).reshape(4, 3)
         faces, up = np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.tile((0.0, 0.0, 1.0), (4, 1))
         part = MeshPart("m", TriangleMesh(vertices, faces, vertices[:, :2], up), texture)
-        stream_collada(path, [part], brief=False)
+        write_parts(path, [part])
     else:
         Image.new("RGB", (2, 2)).save(folder / "inner.png")
         material = trimesh.visual.material.PBRMaterial(baseColorTexture=Image.open(folder / "inner.png"))

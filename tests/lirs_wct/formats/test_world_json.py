@@ -13,8 +13,7 @@ import pytest
 from lirs_wct.errors import SourceError
 from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.ground import LaserMap, Terrain
-from lirs_wct.meshing.export_options import ExportOptions
+from lirs_wct.ground import ExportOptions, LaserMap, Terrain
 from lirs_wct.world import World, checked_content
 
 Z = np.random.default_rng(4).normal(size=(3, 4)).astype(np.float32)

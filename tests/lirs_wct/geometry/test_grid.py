@@ -16,7 +16,7 @@ from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import OccupancyGrid, WallGrid
 from lirs_wct.geometry.grid import resample
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.meshing.solid import merged_rectangles
+from lirs_wct.meshing.walls import merged_rectangles
 
 poses = st.builds(Pose2, st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3))
 

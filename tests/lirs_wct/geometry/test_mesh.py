@@ -12,9 +12,9 @@ import trimesh
 from hypothesis import given, strategies as st
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.export.appearance import cube_uv
 from lirs_wct.formats.meshes.writers import write_stl
 from lirs_wct.geometry.mesh import TriangleMesh, split_tiles
-from lirs_wct.meshing.texture import cube_uv
 from tests.kit import hills
 
 POINTS = np.random.default_rng(7).normal(size=(4, 3))

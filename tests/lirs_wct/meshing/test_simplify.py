@@ -14,10 +14,8 @@ from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh, rasterize_heights
-from lirs_wct.ground import Terrain
-from lirs_wct.meshing.export_options import ExportOptions
-from lirs_wct.meshing.simplify import simplified_solid, triangulate
-from lirs_wct.meshing.solid import solid_mesh
+from lirs_wct.ground import ExportOptions, Terrain
+from lirs_wct.meshing.solid import simplified_solid, solid_mesh, triangulate
 from lirs_wct.world import World
 from tests.kit import read_heights
 
@@ -211,8 +209,8 @@ def test_budgets_are_checked() -> None:
     surface = hills(5, 5)
     for budgets in ({}, {"max_error": 1.0, "max_triangles": 20}):
         with pytest.raises(ConfigError, match=r"max-error, max-triangles"):
-            triangulate(surface, **budgets)  # type: ignore[arg-type]
+            simplified_solid(surface, **budgets)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="max error must be"):
-        triangulate(surface, max_error=0.0)
+        simplified_solid(surface, max_error=0.0)
     with pytest.raises(ConfigError, match="max triangles must be at least 14"):
-        triangulate(surface, max_triangles=13)
+        simplified_solid(surface, max_triangles=13)

@@ -14,7 +14,8 @@ from hypothesis.extra import numpy as hnp
 from lirs_wct.formats.meshes.writers import write_stl
 from lirs_wct.geometry import HeightField, WallGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.meshing.solid import SLAB, base_height, solid_mesh, solid_triangles, wall_mesh
+from lirs_wct.meshing.solid import base_height, solid_mesh, solid_triangles
+from lirs_wct.meshing.walls import SLAB, wall_mesh
 
 
 def hills(rows: int, cols: int, seed: int = 0) -> HeightField:

@@ -5,10 +5,10 @@ import pytest
 import trimesh
 
 from lirs_wct.errors import ConfigError
+from lirs_wct.export.appearance import cube_uv, draped_uv, wall_uv
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.texture import cube_uv, draped_uv, wall_uv
 
 
 def hills(rows: int = 20, cols: int = 30, height: float = 1.0) -> HeightField:

@@ -13,7 +13,7 @@ from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.map_server import read_map
 from lirs_wct.geometry import OccupancyGrid, WallGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.meshing.solid import SLAB, merged_rectangles, wall_mesh
+from lirs_wct.meshing.walls import SLAB, merged_rectangles, wall_mesh
 from lirs_wct.sources.laser_map import level_floor, read_laser_map, walls_of, without_small_walls
 from lirs_wct.sources.source import BuildOptions, find_source
 

@@ -437,7 +437,7 @@ def test_deterrace_knows_8_bits_stored_as_16(tmp_path: Path) -> None:
         ({"resize": (1, 5)}, "resize needs"),
         ({"smoothing": 0.0}, "smoothing must be"),
         ({"scale": (1.0, -1.0, 1.0)}, "scale must be"),
-        ({"rotate_x": float("nan")}, "x rotation must be finite"),
+        ({"rotate_x": float("nan")}, "rotate x must be finite"),
     ],
 )
 def test_illegal_options_are_refused(options: dict[str, object], words: str) -> None:

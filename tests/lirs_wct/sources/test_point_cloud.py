@@ -14,7 +14,7 @@ from pyproj import CRS
 from lirs_wct.errors import ConfigError, SourceError
 from lirs_wct.formats.point_clouds import read_points
 from lirs_wct.sources.build import build_world
-from lirs_wct.sources.smrf import NodeGrid, Smrf, fill_gaps, ground_points
+from lirs_wct.sources.point_cloud import NodeGrid, Smrf, fill_gaps, ground_points
 from lirs_wct.sources.source import BuildOptions, SourceKind, find_source
 from lirs_wct.world import World
 from tests.kit import refused

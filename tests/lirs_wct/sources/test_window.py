@@ -9,8 +9,8 @@ from hypothesis import given, strategies as st
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry import HeightField, OccupancyGrid
 from lirs_wct.geometry.pose import Pose2
-from lirs_wct.ground import Terrain
-from lirs_wct.sources.frame import cut_map, cut_surface, cut_terrain, leveled
+from lirs_wct.ground import Terrain, cut_surface, cut_terrain, leveled
+from lirs_wct.sources.laser_map import cut_map
 
 # 61 nodes from x = 10 to 40, 41 nodes from y = -8 to 2.
 Z = np.random.default_rng(3).uniform(5, 9, (41, 61)).astype(np.float32)

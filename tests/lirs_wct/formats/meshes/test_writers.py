@@ -10,12 +10,12 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
-from lirs_wct.export.mesh_writer import write_collada, write_parts
-from lirs_wct.formats.meshes.writers import MeshPart, write_obj
+from lirs_wct.export.appearance import cube_uv
+from lirs_wct.export.mesh_writer import write_collada
+from lirs_wct.formats.meshes.writers import MeshPart, write_obj, write_parts
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
 from lirs_wct.meshing.solid import solid_mesh
-from lirs_wct.meshing.texture import cube_uv
 from tests.kit import hills
 
 CLOSE = 6e-3
@@ -40,7 +40,7 @@ def writer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     if request.param == "in pieces":
         monkeypatch.setattr("lirs_wct.formats.meshes.writers._ROWS", 600)
     if request.param == "brief":
-        monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
+        monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", 0)
     return str(request.param)
 
 
@@ -116,9 +116,9 @@ def test_bytes_count_in_large_files(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     smooth = solid_mesh(
         HeightField.centered((np.sin(rows / 9) + np.cos(cols / 9)).astype(np.float32), (1, 1))
     )
-    monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", len(smooth.faces))
+    monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", len(smooth.faces))
     write_collada(tmp_path / "a.dae", smooth)
-    monkeypatch.setattr("lirs_wct.export.mesh_writer.BULK", 0)
+    monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", 0)
     write_collada(tmp_path / "b.dae", smooth)
     (shape,) = collada.Collada(str(tmp_path / "b.dae")).geometries
     (polygons,) = shape.primitives
