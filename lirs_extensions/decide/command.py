@@ -80,7 +80,7 @@ def verdict(
 
 
 def _print_state(trial: Trial) -> None:
-    """Print the forecast of a trial, or the verdict of its last drive and the state."""
+    """Print the forecast of a trial, or its last verdict and the state."""
     if trial.drives:
         drive, test = trial.drives[-1], trial.test
         decided = "" if trial.decision == "undecided" else f": {trial.decision}"

@@ -295,7 +295,7 @@ def run_trials(
     deadline: float,
     report: Callable[[Trial], None],
 ) -> tuple[Trial, ...]:
-    """Drive trials with different configs until each is decided, or no drive may begin any more.
+    """Drive trials with different configs until each is decided, or the deadline.
 
     Drives that are in the folder already are not repeated; `report` gets a trial after each of its drives.
     """
@@ -381,7 +381,7 @@ def _attitude_change(config: RunConfig) -> dict[str, RunConfig]:
 
 
 def _lidar_change(config: RunConfig, *, works: bool) -> dict[str, RunConfig]:
-    """Return the run with the lidar of the next longer range, or shorter if it works."""
+    """Return the run with the next longer lidar, or shorter if it works."""
     own = make_lidar_preset(config.lidar or make_robot(config.robot).lidar)
     others = [preset for preset in map(make_lidar_preset, LIDARS) if preset.rings == own.rings]
     reach = attrgetter("range_max")

@@ -77,7 +77,7 @@ FEATURES = tuple(entry.name for entry in fields(SiteFeatures))
 
 
 def site_features(world: World, robot: Robot, config: RunConfig) -> SiteFeatures:
-    """Cast scans along tours of a site, by a config's mapper, lidar, seed and seconds; return features."""
+    """Cast scans along tours of a site, as a config drives it; return features."""
     preset = make_lidar_preset(config.lidar or robot.lidar)
     preset = preset if config.mapper in ALL_CLOUD_MAPPERS else preset.planar
     caster: Caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)

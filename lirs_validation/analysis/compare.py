@@ -226,7 +226,7 @@ def paired_test(d: FloatArray) -> tuple[Test, float | None, float | None, float 
 
 
 def holm(p: FloatArray) -> FloatArray:
-    """Correct p values (n,) after Holm: the k-th smallest times n - k + 1, never decreasing."""
+    """Correct p values (n,) after Holm: the k-th smallest times n - k + 1."""
     order = np.argsort(p, kind="stable")
     raised = p[order] * np.arange(len(p), 0, -1)
     result = np.empty_like(p)

@@ -159,7 +159,7 @@ def _fits(value: object, default: object) -> bool:
 
 
 def recorded_world_config(entry: Entry) -> RunConfig:
-    """Return the config of a record, its source at the recorded place with the recorded content."""
+    """Return the config of a record, with the recorded place of its unchanged source."""
     config, recorded = recorded_config(entry), entry["world"].get("files", ())
     if not recorded:  # a bundled world
         return config

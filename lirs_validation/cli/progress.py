@@ -102,7 +102,7 @@ class ProgressNotes:
         self._explained = False
 
     def observe(self, work: str, step: str, text: str, share: float) -> None:
-        """Take in a step of some work; write its text if the last is long ago."""
+        """Take in a step of some work; write its text after a while."""
         if step != "compile":
             self.end(work)
         elif work not in self._compilations and not self._explained:

@@ -174,7 +174,7 @@ def run_mapping(config: MapConfig, *, out: Path | None = None, progress: Progres
 
 @contextmanager
 def log_mapper(config: MapConfig) -> Iterator[MapperUnderTest]:
-    """Give the mapper of a log; foreign code works in its own process, which ends with the block."""
+    """Give the mapper of a log; foreign code works in its own process."""
     with closing(_start(config)) as mapper:
         if mapper.reads_clouds and not is_bag(Path(config.log)):
             raise ConfigError(
@@ -276,7 +276,7 @@ def _preflight(config: MapConfig, log: LaserLog) -> Preflight:
 def _compare(
     config: MapConfig, log: LaserLog, readings: Sequence[Imu | None], path: Trajectory, progress: Progress
 ) -> dict[str, Any] | None:
-    """Compare the path with a second mapper's; None if not requested, or if the log lacks data for it."""
+    """Compare the path with a second mapper's; None if not requested or possible."""
     name = config.second or ("cartographer" if config.mapper == SECOND else SECOND)
     if name == "none":
         return None
@@ -303,7 +303,7 @@ def replay(
     readings: Sequence[Imu | None],
     progress: Progress,
 ) -> tuple[LostRule, list[LaserScan]]:
-    """Replay a log; return whether the place was kept, and of point clouds the horizontal beams of each."""
+    """Replay a log; return losses of the place, and horizontal beams of point clouds."""
     tracking, level, points, before = LostRule(), list[LaserScan](), 0, -np.inf
     scans: Iterable[LaserScan | PointCloud] = log.scans if log.clouds is None else log.clouds
     for k, (scan, odometry, imu) in enumerate(zip(scans, log.odometry, readings, strict=True)):
@@ -354,7 +354,7 @@ def horizontal_map(
 
 
 def check_log_file(log: str | Path, **log_options: Any) -> Preflight:
-    """Measure a log's data and look for faults, without mapping it; options are those of `LogOptions`."""
+    """Measure a log's data and look for faults; options are those of `LogOptions`."""
     inertial = {"imu_topic": ANY} if is_bag(Path(log)) else {}
     return check_log_data(read_log(MapConfig(log=str(log), **inertial | log_options)))
 

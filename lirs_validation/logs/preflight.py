@@ -213,7 +213,7 @@ def _gyro_at_rest(log: LaserLog) -> tuple[float, float] | None:
 
 
 def _motion(log: LaserLog) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return begins (n,) of windows, s, with speed and turn rate in them, m/s and rad/s."""
+    """Return begins (n,) of windows, seconds, with speeds (m/s) and turn rates (rad/s)."""
     begins = np.unique(np.floor(log.track.stamps / WINDOW)) * WINDOW
     whole = np.diff(begins) < 1.5 * WINDOW  # a pause of the odometry has no speed
     steps = np.diff(log.track.planar_at(begins), axis=0)[whole] / WINDOW

@@ -1,4 +1,4 @@
-"""Agreement of a built map, or of hits of scans, with a reference map and the world's geometry.
+"""Agreement of a built map, or of hits, with a reference map and the world.
 
 All grids are given in the world frame: the built map moved by the true start pose and by nothing else. So an
 error of the first meters shifts or turns the whole map; the `_aligned` metrics are of the map moved by the
@@ -102,7 +102,7 @@ def agreement(built: OccupancyGrid, reference: OccupancyGrid, tolerance: float =
 
 
 def cell_distance(asked: OccupancyGrid, other: OccupancyGrid) -> CellDistance | None:
-    """Return distances of a map's occupied cells to those of another map, where that one knows.
+    """Return distances of a map's occupied cells to those of another map.
 
     None where there is no cell to ask, or the other map has no occupied cell.
     """
@@ -121,9 +121,9 @@ def contradicted(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float = 
 
 
 def nearest_occupied(asked: OccupancyGrid, other: OccupancyGrid) -> tuple[IntArray, FloatArray]:
-    """Return (n, 2) occupied cells that the other map knows, and (n,) meters to its nearest occupied cell.
+    """Return (n, 2) occupied cells known to the other map, and (n,) distances in meters.
 
-    The distance is infinite where the other map has no occupied cell at all.
+    They lead to the other map's nearest occupied cell, and are infinite where it has none.
     """
     cells, targets = np.argwhere(asked.occupied).astype(np.int64), other.occupied_points()
     points = asked.centers(cells)
@@ -181,13 +181,13 @@ def log_odds_at(grid: OccupancyGrid, points: FloatArray) -> Float32Array:
 
 
 def _confirmed_share(asked: OccupancyGrid, other: OccupancyGrid, tolerance: float) -> float:
-    """Return the share of occupied cells that the other map confirms where it knows; 0 without cells."""
+    """Return the share of occupied cells that the other map confirms; 0 without cells."""
     _, distance = nearest_occupied(asked, other)
     return float((distance <= tolerance + ROUNDING).mean()) if len(distance) else 0.0
 
 
 def map_ssim(built: OccupancyGrid, reference: OccupancyGrid) -> float | None:
-    """Return the mean structural similarity over cells known in both maps; None if there is none.
+    """Return the mean structural similarity over cells known in both maps, if any.
 
     The built map is read at the centers of the reference's cells. Pictures hold 0 for occupied, 1 for
     free and 0.5 for unknown or undecided cells.
@@ -229,7 +229,7 @@ def _mean(picture: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True)
 class MapScores:
-    """Metrics of one built map; None if neither map has an occupied cell, or there is no reference.
+    """Metrics of one built map; None without occupied cells in either, or without a reference.
 
     Attributes:
         f1: Agreement with the true-pose map, harmonic mean of precision and recall.
@@ -361,7 +361,7 @@ def unknown_share(built: OccupancyGrid, reference: OccupancyGrid) -> float | Non
 def near_obstacle(
     points: FloatArray, surface: HeightField, walls: WallGrid | None, distance: float, steep: float = STEEP
 ) -> BoolArray:
-    """Return (n,) whether points (n, 2) are near an obstacle: a steep face's footprint or a wall cell.
+    """Return (n,) whether points (n, 2) are near a steep face or a wall.
 
     Args:
         points: Points in the world frame, meters.
@@ -384,7 +384,7 @@ def near_obstacle(
 def _near_steep(
     points: FloatArray, z: Any, cell: Any, origin: Any, distance: float, rise: float
 ) -> BoolArray:
-    """Search the cells in a square of half side `distance` around each point; row 0 of z is south."""
+    """Search the cells within `distance` of each point along both axes; row 0 is south."""
     rows, cols = z.shape
     cx, cy = cell
     near = np.zeros(len(points), np.bool_)

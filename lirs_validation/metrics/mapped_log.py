@@ -234,7 +234,7 @@ def inconsistency(contradicted: float | None) -> str | None:
 def contradicted_share(
     scans: Sequence[LaserScan], readings: Sequence[Imu | None], trajectory: Trajectory
 ) -> float | None:
-    """Return the share of scans that contradict other passes; None of scans that are not level.
+    """Return the share of scans that contradict other passes; None without level scans.
 
     One scan per half meter is tested; one that no other pass can test counts as consistent.
 

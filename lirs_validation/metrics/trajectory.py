@@ -1,4 +1,4 @@
-"""Trajectory errors: an estimate against the truth, in the plane and in space; association and alignment.
+"""Trajectory errors: an estimate against the truth, aligned in the plane and in space.
 
 The metrics are those of Sturm et al., "A Benchmark for the Evaluation of RGB-D SLAM Systems" (IROS 2012):
 absolute trajectory error (ATE, Eq. 4) after rigid alignment, and relative pose error (RPE, Eqs. 1-3) of the
@@ -115,7 +115,7 @@ class SpatialErrors:
 
 
 def spatial_errors(truth: Trajectory, estimate: Trajectory) -> SpatialErrors:
-    """Compare an estimate with the truth, both in the world frame; two poses or more share a moment."""
+    """Compare an estimate with the truth in the world frame, over two common poses."""
     i, j = associated(truth.stamps, estimate.stamps)
     true, est = truth.positions[i], estimate.positions[j]
     T = spatial_alignment(est, true)
@@ -159,7 +159,7 @@ def relative_pose_error(
 
 
 def pairs_by_path(poses: FloatArray, delta: float) -> tuple[IntArray, IntArray]:
-    """Return consecutive pairs of planar poses (n, 3), `delta` meters of path apart or just above."""
+    """Return consecutive pairs of planar poses (n, 3), `delta` meters of path apart."""
     steps = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
     marks, driven = [0], 0.0
     for k, step in enumerate(steps.tolist(), start=1):
@@ -271,7 +271,7 @@ def start_alignment(truth: Trajectory, estimate: Trajectory) -> StartAlignment |
 def associated(
     first: FloatArray, second: FloatArray, *, max_gap: float = MAX_GAP
 ) -> tuple[IntArray, IntArray]:
-    """Pair each stamp of the shorter list with the nearest of the longer, at most `max_gap` seconds away.
+    """Pair each stamp of the shorter list with the nearest of the longer.
 
     Args:
         first: (n,) seconds, increasing.

@@ -65,7 +65,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def code() -> str:
-    """Return eight hex digits of our code, robots and weights, which tell two states of a version apart."""
+    """Return eight hex digits that tell states of our code, robots and weights apart."""
     state = hashlib.sha256()
     for package in OWN_PACKAGES:
         spec = importlib.util.find_spec(package)
@@ -265,7 +265,7 @@ def _own_lidar(robot: str) -> str:
 
 
 def source_files(config: RunConfig) -> tuple[dict[str, str], ...]:
-    """Return `path` and `sha256` of a world's source files, the source first; empty for bundled worlds."""
+    """Return `path` and `sha256` of a world's source files; empty for bundled worlds."""
     source = find_source(config.source, config.build)
     if source.kind is SourceKind.BUNDLED:
         return ()
@@ -334,7 +334,7 @@ def world_files(config: RunConfig) -> list[Path]:
 
 
 def is_stale(result: Path, recorded: Any, inputs: Iterable[Path | None]) -> bool:
-    """Tell whether other code wrote a result, or an input is newer (written, moved or copied).
+    """Tell whether other code wrote a result, or an input is newer.
 
     Args:
         result: File that was written last.

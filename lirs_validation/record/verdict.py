@@ -233,7 +233,7 @@ def stored_verdict(entry: Entry, limits: VerdictLimits = LIMITS) -> Verdict:
 
 
 def judge(entry: Entry, limits: VerdictLimits = LIMITS, method: str = "") -> Verdict:
-    """Return the verdict on a run's record; `method` names it in the sentence, else mapper and robot."""
+    """Return the verdict on a run's record; `method` is a name for the sentence."""
     figures = run_figures(entry)
     kind, reasons = classify(figures, limits)
     mapper, robot = text_at(entry, "config.mapper"), text_at(entry, "config.robot")

@@ -259,7 +259,7 @@ def _version(package: str) -> str | None:
 
 
 def _opengl() -> Iterator[InstallationCheck]:
-    """Draw a picture with each backend in its own process; only pictures of the simulation need one."""
+    """Draw a picture with each backend; only pictures of the simulation need one."""
     for backend, mend in BACKENDS.items():
         works = _draws(backend)
         found = "draws" if works else "no picture"
