@@ -93,15 +93,10 @@ class SequentialTest:
 
 @dataclass(frozen=True)
 class TrialDrive:
-    """One drive of a trial.
+    """One drive of a trial: class and sentence of its verdict, and the name of its folder.
 
-    Attributes:
-        seed: Seed of start, tour and sensors.
-        kind: Class of the verdict.
-        reason: Cause of an early end, or that the scans see no walls; empty if neither.
-        sentence: Sentence of the verdict.
-        extent: Sentences on the evaluated part of the world; empty if it is the whole.
-        folder: Name of the drive's folder.
+    `reason` is the cause of an early end or that scans see no walls, `extent` the evaluated part of the
+    world.
     """
 
     seed: int
@@ -114,12 +109,9 @@ class TrialDrive:
 
 @dataclass(frozen=True)
 class Trial:
-    """Drives of one config, with seeds one after the other.
+    """Drives of one config with consecutive seeds, none after the decision.
 
-    Attributes:
-        config: Config of the first drive.
-        drives: Drives in the order of their seeds, without those after the decision.
-        forecast: Probability that a drive works, from before the drives; None without one.
+    The forecast is the probability that a drive works, from before the drives.
     """
 
     config: RunConfig
@@ -179,13 +171,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Answer:
-    """Decision on one method.
-
-    Attributes:
-        world: Name of the world.
-        trial: Drives of the method.
-        changed: Labels of changes, and their drives.
-    """
+    """Decision on one method in a world, with labels of changes and their drives."""
 
     world: str
     trial: Trial
@@ -250,12 +236,8 @@ def decide(
 ) -> tuple[Answer, ...]:
     """Drive every config until its method is decided, then its changes (see `run_trials`).
 
-    Args:
-        configs: One config per method and world; seeds count up from theirs.
-        out: Folder of the drives' folders.
-        engine: Execution of the drives.
-        budget: Wall seconds.
-        report: Function of a method's trial before its drives, and of any trial after each drive.
+    There is one config per method and world, from whose seed on seeds count up. The budget is wall seconds;
+    `report` gets a method's trial before its drives, and any trial after each drive.
     """
     deadline, scenarios = time.monotonic() + budget, ScenarioCache()
     worlds, planned = list[str](), list[Trial]()

@@ -104,13 +104,9 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """All differences of two results.
+    """All differences of two results, and the groups that only one of them has.
 
-    Attributes:
-        differences: Differences by group and metric.
-        only_a: Groups that only the first result has.
-        only_b: Groups that only the second has.
-        common: Runs of each common group, failed ones included, of both results.
+    `common` holds the runs of each common group of both results, failed ones included.
     """
 
     differences: tuple[Difference, ...]

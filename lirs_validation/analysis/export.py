@@ -102,14 +102,9 @@ class LirsWctRun(Dataset):
 def export_run(
     run: RunFolder, out: Path, formats: tuple[str, ...], *, storage: Storage = "mcap", slam: bool = True
 ) -> list[Path]:
-    """Export a run; return the written paths.
+    """Export a run in formats (bag, csv, npz, carmen, evalio); return the written paths.
 
-    Args:
-        run: Recorded run.
-        out: Folder that receives a folder or file for each format.
-        formats: Names of formats: bag, csv, npz, carmen or evalio.
-        storage: Storage of the bag.
-        slam: Whether the bag holds the mapper's results: the frame `map` on /tf, and /map.
+    The bag holds the mapper's results, the frame `map` on /tf and /map, if `slam` is set.
     """
     exporters: Mapping[str, Callable[[RunFolder, Path], Path]] = {
         "bag": partial(_export_bag, storage=storage, slam=slam),

@@ -92,11 +92,7 @@ OLD: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Few:
-    """Mark of a class of options of which only some have flags of their own.
-
-    Attributes:
-        names: Options with a flag; `--option` takes the others.
-    """
+    """Mark of a class of options of which only some (`names`) have flags of their own."""
 
     names: tuple[str, ...]
 

@@ -53,12 +53,9 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Preflight:
-    """Facts of a log and their deviations.
+    """Facts of a log, its deviations, and repairs of its reader.
 
-    Attributes:
-        facts: Names and values.
-        findings: Deviations, those that spoil a map first.
-        repairs: What the reader put right or skipped.
+    The deviations that spoil a map come first.
     """
 
     facts: tuple[tuple[str, str], ...]

@@ -115,11 +115,8 @@ def read_constraints(path: Path) -> tuple[RelativePoseConstraint, ...]:
 def read_trajectory(path: Path, scans: FloatArray | None = None) -> Trajectory:
     """Read a trajectory from a TUM, EuRoC or KITTI file, or a bag.
 
-    A bag holds transforms from map to base_link, or a topic of poses; BAG:/TOPIC names it.
-
-    Args:
-        path: File or bag.
-        scans: (n,) Stamps of the scans, seconds, which a KITTI file lacks.
+    A bag holds transforms from map to base_link, or a topic of poses; BAG:/TOPIC names it. A KITTI file lacks
+    the stamps of the scans (n,), seconds.
     """
     path, topic = _split_topic(path)
     if is_bag(path):

@@ -115,14 +115,10 @@ def elevation_scores(
     surface: HeightField,
     walls: WallGrid | None = None,
 ) -> ElevationScores:
-    """Score a built elevation map.
+    """Score an elevation map by the mapper's poses, moved by the true start pose.
 
-    Args:
-        built: Map by the mapper's poses, moved by the true start pose.
-        reference: Map of the same clouds by the true poses, on the same grid.
-        aligned: Map by the mapper's poses after the alignment of the trajectory; None without one.
-        surface: Ground of the world.
-        walls: Walls of the world.
+    The reference holds the same clouds by the true poses, `aligned` by the poses after alignment, on one
+    grid.
     """
     could = reference.error(surface, walls)
     visible = ~np.isnan(could)
@@ -186,11 +182,8 @@ def evaluate_elevation(
 ) -> tuple[Elevations | None, ElevationScores]:
     """Return elevation maps and metrics of a run; a world with overhangs has none.
 
-    Args:
-        world: World of the run.
-        sample: Sample of the run's clouds.
-        truth: True poses of all scans, world frame.
-        estimate: Final poses of the mapper, world frame (moved by the true start pose).
+    True poses of all scans and final poses of the mapper (moved by the true start pose) are in the world
+    frame.
     """
     if world.overhangs:
         return None, ElevationScores()

@@ -76,12 +76,7 @@ NO_AGREEMENT = Agreement(precision=None, recall=None, f1=None)
 
 @dataclass(frozen=True, kw_only=True)
 class CellDistance:
-    """Distances from the occupied cells of one map to those of another.
-
-    Attributes:
-        mean: Mean distance, meters.
-        p95: Distance of at least 95 % of the cells, meters, at most.
-    """
+    """Mean and 95th percentile of distances from occupied cells of a map to another's, meters."""
 
     mean: float
     p95: float
@@ -363,12 +358,8 @@ def near_obstacle(
 ) -> BoolArray:
     """Return (n,) whether points (n, 2) are near a steep face or a wall.
 
-    Args:
-        points: Points in the world frame, meters.
-        surface: Ground; each of its cells is two triangles.
-        walls: Wall cells.
-        distance: Largest distance in the plane, meters; 0 inside the footprint.
-        steep: Angle above which a face counts, radians.
+    `distance` is in the plane, meters, 0 = inside the footprint; a face counts above the angle `steep`,
+    radians. Each cell of the surface is two triangles.
     """
     xy = np.ascontiguousarray(points, dtype=np.float64)
     near: BoolArray = _near_steep(

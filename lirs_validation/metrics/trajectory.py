@@ -63,12 +63,10 @@ class TrajectoryErrors:
 def trajectory_errors(
     truth: Trajectory, estimate: Trajectory, *, T_world_map: Pose2 | None = None
 ) -> TrajectoryErrors:
-    """Compare an estimate with the truth.
+    """Compare an estimate in the map frame with the truth in the world frame.
 
-    Args:
-        truth: true poses in the world frame.
-        estimate: estimated poses in the map frame.
-        T_world_map: Place of the map frame in the world: the true start pose (None: the same frame).
+    `T_world_map` is the true start pose; None = the frames are the same. Fewer than two common poses are
+    refused.
     """
     i, j = associated(truth.stamps, estimate.stamps)
     if len(i) < 2:
@@ -132,13 +130,7 @@ def spatial_errors(truth: Trajectory, estimate: Trajectory) -> SpatialErrors:
 
 @dataclass(frozen=True, kw_only=True)
 class RelativePoseError:
-    """Relative pose error over pairs of poses that lie one `delta` apart.
-
-    Attributes:
-        translation_rmse: Root mean square of the translational error of a pair, meters.
-        rotation_rmse: Root mean square of the rotational error of a pair, radians.
-        pairs: Number of compared pairs.
-    """
+    """Root mean square errors (meters, radians) over pairs of poses one `delta` apart."""
 
     translation_rmse: float
     rotation_rmse: float
@@ -191,14 +183,9 @@ def motion_errors(
 
 @dataclass(frozen=True, kw_only=True)
 class ConstraintErrorSummary:
-    """Error of the constraints between poses that lie close together, whenever they were passed.
+    """Absolute errors (meters, radians) of the constraints between close poses.
 
-    Attributes:
-        translation_mean: Mean translational error of a constraint, meters.
-        translation_std: Standard deviation of the translational error, meters.
-        rotation_mean: Mean absolute rotational error of a constraint, radians.
-        rotation_std: Standard deviation of the absolute rotational error, radians.
-        relations: Number of constraints.
+    Standard deviations are those of all pairs, whenever the poses were passed.
     """
 
     translation_mean: float
@@ -256,9 +243,7 @@ class StartAlignment:
 def start_alignment(truth: Trajectory, estimate: Trajectory) -> StartAlignment | None:
     """Align an estimate with the truth; None without two poses and a meter in common.
 
-    Args:
-        truth: True poses in the world frame, from the start pose on.
-        estimate: Estimated poses in the world frame (moved by the true start pose).
+    Both are in the world frame; the truth begins at the start pose, the estimate was moved by it.
     """
     i, j = associated(truth.stamps, estimate.stamps)
     if len(i) < 2 or np.linalg.norm(np.diff(truth.xy[i], axis=0), axis=1).sum() < MIN_PATH:
@@ -302,11 +287,7 @@ def scan_coverage(scans: FloatArray, poses: FloatArray) -> float:
     """Return the share of scans with a pose at their stamp; 0 of no scans.
 
     A pose is at a scan's stamp where it is at most 0.02 s away, and nearer than half the scans' period: poses
-    of every second scan cover half of them, however fast they follow each other.
-
-    Args:
-        scans: (n,) stamps of the scans, seconds, increasing.
-        poses: (m,) stamps of the poses, seconds, increasing.
+    of every second scan cover half of them, however fast they follow each other. Stamps increase, in seconds.
     """
     if len(scans) == 0 or len(poses) == 0:
         return 0.0

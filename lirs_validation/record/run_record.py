@@ -195,11 +195,7 @@ def _validator() -> Draft202012Validator:
 
 @dataclass(frozen=True, order=True)
 class RunGroup:
-    """World and options that the runs of a group share.
-
-    Attributes:
-        values: Value of each of FIELDS.
-    """
+    """World and options that the runs of a group share, as values of FIELDS."""
 
     values: tuple[Any, ...]
 
@@ -336,10 +332,8 @@ def world_files(config: RunConfig) -> list[Path]:
 def is_stale(result: Path, recorded: Any, inputs: Iterable[Path | None]) -> bool:
     """Tell whether other code wrote a result, or an input is newer.
 
-    Args:
-        result: File that was written last.
-        recorded: Versions that the result states.
-        inputs: Files that it was made from, where they are known.
+    The result is the file that was written last, with its recorded versions; an input may be written, moved
+    or copied after it.
     """
     if not same_code(recorded):
         return True

@@ -116,13 +116,7 @@ class VerdictFigures:
 
 @dataclass(frozen=True)
 class Reason:
-    """A figure that decided a verdict.
-
-    Attributes:
-        figure: Name of the figure.
-        value: Value of the figure.
-        limit: Limit that the value exceeded or fell short of; a text for a status.
-    """
+    """Figure that decided a verdict, with its value and the limit (a text for a status)."""
 
     figure: str
     value: float | str | None
@@ -202,12 +196,9 @@ def revisit_agreement(residual: float) -> str:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on a run, a mapped log or a score.
+    """Class, sentence for the user and deciding figures of a run, a mapped log or a score.
 
-    Attributes:
-        kind: Class, from `failed` to `works`.
-        sentence: Conclusion for the user, with the evaluated part of the world.
-        reasons: Figures that decided; empty if the method works.
+    No figure decides if the method works.
     """
 
     kind: VerdictClass

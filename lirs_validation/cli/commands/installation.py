@@ -185,13 +185,9 @@ CATALOGS: dict[str, Callable[[], dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class InstallationCheck:
-    """Finding about one part of the installation.
+    """Finding about one part of the installation, and the command that repairs it.
 
-    Attributes:
-        name: Name of the part.
-        found: Finding.
-        mend: Command that repairs it; empty = nothing to repair.
-        needed: Whether nothing works without it.
+    The command is empty if nothing needs repair; nothing works without a `needed` part.
     """
 
     name: str

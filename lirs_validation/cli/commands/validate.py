@@ -133,10 +133,7 @@ def read_tasks(
 ) -> tuple[SweepTask, ...]:
     """Return the tasks of a suite, or of every combination of the given options.
 
-    Args:
-        options: Sources, or the name of a suite, and the folder for maps of logs.
-        run: Given options of `RunConfig`, a tuple of values for each axis.
-        build: Construction of the worlds.
+    `run` holds given options of `RunConfig`, a tuple of values for each axis.
     """
     from lirs_validation.sweep.tasks import (
         SUITE_FILES,
