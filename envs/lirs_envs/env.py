@@ -24,11 +24,7 @@ ROW = np.zeros(1, np.int64)
 
 
 class LimitedEpisodes:
-    """Environment whose `spec` holds its limit of steps, which Gymnasium's time wrappers read.
-
-    Attributes:
-        episodes: the episodes, with a number of `max_steps`.
-    """
+    """Environment whose `spec` holds its limit of steps, which Gymnasium's time wrappers read."""
 
     episodes: Any
     _spec: EnvSpec | None = None
@@ -137,15 +133,15 @@ class RobotEnv(LimitedEpisodes, gym.Env[Observed, Float32Array]):
 
         `gym.make` gives `max_episode_steps` to that wrapper alone, and `info` is to tell a timeout.
         """
-        frame, found = inspect.currentframe(), []
+        frame, limits = inspect.currentframe(), []
         while frame is not None:
             # Reading the variables of other frames would keep them alive.
             if frame.f_code is TimeLimit.reset.__code__:
                 wrapper = frame.f_locals["self"]
                 if wrapper.unwrapped is self:
-                    found.append(wrapper._max_episode_steps)
+                    limits.append(wrapper._max_episode_steps)
             frame = frame.f_back
-        return min(found, default=None)
+        return min(limits, default=None)
 
     def _observe(self) -> Observed:
         return {name: values[0] for name, values in self.episodes.observations.read(ROW).items()}
@@ -158,12 +154,7 @@ class RobotEnv(LimitedEpisodes, gym.Env[Observed, Float32Array]):
 
 
 def make_config(options: dict[str, Any], *others: str) -> EnvConfig:
-    """Return the config of an environment's options.
-
-    Args:
-        options: fields of `EnvConfig` by name.
-        *others: further names of options, for the message about an unknown one.
-    """
+    """Return the config of an environment's options; a message lists `others` as legal names, too."""
     own = [field.name for field in fields(EnvConfig) if field.init]
     for name in options:
         if name not in own:

@@ -74,13 +74,7 @@ class MapView:
     def picture(
         self, snapshot: Snapshot, *, path: Sequence[Pose2] = (), scan: LaserScan | None = None
     ) -> ByteArray:
-        """Return a picture (rows, cols, 3) of the whole world.
-
-        Args:
-            snapshot: State to draw.
-            path: Poses driven until now.
-            scan: Scan taken at the snapshot; its hits are shown.
-        """
+        """Return a picture (rows, cols, 3) of the whole world, with the path until now and a scan's hits."""
         if self._world is not snapshot.world:
             self._world, self._ground = snapshot.world, self._draw_ground(snapshot.world)
         picture = self._ground.copy()
@@ -91,9 +85,13 @@ class MapView:
             radius = round(2**FRACTION * max(RADIUS * self._per_meter, 2.5))
             cv2.circle(picture, (x, y), radius, WALKER, cv2.FILLED, cv2.LINE_AA, FRACTION)
         if scan is not None:
-            self._draw_scan(picture, snapshot, scan)
+            hits = (snapshot.T_world_base @ scan.T_base_laser).apply(scan.points)
+            for x, y in self._pixel(hits[:, :2]).tolist():
+                cv2.circle(picture, (x, y), 2**FRACTION, SCAN, cv2.FILLED, cv2.LINE_AA, FRACTION)
         if snapshot.goal is not None:
-            self._draw_goal(picture, snapshot.goal)
+            x, y = self._pixel(np.array(((snapshot.goal.x, snapshot.goal.y),)))[0].tolist()
+            for radius, width in ((9, 2), (3, cv2.FILLED)):
+                cv2.circle(picture, (x, y), radius << FRACTION, GOAL, width, cv2.LINE_AA, FRACTION)
         self._draw_robot(picture, snapshot)
         return picture
 
@@ -112,16 +110,6 @@ class MapView:
         pixels = (points - self._corner) * (self._per_meter, -self._per_meter)
         fractions: Int32Array = np.round(np.clip(pixels, -1e4, 1e4) * 2**FRACTION).astype(np.int32)
         return fractions
-
-    def _draw_scan(self, picture: ByteArray, snapshot: Snapshot, scan: LaserScan) -> None:
-        points = (snapshot.T_world_base @ scan.T_base_laser).apply(scan.points)
-        for x, y in self._pixel(points[:, :2]).tolist():
-            cv2.circle(picture, (x, y), 2**FRACTION, SCAN, cv2.FILLED, cv2.LINE_AA, FRACTION)
-
-    def _draw_goal(self, picture: ByteArray, goal: Pose2) -> None:
-        x, y = self._pixel(np.array(((goal.x, goal.y),)))[0].tolist()
-        for radius, width in ((9, 2), (3, cv2.FILLED)):
-            cv2.circle(picture, (x, y), radius << FRACTION, GOAL, width, cv2.LINE_AA, FRACTION)
 
     def _draw_robot(self, picture: ByteArray, snapshot: Snapshot) -> None:
         """Draw an arrowhead as long as the robot."""

@@ -27,14 +27,7 @@ class Policy(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyContext:
-    """The robot that a policy is to drive; a policy's factory takes it.
-
-    Attributes:
-        robot: figures of the robot.
-        lidar: specification of its lidar.
-        period: seconds a step.
-        seed: seed of a random policy.
-    """
+    """Robot and lidar of a policy, seconds a step (`period`), and the seed of a random policy."""
 
     robot: Robot
     lidar: LidarPreset
@@ -129,22 +122,15 @@ class GoToGoal:
         self._range_max = lidar.range_max
         self._mount = np.array(robot.T_base_laser.position[:2])
         self._rng = np.random.default_rng(context.seed)
-        self._begin()
-
-    def _begin(self) -> None:
-        self._heading, self._nearest, self._waited, self._backing = 0.0, math.inf, 0.0, 0.0
-        self._side = 1.0
+        self.reset({})
 
     def reset(self, info: Mapping[str, Any]) -> None:
         """Begin an episode."""
-        self._begin()
+        self._heading, self._nearest, self._waited, self._backing = 0.0, math.inf, 0.0, 0.0
+        self._side = 1.0
 
     def act(self, observation: Mapping[str, Any]) -> Float32Array:
-        """Return the action.
-
-        Args:
-            observation: observation with the groups `scan` and `goal`.
-        """
+        """Return the action from the groups `scan` and `goal`."""
         distance, bearing = (float(value) for value in observation["goal"])
         free = self._free_ways(np.asarray(observation["scan"], dtype=np.float64), distance)
         if self._must_back_off(distance):

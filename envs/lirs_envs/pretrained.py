@@ -56,13 +56,12 @@ class HeadingSteering(GoToGoal):
     observe = ("scan", "goal", "odometry")
 
     def __init__(self, context: PolicyContext) -> None:
-        super().__init__(context)
         robot = context.robot
         self._limit = min(1.0, TOP_SPEED / robot.max_speed)
         period = float(np.clip(STRIDE / min(robot.max_speed, TOP_SPEED), *PERIODS))
         self._hold = max(1, round(period / context.period))
         self._figures = robot.radius, context.lidar.range_max / 30.0
-        self.reset({})
+        super().__init__(context)
 
     def reset(self, info: Mapping[str, Any]) -> None:
         """Begin an episode."""
@@ -105,19 +104,12 @@ class HeadingSteering(GoToGoal):
             (distance - self._least) / 10.0,
             min(self._path[-1][2] / 60.0, 1.0),
         )
-        scan = self._scan_sectors(np.asarray(observation["scan"], np.float64), bearing)
-        return np.concatenate((scan, self._path_sectors(goalward), scalars)).astype(np.float32)
-
-    def _scan_sectors(self, scan: FloatArray, bearing: float) -> FloatArray:
+        scan, places = np.asarray(observation["scan"], np.float64), np.array(self._path)
         points = np.minimum(scan, self._range_max)[:, None] * self._beams + self._mount
-        found: FloatArray = _polar(points[scan > 0.0], bearing, SCAN_SECTORS)
-        return found.ravel()
-
-    def _path_sectors(self, goalward: float) -> FloatArray:
-        places = np.array(self._path)
         old = places[places[-1, 2] - places[:, 2] > OLD_PATH, :2]
-        near: FloatArray = _polar(old - places[-1, :2], goalward, PATH_SECTORS)[0]
-        return near
+        around = _polar(points[scan > 0.0], bearing, SCAN_SECTORS).ravel()
+        before_here = _polar(old - places[-1, :2], goalward, PATH_SECTORS)[0]
+        return np.concatenate((around, before_here, scalars)).astype(np.float32)
 
     def choose(self, heading: int, observation: Mapping[str, Any]) -> None:
         """Follow one of the `HEADINGS` until the next choice."""
@@ -175,10 +167,10 @@ def initial_memory(weights: Weights, count: int) -> Float32Array:
 def evaluate(weights: Weights, features: Float32Array, memory: Float32Array) -> tuple[Any, Any]:
     """Return scores (n, `HEADINGS`) of the headings and the next memory (n, units)."""
     x = np.maximum(_linear(weights, "encoder", features), 0.0)
-    given = x @ weights["memory.weight_ih"].T + weights["memory.bias_ih"]
+    new = x @ weights["memory.weight_ih"].T + weights["memory.bias_ih"]
     kept = memory @ weights["memory.weight_hh"].T + weights["memory.bias_hh"]
-    (r1, z1, n1), (r2, z2, n2) = np.split(given, 3, axis=1), np.split(kept, 3, axis=1)
-    reset, update = _sigmoid(r1 + r2), _sigmoid(z1 + z2)
+    (r1, z1, n1), (r2, z2, n2) = np.split(new, 3, axis=1), np.split(kept, 3, axis=1)
+    reset, update = (0.5 * (1.0 + np.tanh(0.5 * gate)) for gate in (r1 + r2, z1 + z2))  # sigmoids
     memory = (1.0 - update) * np.tanh(n1 + reset * n2) + update * memory
     hidden = np.maximum(_linear(weights, "mixer", np.concatenate((x, memory), axis=1)), 0.0)
     return _linear(weights, "head", hidden), memory
@@ -186,10 +178,6 @@ def evaluate(weights: Weights, features: Float32Array, memory: Float32Array) -> 
 
 def _linear(weights: Weights, name: str, x: Float32Array) -> Any:
     return x @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
-
-
-def _sigmoid(x: Float32Array) -> Any:
-    return 0.5 * (1.0 + np.tanh(0.5 * x))
 
 
 @cache
@@ -216,7 +204,6 @@ class Pretrained(HeadingSteering):
     """The policy whose weights ship.
 
     Args:
-        context: the robot.
         weights: a file with other weights; None = those of this package.
     """
 

@@ -24,8 +24,7 @@ import numpy as np
 import trimesh
 
 from lirs_envs.map_view import MapView, Snapshot
-from lirs_envs.props import add_props
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import SimulationConfig, add_props
 from lirs_envs.walkers import add_walkers
 from lirs_wct import (
     ByteArray,
@@ -37,7 +36,7 @@ from lirs_wct import (
     TriangleMesh,
     World,
 )
-from lirs_wct.export.appearance import world_parts
+from lirs_wct.export.appearance import Part, world_parts
 from lirs_wct.geometry.mesh import MUJOCO_FACES, split_tiles
 from lirs_wct.meshing.solid import simplified_solid
 
@@ -55,13 +54,7 @@ HIDDEN_GROUPS = (3, 4)
 
 
 class RenderScene:
-    """A world with a robot, props and walkers, to be drawn.
-
-    Attributes:
-        model: compiled; nothing in it touches anything.
-        data: state of robot, props and walkers.
-        world: rendered world.
-    """
+    """A world with a robot, props and walkers, to be drawn; nothing in its model touches anything."""
 
     def __init__(self, world: World, config: SimulationConfig) -> None:
         self.world = world
@@ -79,19 +72,20 @@ class RenderScene:
         mujoco.mj_camlight(self.model, self.data)
 
 
-def scene_options() -> mujoco.MjvOption:
-    """Return the options that draw visible geoms and hide collision geoms."""
-    options = mujoco.MjvOption()
-    options.geomgroup[:] = [group not in HIDDEN_GROUPS for group in range(mujoco.mjNGROUP)]
-    return options
-
-
 def _scene_spec(world: World, config: SimulationConfig) -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_file(str(config.robot.mjcf))
     spec.modelname = world.name
     add_props(spec, world, config.props)
     add_walkers(spec, config.actors)
-    _add_ground(spec, world)
+    ground = world.mesh
+    if world.walls is None and not world.overhangs:
+        ground = simplified_solid(world.surface, max_error=MAX_ERROR)
+    # Split along sharp edges, for separate shading of each side.
+    shared = trimesh.Trimesh(ground.vertices, ground.faces, process=False)
+    split = trimesh.graph.smooth_shade(shared, angle=CREASE)
+    creased = TriangleMesh(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32))
+    for part in world_parts(world, creased):
+        _add_part(spec, part, part.wear.pixels(world))
     spec.worldbody.add_light(
         pos=(0, 0, 50), dir=(0.5, -0.5, -0.7), type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, castshadow=False
     )
@@ -112,15 +106,9 @@ def _scene_spec(world: World, config: SimulationConfig) -> mujoco.MjSpec:
     return spec
 
 
-def _add_ground(spec: mujoco.MjSpec, world: World) -> None:
-    """Add the ground's mesh in tiles, and that of walls, which wear the world's textures."""
-    for part in world_parts(world, _with_creases(_ground_mesh(world))):
-        _add_material(spec, part.wear.name, part.wear.pixels(world))
-        for k, tile in enumerate(split_tiles(part.mesh, aim=MUJOCO_FACES // 2)):
-            _add_tile(spec, f"{part.wear.name}{k}", part.wear.name, tile)
-
-
-def _add_material(spec: mujoco.MjSpec, name: str, pixels: ByteArray) -> None:
+def _add_part(spec: mujoco.MjSpec, part: Part, pixels: ByteArray) -> None:
+    """Add the ground or the walls as a mesh in tiles, which wears a texture."""
+    name = part.wear.name
     _, encoded = cv2.imencode(".png", pixels, PNG_FAST)
     # MuJoCo caches files by name: other content needs another name.
     file = f"{name}-{crc32(encoded.data):08x}.png"
@@ -128,6 +116,8 @@ def _add_material(spec: mujoco.MjSpec, name: str, pixels: ByteArray) -> None:
     spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=file)
     material = spec.add_material(name=name, specular=0.0, shininess=0.0)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    for k, tile in enumerate(split_tiles(part.mesh, aim=MUJOCO_FACES // 2)):
+        _add_tile(spec, f"{name}{k}", name, tile)
 
 
 def _add_tile(spec: mujoco.MjSpec, name: str, material: str, tile: TriangleMesh) -> None:
@@ -156,19 +146,6 @@ def _add_tile(spec: mujoco.MjSpec, name: str, material: str, tile: TriangleMesh)
     )
 
 
-def _with_creases(mesh: TriangleMesh) -> TriangleMesh:
-    """Return a mesh with vertices split along sharp edges, for separate shading of each side."""
-    shared = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    split = trimesh.graph.smooth_shade(shared, angle=CREASE)
-    return TriangleMesh(np.asarray(split.vertices), np.asarray(split.faces, dtype=np.int32))
-
-
-def _ground_mesh(world: World) -> TriangleMesh:
-    if world.walls is not None or world.overhangs:
-        return world.mesh
-    return simplified_solid(world.surface, max_error=MAX_ERROR)
-
-
 SHAPE = (480, 640)
 """Height and width of a picture, pixels."""
 CHASE = "chase"
@@ -179,15 +156,12 @@ GOAL_HEIGHT, GOAL_RADIUS, GOAL_COLOR = 2.0, 0.06, (0.85, 0.1, 0.2, 1.0)
 
 
 class Camera:
-    """Camera for snapshots; the scene is rebuilt when the world changes.
-
-    Args:
-        shape: height and width of a picture, pixels.
-    """
+    """Camera for pictures of (height, width) pixels; the scene is rebuilt when the world changes."""
 
     def __init__(self, shape: tuple[int, int] = SHAPE) -> None:
         self._shape = shape
-        self._options = scene_options()
+        self._options = mujoco.MjvOption()
+        self._options.geomgroup[:] = [group not in HIDDEN_GROUPS for group in range(mujoco.mjNGROUP)]
         self._scene: RenderScene | None = None
         self._renderer: mujoco.Renderer | None = None
 
@@ -216,7 +190,11 @@ class Camera:
         self._renderer = self._scene = None
 
     def _see(self, snapshot: Snapshot) -> mujoco.Renderer:
-        _check_process()
+        if _drawing and os.getpid() not in _drawing:  # OpenGL would wait forever.
+            raise SimulationError(
+                "no picture in a process that was forked after one was drawn: start it with spawn, or use "
+                "render mode map"
+            )
         if self._scene is None or self._scene.world is not snapshot.world:
             self.close()
             self._scene = RenderScene(snapshot.world, snapshot.config)
@@ -226,15 +204,6 @@ class Camera:
         self._renderer.update_scene(self._scene.data, camera=CHASE, scene_option=self._options)
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         return self._renderer
-
-
-def _check_process() -> None:
-    """Check that OpenGL was not used before this process was forked: it would wait forever."""
-    if _drawing and os.getpid() not in _drawing:
-        raise SimulationError(
-            "no picture in a process that was forked after one was drawn: start it with spawn, or use render "
-            "mode map"
-        )
 
 
 def _make_renderer(model: mujoco.MjModel, shape: tuple[int, int]) -> mujoco.Renderer:
@@ -308,10 +277,7 @@ class Viewer:
             self._window.opt.geomgroup[group] = 0
 
     def close(self) -> None:
-        """Close the window and wait for its thread.
-
-        A thread that still draws at exit would crash the program.
-        """
+        """Close the window and wait for its thread, which would crash the program if it drew at exit."""
         if self._window is not None:
             self._window.close()
             for thread in self._threads:
@@ -321,10 +287,7 @@ class Viewer:
 
 
 def check_screen() -> None:
-    """Check that a window can be opened.
-
-    Otherwise MuJoCo's viewer would wait forever.
-    """
+    """Check that a window can be opened; otherwise MuJoCo's viewer would wait forever."""
     linux = sys.platform.startswith("linux")
     if linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise SimulationError(f"render mode human needs a screen (DISPLAY or WAYLAND_DISPLAY); {INSTEAD}")
@@ -368,13 +331,9 @@ class Views:
         path: Sequence[Pose2] = (),
         scan: LaserScan | None = None,
     ) -> ByteArray | Float32Array | None:
-        """Return the picture of a mode; None for mode None and for the window `human`.
+        """Return the picture of one of `RENDER_MODES`; None for mode None and for the window `human`.
 
-        Args:
-            mode: see `RENDER_MODES`.
-            snapshot: state to draw.
-            path: driven until now; on the map.
-            scan: taken at the snapshot; on the map.
+        Maps show the path until now, and a scan taken at the snapshot.
         """
         check_render_mode(mode)
         if mode == "rgb_array":

@@ -15,36 +15,32 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError as BatchError
 
-from lirs_envs.placement import check_settled, standing_pose
-from lirs_envs.props import footprint
 from lirs_envs.robot_model import (
     CENTER_SENSOR,
     CONTACT_SENSOR,
     KINDS,
     SETTLING_TIME,
     WHEEL_CONTACTS,
-    ContactMonitor,
+    Collisions,
     RobotModel,
+    contact_state,
     describe_divergence,
     divergence_message,
     is_sound,
     is_tipped,
 )
-from lirs_envs.robots.control import BodyState, make_controllers
+from lirs_envs.robots.control import BodyState, LateCommands, make_controllers
 from lirs_envs.robots.robot import Robot, Waypoint
-from lirs_envs.sensing.imu import MOTION, ImuSensors, InertialUnit
-from lirs_envs.sensing.odometry import WheelOdometries
-from lirs_envs.sensing.sensors import IMU_STREAM, INERTIAL_STREAM, ODOMETRY_STREAM, Odometries, sensor_stream
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.sensing.motion import MOTION, ImuSensors, InertialUnit, WheelOdometries
+from lirs_envs.sensing.odometry import Odometries
+from lirs_envs.sensing.sensors import IMU_STREAM, INERTIAL_STREAM, ODOMETRY_STREAM, sensor_stream
+from lirs_envs.simulation_config import SimulationConfig, check_settled, footprint, standing_pose
 from lirs_envs.walkers import WALKER_STREAM, Walkers
 from lirs_wct import HeightField, ImuReadings, Pose2, Pose3, SimulationError, World
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit
 
-MAX_UPDATES = 256
-"""Number of control updates for which commands are remembered."""
 TRACK_RATE = 50.0
 """Aimed rate of the odometry between scans, Hz."""
-NO_READINGS = np.empty((0, MOTION))
 
 
 class Bodies:
@@ -52,7 +48,6 @@ class Bodies:
 
     Attributes:
         body: Compiled model, which also gives the addresses of its values.
-        count: Number of robots, N.
         qpos: (N, nq) positions, live; the first seven are those of `T_world_base`.
         qvel: (N, nv) velocities, live.
         ctrl: (N, nu) controls, to be written.
@@ -61,9 +56,7 @@ class Bodies:
         views: State of each robot, for its sensors and control.
 
     Args:
-        robot: The robot.
         body: Compiled model, with contact sensors.
-        count: Number of robots, N.
         own_models: Whether each robot has a model of its own, to be edited and announced by `models_changed`.
     """
 
@@ -71,7 +64,7 @@ class Bodies:
         self.robot, self.body, self.count = robot, body, count
         self.models = [copy.copy(body.model) for _ in range(count)] if own_models else [body.model] * count
         self._own_models = own_models
-        self._touch, self._wheels, self._drops = _contact_sensors(body)
+        self._find_contact_sensors()
         self._force = int(body.model.sensor("accelerometer").adr[0])
         self.views = [BodyState(model, robot) for model in self.models]
         self._make_batch()
@@ -88,6 +81,22 @@ class Bodies:
             view.qpos, view.qvel = qpos, qvel
         self.mocap_pos: FloatArray = self._batch.bind("mocap_pos")
         self._sensordata: FloatArray = self._batch.bind("sensordata")
+
+    def _find_contact_sensors(self) -> None:
+        """Note addresses of the body's sensors (n,) and of the wheels' contacts and centers (m, 2)."""
+        body, touch, wheels, drops = self.body, list[int](), list[tuple[int, int]](), list[float]()
+        for sensor in (body.model.sensor(i) for i in range(body.model.nsensor)):
+            if not sensor.name.startswith(CONTACT_SENSOR):
+                continue
+            geom, address = int(sensor.objid[0]), int(sensor.adr[0])
+            if geom not in body.wheel_geoms:
+                touch.append(address)
+                continue
+            center = body.model.sensor(CENTER_SENSOR + body.model.geom(geom).name)
+            wheels.append((address, int(center.adr[0])))
+            drops.append(float(body.contact_drops[geom]))
+        self._touch, self._drops = np.array(touch, np.int64), np.array(drops, np.float64)
+        self._wheels = np.array(wheels, np.int64).reshape(-1, 2)
 
     def __getstate__(self) -> dict[str, Any]:
         live = ("_batch", "qpos", "qvel", "ctrl", "mocap_pos", "_sensordata")
@@ -114,13 +123,7 @@ class Bodies:
         return {}
 
     def settle(self, i: int, T_world_base: Pose3, walkers: FloatArray | None = None) -> None:
-        """Release robot `i` in a pose with its wheels held, and settle (see `RobotModel.settle`).
-
-        Args:
-            i: Row of the robot.
-            T_world_base: Pose of the release.
-            walkers: (m, 3) centers of the walkers within its reach, meters.
-        """
+        """Release robot `i` in a pose with its wheels held, and settle (see `RobotModel.settle`)."""
         row = np.array((i,), np.int32)
         self._batch.reset(row, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self._batch.warning[i] = 0
@@ -156,24 +159,6 @@ class Bodies:
         return divergence_message(float(self._batch.bind("time")[i].item()), self._batch.warning[i, :, 1])
 
 
-def _contact_sensors(body: RobotModel) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return addresses of the contact sensors, and the drops (m,).
-
-    The addresses are those of the body's sensors (n,) and of the wheels' contacts and centers (m, 2).
-    """
-    model, touch, wheels, drops = body.model, list[int](), list[tuple[int, int]](), list[float]()
-    for sensor in (model.sensor(i) for i in range(model.nsensor)):
-        if sensor.name.startswith(CONTACT_SENSOR):
-            geom, address = int(sensor.objid[0]), int(sensor.adr[0])
-            if geom in body.wheel_geoms:
-                center = model.sensor(CENTER_SENSOR + model.geom(geom).name)
-                wheels.append((address, int(center.adr[0])))
-                drops.append(float(body.contact_drops[geom]))
-            else:
-                touch.append(address)
-    return np.array(touch, np.int64), np.array(wheels, np.int64).reshape(-1, 2), np.array(drops, np.float64)
-
-
 @njit
 def _add_touching(
     sensordata: FloatArray, touch: IntArray, wheels: IntArray, drops: FloatArray, touched: BoolArray
@@ -198,11 +183,7 @@ def _find_diverged(
 
 
 class SingleBody:
-    """One robot stepped by `mujoco.mj_step`, with the interface of `Bodies` and records of each update.
-
-    Attributes:
-        contacts: Statistics of the contacts since `clear`.
-    """
+    """One robot stepped by `mujoco.mj_step`, with the interface of `Bodies` and records of each update."""
 
     def __init__(self, robot: Robot, body: RobotModel) -> None:
         self.robot, self.body, self.views, self.models, self.count = robot, body, [body], [body.model], 1
@@ -211,7 +192,8 @@ class SingleBody:
 
     def clear(self) -> None:
         """Clear the records."""
-        self.contacts, self._controls = ContactMonitor(self.body.contact_drops), array("d")
+        self._controls, self._penetrations = array("d"), array("d")
+        self._touching, self._body_contacts, self._body_seconds = False, 0, 0.0
 
     def _bind(self) -> None:
         body = self.body
@@ -232,6 +214,18 @@ class SingleBody:
         """(n, nu) controls of each update since `clear`."""
         return np.array(self._controls).reshape(-1, self.ctrl.shape[1])
 
+    @property
+    def collisions(self) -> Collisions:
+        """Contacts since `clear`."""
+        depths = np.array(self._penetrations or (0.0,))
+        return Collisions(
+            max_penetration=float(depths.max()),
+            penetration_p999=float(np.quantile(depths, 0.999)),
+            body_contacts=self._body_contacts,
+            body_contact_seconds=self._body_seconds,
+            samples=len(self._penetrations),
+        )
+
     def models_changed(self) -> None:
         """Do nothing: the physics reads the model itself."""
 
@@ -246,8 +240,16 @@ class SingleBody:
 
     def add_touching(self, touched: BoolArray, dt: float) -> None:
         """Record controls and contacts of `dt` seconds; mark in (1,) a robot that collides."""
+        data, depth, touching = self.body.data, 0.0, False
         self._controls.frombytes(self.body.ctrl.tobytes())
-        touched[0] |= self.contacts.record(self.body.data, dt)
+        if data.ncon:
+            c, drops = data.contact, self.body.contact_drops
+            depth, touching = contact_state(c.dist, c.geom, c.pos, data.geom_xpos, drops)
+        self._penetrations.append(depth)
+        self._body_contacts += touching and not self._touching
+        self._body_seconds += dt * touching
+        self._touching = touching
+        touched[0] |= touching
 
     def specific_force(self) -> FloatArray:
         """Return (1, 3) the true reading of the accelerometer along the base's axes, m/s^2."""
@@ -263,38 +265,13 @@ class SingleBody:
         return describe_divergence(self.body.data)
 
 
-class LateCommands:
-    """Commands of N robots that take effect some control updates later.
-
-    Attributes:
-        updates: (N,) number of control updates until a command takes effect; less than `MAX_UPDATES`.
-    """
-
-    def __init__(self, count: int) -> None:
-        self.updates = np.zeros(count, np.int64)
-        self._commands = np.zeros((count, MAX_UPDATES, 3))
-        self._turn = np.zeros(count, np.int64)
-
-    def begin(self, k: int) -> None:
-        """Forget the commands of robot `k`."""
-        self._commands[k] = 0.0
-
-    def delay(self, ids: IntArray, commands: FloatArray) -> FloatArray:
-        """Return the commands (N, 3) that take effect in this control update of robots `ids`."""
-        present, turns = np.zeros_like(commands), self._turn[ids]
-        self._commands[ids, turns] = commands[ids]
-        present[ids] = self._commands[ids, (turns - self.updates[ids]) % MAX_UPDATES]
-        self._turn[ids] = (turns + 1) % MAX_UPDATES
-        return present
-
-
 class RobotGroup:
     """Robots `rows` of a simulation; array row k is the group's k-th robot.
 
     Attributes:
         rows: Rows of the simulation.
-        bodies: Physics.
         imu: Inertial units, read at each period's end.
+        odometry: (n, 3) `T_odom_base`: x, y, yaw, meters and radians.
         surfaces: Ground of each robot; replaceable.
         walkers: Walkers around each robot; None = none; replaceable.
         waypoints: Pose that each quadrotor flies to instead of its command; None = the command.
@@ -312,32 +289,24 @@ class RobotGroup:
         self.walkers = [make_walkers(world, config) for _ in rows]
         self.touched: BoolArray = np.zeros(count, np.bool_)
         self.physics_seconds = 0.0
-        self._updates = len(body.substeps)
-        self.imu = ImuSensors(noise.imu, count, self._updates)
+        updates = len(body.substeps)
+        self.imu = ImuSensors(noise.imu, count, updates)
         self.waypoints: list[Waypoint | None] = [None] * count
         self._late: LateCommands | None = None
         self._control = make_controllers(robot, body.actuators, bodies.views, self.surfaces, self.waypoints)
         self._odometry: WheelOdometries | Odometries
         if robot.flies or noise.odometry.method == "ekf":
-            self._odometry = Odometries(robot, noise, bodies.views)
+            self._odometry = Odometries(robot, noise.odometry, noise.imu, bodies.views)
         else:
-            self._odometry = WheelOdometries(body.wheels, noise.odometry, count, self._updates)
-        self._make_inertial(count)
-
-    def _make_inertial(self, count: int) -> None:
-        config, body = self._config, self.bodies.body
+            self._odometry = WheelOdometries(body.wheels, noise.odometry, count, updates)
+        self.odometry = self._odometry.pose
         self._units: list[InertialUnit] = []
         self.inertial: list[ImuReadings | None] = [None] * count
         if config.inertial is not None:
-            self._units = [InertialUnit(config.inertial, body.timestep, body.gravity) for _ in range(count)]
+            self._units = [InertialUnit(config.inertial, body.timestep, body.gravity) for _ in rows]
         # Of each physics step, and of each control update, of the last period.
         self._motion = np.zeros((sum(body.substeps), count, MOTION))
-        self._track = np.zeros((self._updates, count, 3))
-
-    @property
-    def odometry(self) -> FloatArray:
-        """(n, 3) `T_odom_base`: x, y, yaw, meters and radians."""
-        return self._odometry.pose
+        self._track = np.zeros((updates, count, 3))
 
     @property
     def imu_rate(self) -> float | None:
@@ -374,73 +343,77 @@ class RobotGroup:
         settled = bodies.views[k].pose()
         check_settled(robot, start, settled, tipped=is_tipped(settled))
 
-    def begin(self, k: int, seed: int, dt: float) -> None:
-        """Start robot `k` where it stands; its readings come every `dt` seconds."""
+    def begin(self, k: int, seed: int) -> None:
+        """Start robot `k` where it stands."""
         bodies = self.bodies
         self.imu.begin(k, bodies.qpos, bodies.qvel, sensor_stream(seed, IMU_STREAM))
         self._odometry.begin(k, bodies.qpos, sensor_stream(seed, ODOMETRY_STREAM))
         self._control.begin(k)
         if self._late is not None:
             self._late.begin(k)
-        self.imu.read(np.array((k,)), bodies.qpos, bodies.specific_force(), dt)
+        self.imu.read(np.array((k,)), bodies.qpos, bodies.specific_force(), bodies.body.period)
         self.touched[k] = False
         if self._units:
             motion = np.concatenate((bodies.qpos[k, 3:7], bodies.qvel[k, :6]))
             self._units[k].begin(motion, sensor_stream(seed, INERTIAL_STREAM))
-            self.inertial[k] = self._units[k].read(NO_READINGS)
+            self.inertial[k] = self._units[k].read(self._motion[:0, k])
 
     def advance(self, ids: IntArray, commands: FloatArray) -> dict[int, str]:
-        """Drive robots for one period; return the errors of robots that diverged.
+        """Drive robots for one period, then read their sensors; return the errors of robots that diverged.
 
-        The odometry of a diverged robot keeps its last value.
+        A diverged robot keeps its last readings.
 
         Args:
             ids: Robots of the group, sorted.
             commands: (n, 3) speeds ahead, m/s, turn rates, rad/s, climbs, m/s.
         """
         bodies, imu, odometry = self.bodies, self.imu, self._odometry
-        touched, before = np.zeros(bodies.count, np.bool_), odometry.pose.copy()
+        touched, before = np.zeros(bodies.count, np.bool_), self.odometry.copy()
         some = ids.astype(np.int32) if len(ids) < bodies.count else None
         failed: dict[int, str] = {}
         self.physics_seconds, done = 0.0, 0
-        imu.draw(ids, self._updates)
-        odometry.draw(ids, self._updates)
         for update, steps in enumerate(bodies.body.substeps):
             dt = steps * bodies.body.timestep
             present = commands if self._late is None else self._late.delay(ids, commands)
             self._control.update(ids, present, imu.rates, dt, bodies.ctrl)
             begun = clock()
-            self._walk(ids, dt)
-            failed |= self._step_noting_motion(some, steps, done) if self._units else bodies.step(some, steps)
+            failed |= self._step(ids, some, self._motion[done : done + steps], dt)
             self.physics_seconds += clock() - begun
             done += steps
             bodies.add_touching(touched, dt)
             imu.read_rates(ids, bodies.qvel)
             odometry.integrate(ids, bodies.qpos, imu.rates, imu.attitude, dt)
             if self._units:
-                self._track[update] = odometry.pose
+                self._track[update] = self.odometry
         self.touched[ids] = touched[ids]
-        stopped = {*failed, *ids[bodies.find_diverged()[ids]].tolist()}
-        for k in stopped:
-            odometry.pose[k] = before[k]
-        return {k: failed.get(k, "") or bodies.divergence(k) for k in stopped}
-
-    def _step_noting_motion(self, ids: Int32Array | None, steps: int, done: int) -> dict[int, str]:
-        """Step robots, and note the motion of their bases after each step."""
-        failed: dict[int, str] = {}
-        for motion in self._motion[done : done + steps]:
-            failed |= self.bodies.step(ids, 1)
-            motion[:, :4], motion[:, 4:] = self.bodies.qpos[:, 3:7], self.bodies.qvel[:, :6]
-        return failed
-
-    def read(self, ids: IntArray, dt: float) -> None:
-        """Read inertial units and odometry, `dt` seconds after the last reading."""
-        self.imu.read(ids, self.bodies.qpos, self.bodies.specific_force(), dt)
-        self._odometry.read(ids)
+        stopped = [*{*failed, *ids[bodies.find_diverged()[ids]].tolist()}]
+        errors = {k: failed.get(k, "") or bodies.divergence(k) for k in stopped}
+        if errors:
+            self.odometry[stopped] = before[stopped]
+            ids = ids[~np.isin(ids, stopped)]
+        imu.read(ids, bodies.qpos, bodies.specific_force(), bodies.body.period)
+        odometry.read(ids)
         for k in ids.tolist() if self._units else ():
             self.inertial[k] = self._units[k].read(self._motion[:, k])
+        return errors
 
-    def track(self, k: int, stamp: float, period: float) -> tuple[tuple[float, Pose2], ...]:
+    def _step(self, ids: IntArray, some: Int32Array | None, motion: FloatArray, dt: float) -> dict[int, str]:
+        """Let the walkers walk, then step the robots; inertial units need their motion (steps, n, 10)."""
+        bodies = self.bodies
+        for k in ids.tolist() if self._config.actors else ():
+            walkers, (x, y) = self.walkers[k], bodies.qpos[k, :2].tolist()
+            if walkers is not None:
+                walkers.advance(dt, x, y)
+                bodies.mocap_pos[k] = walkers.touchable
+        if not self._units:
+            return bodies.step(some, len(motion))
+        failed: dict[int, str] = {}
+        for row in motion:
+            failed |= bodies.step(some, 1)
+            row[:, :4], row[:, 4:] = bodies.qpos[:, 3:7], bodies.qvel[:, :6]
+        return failed
+
+    def track(self, k: int, stamp: float) -> tuple[tuple[float, Pose2], ...]:
         """Return stamps and `T_odom_base` near `TRACK_RATE` in the period before `stamp`, without its end.
 
         There is none without inertial readings, and of odometry that is filtered once a scan.
@@ -448,18 +421,10 @@ class RobotGroup:
         if not self._units or isinstance(self._odometry, Odometries):
             return ()
         body, poses = self.bodies.body, self._track[:, k].tolist()
-        ends = stamp - period + body.timestep * np.cumsum(body.substeps)
-        every = max(1, round(len(poses) / (TRACK_RATE * period)))
+        ends = stamp - body.period + body.timestep * np.cumsum(body.substeps)
+        every = max(1, round(len(poses) / (TRACK_RATE * body.period)))
         chosen = range(len(poses) - 1 - every, -1, -every)
         return tuple((float(ends[n]), Pose2(*poses[n])) for n in reversed(chosen))
-
-    def _walk(self, ids: IntArray, dt: float) -> None:
-        """Advance the walkers before the robots' next step."""
-        for k in ids.tolist() if self._config.actors else ():
-            walkers, (x, y) = self.walkers[k], self.bodies.qpos[k, :2].tolist()
-            if walkers is not None:
-                walkers.advance(dt, x, y)
-                self.bodies.mocap_pos[k] = walkers.touchable
 
 
 def make_groups(

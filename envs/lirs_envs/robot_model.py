@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import math
 import time
-from array import array
-from dataclasses import dataclass, field
-from functools import cache
-from threading import Lock
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from lirs_envs.props import STATIC_ROBOT, add_props
 from lirs_envs.robots.control import BodyState
 from lirs_envs.robots.robot import Robot
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import STATIC_ROBOT, SimulationConfig, add_props
 from lirs_envs.walkers import Walkers, add_walkers
-from lirs_wct import ConfigError, HeightField, Pose3, SimulationError, World
+from lirs_wct import ConfigError, Pose3, SimulationError, World
 from lirs_wct.arrays import FloatArray, Int32Array, IntArray, njit
 from lirs_wct.contact.spec import ContactGrid, contact_grid, surface_itself, world_spec, write_heights
 
@@ -47,8 +43,8 @@ class RobotModel(BodyState):
     """MuJoCo's model and data of one robot in one world.
 
     Attributes:
-        data: State of the model.
         contact: Grid that wheels touch.
+        period: Time from scan to scan, seconds.
         timestep: Longest part of the period that is at most the robot's own step, seconds.
         substeps: Number of steps of each control update of one period.
         wheel_geoms: Ids of the geoms that are meant to touch the ground.
@@ -60,7 +56,6 @@ class RobotModel(BodyState):
         force: (3,) the accelerometer's true reading along x, y, z of the base, m/s^2, live.
 
     Args:
-        world: Ground and walls.
         config: Robot, props, walkers, contact geometry and height range.
         period: Time from scan to scan, seconds: a whole number of steps.
         contact_sensors: Whether the model has sensors of the robot's contacts.
@@ -72,10 +67,9 @@ class RobotModel(BodyState):
         robot, height_range = config.robot, config.height_range
         if height_range is not None and world.kind != "terrain":
             raise ConfigError(f"{world.name}: a height_range is for terrains, this world is a {world.kind}")
-        self._height_range = height_range
         self.contact: ContactGrid = (contact_grid if height_range is None else surface_itself)(world.surface)
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
-        self._period = period
+        self.period = period
         spec.option.timestep = self.timestep = _even_part(period, spec.option.timestep)
         steps = round(period / self.timestep)
         most = max(1, round(CONTROL_PERIOD / self.timestep))
@@ -94,15 +88,34 @@ class RobotModel(BodyState):
             height_range=height_range,
         ).compile()
         super().__init__(model, robot)
-        self.replace_surface(world.surface)
+        if height_range is not None:
+            write_heights(self.model, world.surface, height_range)
         self.data = mujoco.MjData(self.model)
-        self.wheel_geoms = _wheel_geoms(self.model, robot)
-        self.contact_drops = _contact_drops(self.model, robot, self.wheel_geoms)
+        self._find_contact_geoms(robot)
         self._flies = robot.flies
         wheels: list[tuple[str, ...]] = [robot.left_wheels, robot.right_wheels]
         sides = [(rotor,) for rotor in robot.rotors] or wheels
         self.actuators = [[int(self.model.actuator(name).id) for name in side] for side in sides]
         self._make_views()
+
+    def _find_contact_geoms(self, robot: Robot) -> None:
+        """Note the geoms of wheels and casters, and the least height above a contact of each geom.
+
+        A wheel of radius r touches a face of slope s at r cos(s) below its center. Normals of MuJoCo's
+        contacts are no measure: between two prisms of a height field some are level.
+        """
+        model = self.model
+        wheels = {int(model.joint(name).bodyid[0]) for name in (*robot.left_wheels, *robot.right_wheels)}
+        names = [model.geom(geom).name for geom in range(model.ngeom)]
+        self.wheel_geoms = frozenset(
+            geom
+            for geom, name in enumerate(names)
+            if int(model.geom_bodyid[geom]) in wheels
+            or (name.endswith("caster") and not name.startswith(STATIC_ROBOT))
+        )
+        own, rolling = model.body_rootid[model.geom_bodyid] == model.body("base_link").id, [*self.wheel_geoms]
+        self.contact_drops: FloatArray = np.where(own, np.inf, -np.inf)
+        self.contact_drops[rolling] = math.cos(robot.max_slope + FACE_MARGIN) * model.geom_size[rolling, 0]
 
     def _make_views(self) -> None:
         """Make views into the data once: making one costs as much as reading it."""
@@ -122,11 +135,6 @@ class RobotModel(BodyState):
         self.model = self.data.model
         self._make_views()
 
-    def replace_surface(self, surface: HeightField) -> None:
-        """Replace the heights of the contact ground; the model needs a height range."""
-        if self._height_range is not None:
-            write_heights(self.model, surface, self._height_range)
-
     @property
     def tipped(self) -> bool:
         """Whether the robot tilts by more than 60 deg or lies on its back."""
@@ -135,12 +143,6 @@ class RobotModel(BodyState):
     def step(self, steps: int) -> None:
         """Step with the present controls."""
         mujoco.mj_step(self.model, self.data, steps)
-
-    def walk(self, walkers: Walkers, dt: float) -> None:
-        """Let the walkers walk for `dt` seconds, before the robot's next step."""
-        x, y = self.qpos[:2].tolist()
-        walkers.advance(dt, x, y)
-        self.walker_centers[:] = walkers.touchable
 
     def settle(
         self, T_world_base: Pose3, walkers: FloatArray | None = None, *, seconds: float = SETTLING_TIME
@@ -182,12 +184,10 @@ class RobotModel(BodyState):
     ) -> tuple[float, Pose3]:
         """Step from a state with given controls, one per control update; restore the present state.
 
-        Walkers walk on from where they are.
-
         Args:
             initial: State to begin in.
             controls: (n, nu) controls of each update.
-            walkers: Walkers around the robot.
+            walkers: Walkers around the robot, which walk on.
             reference: Whether to take the reference physics' step; a control then is in force at the steps
                 that begin within its update.
 
@@ -195,8 +195,10 @@ class RobotModel(BodyState):
             Wall-clock seconds, and the last pose.
         """
         present, own, warnings = self.state(), self.timestep, self.data.warning.number.copy()
-        timestep = _even_part(self._period, REFERENCE_TIMESTEP) if reference else own
-        substeps = self._steps_within_updates(timestep)
+        timestep = _even_part(self.period, REFERENCE_TIMESTEP) if reference else own
+        # Steps that begin within each control update of a period.
+        ends = np.ceil(np.cumsum(self.substeps) * (own / timestep) - 1e-6).astype(int)
+        substeps = np.diff(ends, prepend=0).tolist()
         mujoco.mj_setState(self.model, self.data, initial, FULL_STATE)
         self.model.opt.timestep = timestep
         try:
@@ -204,7 +206,8 @@ class RobotModel(BodyState):
             for k, control in enumerate(controls):
                 steps = substeps[k % len(substeps)]
                 if walkers is not None:
-                    self.walk(walkers, steps * timestep)
+                    walkers.advance(steps * timestep, *self.qpos[:2].tolist())
+                    self.walker_centers[:] = walkers.touchable
                 self.ctrl[:] = control
                 self.step(steps)
             seconds = time.perf_counter() - begun
@@ -215,12 +218,6 @@ class RobotModel(BodyState):
             self.model.opt.timestep = own
             self.data.warning.number[:] = warnings
             mujoco.mj_setState(self.model, self.data, present, FULL_STATE)
-
-    def _steps_within_updates(self, timestep: float) -> tuple[int, ...]:
-        """Return how many steps of some length begin within each control update of one period."""
-        ends = np.cumsum(self.substeps) * (self.timestep / timestep)
-        begun = np.ceil(ends - 1e-6).astype(int)
-        return tuple(np.diff(begun, prepend=0).tolist())
 
 
 def _even_part(period: float, longest: float) -> float:
@@ -260,31 +257,6 @@ def _add_contact_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
             )
 
 
-def _wheel_geoms(model: mujoco.MjModel, robot: Robot) -> frozenset[int]:
-    """Return the ids of the geoms of a robot's wheels and casters."""
-    wheels = {int(model.joint(name).bodyid[0]) for name in (*robot.left_wheels, *robot.right_wheels)}
-    names = [model.geom(geom).name for geom in range(model.ngeom)]
-    return frozenset(
-        geom
-        for geom, name in enumerate(names)
-        if int(model.geom_bodyid[geom]) in wheels
-        or (name.endswith("caster") and not name.startswith(STATIC_ROBOT))
-    )
-
-
-def _contact_drops(model: mujoco.MjModel, robot: Robot, wheels: frozenset[int]) -> FloatArray:
-    """Return `RobotModel.contact_drops`.
-
-    A wheel of radius r touches a face of slope s at r cos(s) below its center. Normals of MuJoCo's contacts
-    are no measure: between two prisms of a height field some are level.
-    """
-    own = model.body_rootid[model.geom_bodyid] == model.body("base_link").id
-    drops = np.where(own, np.inf, -np.inf)
-    rolling = sorted(wheels)
-    drops[rolling] = math.cos(robot.max_slope + FACE_MARGIN) * model.geom_size[rolling, 0]
-    return drops
-
-
 DIVERGENCE_WARNINGS = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "a position is not finite or too large",
     mujoco.mjtWarning.mjWARN_BADQVEL: "a velocity is not finite or too large",
@@ -293,8 +265,6 @@ DIVERGENCE_WARNINGS = {
     mujoco.mjtWarning.mjWARN_CONTACTFULL: "there are more contacts than memory for them",
     mujoco.mjtWarning.mjWARN_CNSTRFULL: "there are more constraints than memory for them",
 }
-COMPILING = Lock()
-"""A kernel is compiled by one thread; a second one would find the compiler disabled."""
 KINDS: IntArray = np.array([int(kind) for kind in DIVERGENCE_WARNINGS], np.int64)
 
 
@@ -318,48 +288,9 @@ class Collisions:
     samples: int
 
 
-@dataclass
-class ContactMonitor:
-    """Statistics of the contacts after each control update."""
-
-    drops: FloatArray
-    """(ngeom,) see `RobotModel.contact_drops`."""
-    penetrations: array[float] = field(default_factory=lambda: array("d"))
-    body_contacts: int = 0
-    body_seconds: float = 0.0
-    _touching: bool = False
-    _compiled: bool = False
-
-    def record(self, data: mujoco.MjData, dt: float) -> bool:
-        """Record the deepest contact; return whether the robot collides."""
-        if data.ncon == 0:
-            self.penetrations.append(0.0)
-            self._touching = False
-            return False
-        if not self._compiled:
-            compile_contact_state()
-            self._compiled = True
-        contact = data.contact
-        depth, touching = contact_state(contact.dist, contact.geom, contact.pos, data.geom_xpos, self.drops)
-        self.penetrations.append(depth)
-        self.body_contacts += touching and not self._touching
-        self.body_seconds += dt * touching
-        self._touching = touching
-        return self._touching
-
-    def statistics(self) -> Collisions:
-        """Return the statistics so far."""
-        depths = np.array(self.penetrations or (0.0,))
-        return Collisions(
-            max_penetration=float(depths.max()),
-            penetration_p999=float(np.quantile(depths, 0.999)),
-            body_contacts=self.body_contacts,
-            body_contact_seconds=self.body_seconds,
-            samples=len(self.penetrations),
-        )
-
-
-@njit
+# A signature for arrays of any layout: a single contact is contiguous in memory, several are not, and the
+# first single contact of a drive would wait for the compiler.
+@njit("Tuple((f8, b1))(f8[:], i4[:, :], f8[:, :], f8[:, ::1], f8[::1])")
 def contact_state(
     distance: FloatArray, pairs: Int32Array, points: FloatArray, centers: FloatArray, drops: FloatArray
 ) -> tuple[float, bool]:
@@ -375,22 +306,6 @@ def contact_state(
                 depth = max(depth, -distance[k])
                 touching |= centers[geom, 2] - points[k, 2] < drops[geom]
     return depth, touching
-
-
-def compile_contact_state() -> None:
-    """Compile `contact_state` once for arrays of any layout, from any thread.
-
-    A single contact is contiguous in memory, several are not. Without this, the first single contact of a
-    drive would wait for the compiler.
-    """
-    with COMPILING:
-        _compile_contact_state()
-
-
-@cache
-def _compile_contact_state() -> None:
-    contact_state.compile("Tuple((f8, b1))(f8[:], i4[:, :], f8[:, :], f8[:, ::1], f8[::1])")
-    contact_state.disable_compile()
 
 
 def divergence_message(seconds: float, warned: Int32Array) -> str:

@@ -44,7 +44,8 @@ def as_vec_env(*vectors: VectorEnv[Any, Any, Any]) -> Any:
         raise ConfigError("as_vec_env needs at least one vector environment")
     for one in vectors:
         _check(one, vectors[0])
-    return _adapter(base)(vectors)
+    # The class is created on demand because the package is optional.
+    return type("RobotVecEnv", (_RobotVecEnv, base), {})(vectors)
 
 
 def _views(vector: Any) -> Sequence[EpisodeView]:
@@ -75,14 +76,6 @@ def _check(one: VectorEnv[Any, Any, Any], first: VectorEnv[Any, Any, Any]) -> No
         wanted, got = getattr(first, name), getattr(one, name)
         if got != wanted:
             raise ConfigError(f"all vectors of a VecEnv need the same {name}, got {wanted} and {got}")
-
-
-def _adapter(base: Any) -> Any:
-    """Return the adapter as a subclass of Stable-Baselines3's `VecEnv`.
-
-    The class is created on demand because the package is optional.
-    """
-    return type("RobotVecEnv", (_RobotVecEnv, base), {})
 
 
 class _RobotVecEnv:
@@ -117,8 +110,10 @@ class _RobotVecEnv:
         for one, rows in zip(self.vectors, self._split(np.arange(self.num_envs)), strict=True):
             seeds = [self._seeds[i] for i in rows]
             known = any(seed is not None for seed in seeds)
-            options = self._common_options(rows)
-            observation, infos = one.reset(seed=seeds if known else None, options=options)
+            options = self._options[rows[0]]
+            if any(self._options[i] != options for i in rows):
+                raise ConfigError("all environments of a vector take the same options of a reset")
+            observation, infos = one.reset(seed=seeds if known else None, options=options or None)
             observed.append(observation)
             self.reset_infos += split_infos(infos, one.num_envs)
         self._reset_seeds()
@@ -127,12 +122,6 @@ class _RobotVecEnv:
 
     def _split(self, rows: Any) -> list[Any]:
         return np.split(rows, self._ends)
-
-    def _common_options(self, rows: Any) -> Any:
-        options = self._options[rows[0]]
-        if any(self._options[i] != options for i in rows):
-            raise ConfigError("all environments of a vector take the same options of a reset")
-        return options or None
 
     def step_async(self, actions: Any) -> None:
         self._actions = actions

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from functools import partial
+from numbers import Real
 from os import getpid
 from typing import Any, Literal
 
@@ -17,14 +18,13 @@ import numpy as np
 
 from lirs_envs.lidar.lidar import Lidars
 from lirs_envs.lidar.ray_casting import Caster, WalkerCaster, make_caster
-from lirs_envs.placement import check_fit, resolve_start
 from lirs_envs.robot_group import RobotGroup, SingleBody, make_groups
 from lirs_envs.robot_model import TIPPED, Collisions, RobotModel
-from lirs_envs.robots.robot import Twist, Waypoint, check_command
+from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_envs.sensing.sensors import LIDAR_STREAM, FaultInjector, Observation, sensor_stream
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import SimulationConfig, check_fit, resolve_start
 from lirs_wct import ConfigError, Pose2, Pose3, SimulationError, World
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from lirs_wct.contact.spec import write_heights
 from lirs_wct.errors import check_seed
 
@@ -73,26 +73,26 @@ class Simulation:
     have the planar scan alone.
 
     Attributes:
-        config: Robot, sensors and props.
         worlds: World of each robot.
         period: Time of one `advance` or `drive`, seconds.
         body: MuJoCo's model of robot and world; own models may differ in friction, mass and heights.
         groups: Groups of robots; one thread at a time drives a group.
+        single: Physics of the one robot.
         places: Group and row in it of each robot.
         states: True state of each robot, live; the positions hold those of the props as well.
         casters: Ray caster of each robot's lidar against world and props; usable by custom sensors.
         lidar_noise: Noise of each robot's lidar from its next start on.
+        ranges: (N, beams) float32 of the last scans (see `LaserScan`).
         T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the last valid pose of each robot.
         errors: Reason why each robot cannot go on; empty = it can.
         timing: Wall-clock seconds of each `advance` since the reset.
+        mishap: Mishap of the one robot, which ends its drive; empty = none.
 
     Args:
         world: World of all robots, until `replace_terrain`.
-        config: Robot, sensors and props.
         seed: Seed of all random numbers of `reset`; same seed and same commands, same bytes.
         count: Number of robots, N, in a batch of MuJoCo; None = one, which steps alone.
         period: Seconds; None = that of the lidar.
-        threads: Number of threads.
         own_models: Whether each robot of a batch has a MuJoCo model of its own (see `Bodies`).
 
     Raises:
@@ -119,7 +119,8 @@ class Simulation:
         self._in_step = self.period == self.preset.period  # each period ends with a scan
         self.body = RobotModel(world, config, self.period, contact_sensors=count is not None)
         if count is None:
-            self.groups = [RobotGroup(config, range(1), SingleBody(config.robot, self.body), world)]
+            self.single = SingleBody(config.robot, self.body)
+            self.groups = [RobotGroup(config, range(1), self.single, world)]
         else:
             own_models = own_models or config.height_range is not None
             self.groups = make_groups(config, self.body, world, count, threads=threads, own_models=own_models)
@@ -147,6 +148,7 @@ class Simulation:
         self.lidar_noise = [config.noise.of_lidar(config.preset)] * count
         rolls = config.noise.rolls(self.preset)
         self._lidars = Lidars(self.preset, config.robot.T_base_laser, count, rolling_scan=rolls)
+        self.ranges = self._lidars.ranges
         self._faults: dict[int, FaultInjector] = {}
         self._slipped = np.zeros((count, 3))
         self._stamps = np.zeros(count)
@@ -154,6 +156,7 @@ class Simulation:
         self.errors = [NOT_RESET] * count
         self.T_world_base: FloatArray = np.tile((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (count, 1))
         self.timing = Timing()
+        self.mishap: Literal["", "tipped", "off world"] = ""
 
     @property
     def count(self) -> int:
@@ -197,11 +200,11 @@ class Simulation:
         self.errors[i] = NOT_RESET
         group.place(k, self.worlds[i], start, seed)
         row = np.array((i,))
-        self._read_poses(group, row - group.rows.start)
+        _read_poses(row, group.rows.start, group.bodies.qpos, self.T_world_base)
         self._lidars.begin(i, self.casters[i], self.lidar_noise[i], sensor_stream(seed, LIDAR_STREAM))
         if self.config.noise.faults.any:
             self._faults[i] = FaultInjector(self.config.noise.faults, self.preset, seed)
-        group.begin(k, seed, self.period)
+        group.begin(k, seed)
         self._ticks[i], self.errors[i] = 0, ""
         self._slip(row)
         self._scan(row)
@@ -209,16 +212,13 @@ class Simulation:
     def drive(
         self, ids: IntArray, commands: FloatArray, after_scan: Callable[[IntArray], None] | None = None
     ) -> None:
-        """Drive robots for one period.
+        """Drive robots `ids`, sorted, for one period.
 
         A robot that diverges has its `errors` entry set and keeps its readings.
 
-        Args:
-            ids: Rows of the robots, sorted.
-            commands: (N, 3) speeds ahead, m/s, turn rates, rad/s, climbs, m/s; beyond the robot's limits they
-                are clipped.
-            after_scan: Function that gets rows of robots with a new scan, perhaps from several threads at a
-                time.
+        Commands (N, 3) are speeds ahead, m/s, turn rates, rad/s, climbs, m/s; beyond the robot's limits they
+        are clipped. `after_scan` gets the rows of robots with a new scan, perhaps from several threads at a
+        time.
         """
         threads = self._threads.count
         share = -(-len(ids) // (PARTS * threads if threads > 1 else 1))
@@ -247,9 +247,8 @@ class Simulation:
             self.errors[first + k] = error
         if any(self.errors):
             local = np.array([k for k in local.tolist() if not self.errors[first + k]], np.int64)
-        self._read_poses(group, local)
-        group.read(local, self.period)
         rows = local + first
+        _read_poses(rows, first, group.bodies.qpos, self.T_world_base)
         self._ticks[rows] += 1
         self._slip(rows)
         if self._in_step:
@@ -258,9 +257,6 @@ class Simulation:
         # Robots whose lidar has begun a new scan in the period.
         due: IntArray = rows[np.floor(ticks * scans + 1e-9) > np.floor((ticks - 1) * scans + 1e-9)]
         return due
-
-    def _read_poses(self, group: RobotGroup, local: IntArray) -> None:
-        _read_poses(local, group.bodies.qpos, self.T_world_base[group.rows.start : group.rows.stop])
 
     def _slip(self, rows: IntArray) -> None:
         """Note the odometry with the slip of the faults."""
@@ -278,11 +274,6 @@ class Simulation:
         lidars.scan(rows, self.T_world_base, self.states, self._stamps)
         for i in rows.tolist() if self._faults else ():
             lidars.ranges[i], lidars.clouds[i] = self._faults[i].scan(lidars.ranges[i], lidars.clouds[i])
-
-    @property
-    def ranges(self) -> Float32Array:
-        """(N, beams) float32 of the last scans (see `LaserScan`)."""
-        return self._lidars.ranges
 
     @property
     def odometry(self) -> FloatArray:
@@ -324,25 +315,19 @@ class Simulation:
         inside = (place >= self._bounds[:, :2]) & (place <= self._bounds[:, 2:])
         return np.asarray(~inside.all(axis=1))
 
-    def mishap(self, i: int = 0) -> Literal["", "tipped", "off world"]:
-        """Return the mishap that ends a drive of robot `i`; empty without one."""
-        if self.find_tipped()[i]:
-            return "tipped"
-        return "off world" if self.off_world()[i] else ""
-
     def reading(self, i: int = 0) -> Observation:
         """Return the last sensor readings of robot `i` as arguments of a mapper."""
         group, k = self.places[i]
         now, faults = self.time(i), self._faults.get(i)
         odometry = group.odometry[k] if faults is None else self._slipped[i]
-        tracked = self._ticks[i] and not (faults and faults.faults.slip)
+        tracked = self.config.inertial and self._ticks[i] and not (faults and faults.faults.slip)
         return Observation(
             self._lidars.reading(i, float(self._stamps[i])),
             Pose2(*odometry.tolist()),
             group.imu.reading(k, now),
             self._lidars.clouds[i],
             group.inertial[k],
-            group.track(k, now, self.period) if tracked else (),
+            group.track(k, now) if tracked else (),
         )
 
     def reset(self, start: Pose2 | None = None, *, seed: int | None = None) -> Observation:
@@ -361,10 +346,10 @@ class Simulation:
         seed = self._seed if seed is None else seed
         check_seed(seed)
         self.place(0, start, seed)
-        self._seed, self.timing = seed, Timing()
-        self._single.clear()
+        self._seed, self.timing, self.mishap = seed, Timing(), ""
+        self.single.clear()
         walkers = self.groups[0].walkers[0]
-        self._initial = self.body.state(), None if walkers is None else walkers.state()
+        self._initial = self.body.state(), None if walkers is None else walkers.copy()
         return self.reading()
 
     def advance(self, command: Twist | Waypoint) -> Observation:
@@ -376,23 +361,19 @@ class Simulation:
         """
         if self.errors[0]:
             raise SimulationError(self.errors[0])
-        check_command(self.robot, command)
+        _check_command(self.robot, command)
         begun, group = time.perf_counter(), self.groups[0]
         group.waypoints[0] = command if isinstance(command, Waypoint) else None
         twist = (command.v, command.omega, command.climb) if isinstance(command, Twist) else (0.0, 0.0, 0.0)
         self.drive(ROW, np.array((twist,), np.float64))
         if self.errors[0]:
             raise SimulationError(self.errors[0])
+        tipped, off = self.find_tipped()[0], self.off_world()[0]
+        self.mishap = "tipped" if tipped else "off world" if off else ""
         observation = self.reading()
         self.timing.physics.append(group.physics_seconds)
         self.timing.sensors.append(time.perf_counter() - begun - group.physics_seconds)
         return observation
-
-    @property
-    def _single(self) -> SingleBody:
-        bodies = self.groups[0].bodies
-        assert isinstance(bodies, SingleBody), "one robot that steps alone"
-        return bodies
 
     @property
     def imu_rate(self) -> float | None:
@@ -416,12 +397,12 @@ class Simulation:
     @property
     def collisions(self) -> Collisions:
         """Contacts of the one robot since the reset."""
-        return self._single.contacts.statistics()
+        return self.single.collisions
 
     @property
     def controls(self) -> FloatArray:
         """(n, 2) wheel speeds, left and right, rad/s, or (n, rotors) thrusts, newtons, of n updates."""
-        return self._single.controls[:, [side[0] for side in self.body.actuators]]
+        return self.single.controls[:, [side[0] for side in self.body.actuators]]
 
     def replay(self, *, reference: bool = False, seconds: float = math.inf) -> PhysicsReplay:
         """Send the recorded controls through MuJoCo's step alone; the simulation stays as it is.
@@ -437,27 +418,33 @@ class Simulation:
         """
         if self.errors[0] or not self._ticks[0]:
             raise SimulationError("nothing was driven since the reset: there is nothing to replay")
-        walkers, (initial, initial_walkers) = self.groups[0].walkers[0], self._initial
-        present = None if walkers is None else walkers.state()
-        if walkers is not None and initial_walkers is not None:
-            walkers.restore(initial_walkers)
-        try:
-            periods = math.ceil(min(self.time(), seconds) / self.period - 1e-9)
-            controls = self._single.controls[: periods * len(self.body.substeps)]
-            spent, pose = self.body.replay(initial, controls, walkers, reference=reference)
-        finally:
-            if walkers is not None and present is not None:
-                walkers.restore(present)
+        initial, walkers = self._initial
+        walkers = None if walkers is None else walkers.copy()
+        periods = math.ceil(min(self.time(), seconds) / self.period - 1e-9)
+        controls = self.single.controls[: periods * len(self.body.substeps)]
+        spent, pose = self.body.replay(initial, controls, walkers, reference=reference)
         return PhysicsReplay(spent, periods * self.period, pose)
 
 
+def _check_command(robot: Robot, command: object) -> None:
+    if isinstance(command, Waypoint) and not robot.flies:
+        raise ConfigError(f"{robot.name} drives: it takes a Twist, got {command}")
+    if not isinstance(command, Twist | Waypoint):
+        raise ConfigError(f"a command must be a Twist or a Waypoint, got {command!r}")
+    c = command
+    numbers: list[object] = [c.v, c.omega, c.climb] if isinstance(c, Twist) else [c.x, c.y, c.z, c.yaw]
+    if not all(isinstance(n, Real) and math.isfinite(n) for n in numbers):
+        raise ConfigError(f"a command must be finite, got {command}")
+
+
 @njit
-def _read_poses(rows: IntArray, qpos: FloatArray, out: FloatArray) -> None:
-    """Fill rows of (N, 7) with x, y, z, qw, qx, qy, qz of `T_world_base`."""
+def _read_poses(rows: IntArray, first: int, qpos: FloatArray, out: FloatArray) -> None:
+    """Fill rows of (N, 7) with x, y, z, qw, qx, qy, qz; row `first` is row 0 of the positions (n, nq)."""
     for i in rows:
-        w, x, y, z = qpos[i, 3], qpos[i, 4], qpos[i, 5], qpos[i, 6]
+        q = qpos[i - first]
+        w, x, y, z = q[3], q[4], q[5], q[6]
         norm = math.sqrt(w * w + x * x + y * y + z * z)
-        out[i, 0], out[i, 1], out[i, 2] = qpos[i, 0], qpos[i, 1], qpos[i, 2]
+        out[i, 0], out[i, 1], out[i, 2] = q[0], q[1], q[2]
         out[i, 3], out[i, 4], out[i, 5], out[i, 6] = w / norm, x / norm, y / norm, z / norm
 
 
@@ -473,11 +460,8 @@ class WorkThreads:
         self._pool: ThreadPoolExecutor | None = None
         self._pid = getpid()
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"count": self.count}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(**state)  # type: ignore[misc]
+    def __reduce__(self) -> tuple[Any, ...]:
+        return WorkThreads, (self.count,)
 
     def close(self) -> None:
         """End the threads; later work runs in the calling thread."""

@@ -15,6 +15,7 @@ from lirs_envs.env import LimitedEpisodes, Observed, make_config, snapshot_of
 from lirs_envs.episodes.episodes import Episodes, EpisodeView, action_array, check_options
 from lirs_envs.rendering import RENDER_MODES, Views, check_render_mode
 from lirs_wct import BoolArray, ConfigError, FloatArray, IntArray, Pose2, unknown_name
+from lirs_wct.errors import within
 
 Stepped = tuple[Observed, FloatArray, BoolArray, BoolArray, dict[str, Any]]
 
@@ -50,8 +51,8 @@ class JoinedEpisodes:
 
     def read(self, ids: IntArray) -> Observed:
         """Return new (n, ...) arrays of the observation groups."""
-        found = [part.observations.read(rows) for part, rows in self._split(ids) if len(rows)]
-        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+        groups = [part.observations.read(rows) for part, rows in self._split(ids) if len(rows)]
+        return {name: np.concatenate([one[name] for one in groups]) for name in groups[0]}
 
     def _split(self, ids: IntArray) -> list[tuple[Episodes, IntArray]]:
         """Return sorted rows (n,) as each part's own rows."""
@@ -76,8 +77,8 @@ class JoinedEpisodes:
 
     def infos(self) -> dict[str, Any]:
         """Return (N, ...) arrays of the entries of `info`."""
-        found = [part.infos() for part in self.parts]
-        return {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+        infos = [part.infos() for part in self.parts]
+        return {name: np.concatenate([one[name] for one in infos]) for name in infos[0]}
 
 
 class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
@@ -117,7 +118,10 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        _check_counts(num_envs=num_envs, threads=threads, max_episode_steps=max_episode_steps)
+        counts = {"num_envs": num_envs, "threads": threads, "max_episode_steps": max_episode_steps}
+        for name, count in counts.items():
+            if count is not None or name == "num_envs":
+                within("[1, inf)", whole=True)(count, name)
         modes = [mode.value for mode in AutoresetMode]
         if autoreset_mode not in (*AutoresetMode, *modes):
             raise unknown_name("autoreset_mode", str(autoreset_mode), modes)
@@ -160,12 +164,22 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
             ConfigError: the number of seeds is not N, the mask is no mask, or an option is not legal.
             SimulationError: see `Episodes.reset`.
         """
-        given = dict(check_options(options))
-        ids = self._all if "reset_mask" not in given else self._find_rows(given.pop("reset_mask"))
-        for i, one in zip(self._all.tolist(), self._seeds(seed), strict=True):
+        rest, ids = dict(check_options(options)), self._all
+        if "reset_mask" in rest:
+            mask = rest.pop("reset_mask")
+            legal = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == self._all.shape
+            if not legal or not mask.any():
+                raise ConfigError(
+                    f"reset_mask must be a bool array ({self.num_envs},) with a True, got {mask!r}"
+                )
+            ids = np.flatnonzero(mask)
+        seeds = [int(seed) + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ConfigError(f"{self.num_envs} environments need as many seeds, got {len(seeds)}")
+        for i, one in enumerate(() if seeds is None else seeds):
             if one is not None and i in ids:
                 self._rngs[i], _ = seeding.np_random(one)
-        self._reset(ids, given)
+        self._reset(ids, rest)
         return self._observe(), self._infos(ids)
 
     def step(self, actions: Any) -> Stepped:
@@ -235,8 +249,8 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Call a method of each environment's view, or return its attribute."""
-        found = [getattr(view, name) for view in self.views]
-        return tuple(value(*args, **kwargs) if callable(value) else value for value in found)
+        values = [getattr(view, name) for view in self.views]
+        return tuple(value(*args, **kwargs) if callable(value) else value for value in values)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Return an attribute of each environment's view."""
@@ -272,21 +286,6 @@ class RobotVectorEnv(LimitedEpisodes, VectorEnv[Observed, FloatArray, Any]):
             infos = self._add_info(infos, {"error": errors[i]}, i)
         return infos
 
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, int | np.integer):
-            return [int(seed) + i for i in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ConfigError(f"{self.num_envs} environments need as many seeds, got {len(seed)}")
-        return list(seed)
-
-    def _find_rows(self, mask: Any) -> IntArray:
-        legal = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
-        if not legal or not mask.any():
-            raise ConfigError(f"reset_mask must be a bool array ({self.num_envs},) with a True, got {mask!r}")
-        return np.flatnonzero(mask)
-
 
 def split_infos(infos: Any, count: int) -> list[dict[str, Any]]:
     """Return a vector's infos as one dict per environment, with its own keys."""
@@ -312,11 +311,3 @@ def _divide(options: dict[str, Any], count: int) -> list[tuple[dict[str, Any], i
         raise ConfigError(f"world must be 1 to num_envs = {count} worlds, got {len(worlds)}")
     first = [-(-k * count // len(worlds)) for k in range(len(worlds) + 1)]
     return [({"world": world}, first[k + 1] - first[k]) for k, world in enumerate(worlds)]
-
-
-def _check_counts(**counts: Any) -> None:
-    """Check that counts are whole numbers from 1 up; None is legal except for `num_envs`."""
-    for name, count in counts.items():
-        whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
-        if not (whole and int(count) >= 1) and (count is not None or name == "num_envs"):
-            raise ConfigError(f"{name} must be a whole number from 1 up, got {count!r}")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from copy import copy
 
 import mujoco
 import numpy as np
@@ -46,15 +47,9 @@ def walkable_ground(world: World) -> OccupancyGrid:
 def draw_paths(
     ground: OccupancyGrid, count: int, rng: np.random.Generator, keep_out: Iterable[Disc] = ()
 ) -> FloatArray:
-    """Return (count, WAY_POINTS, 2) way points, x and y, joined by free legs.
+    """Return (count, WAY_POINTS, 2) way points, x and y, joined by free legs that enter none of some discs.
 
     A path that ends early has its last way point again.
-
-    Args:
-        ground: free ground from `walkable_ground`.
-        count: number of paths.
-        rng: random generator of the way points.
-        keep_out: discs that no path enters.
     """
     free = ground.free.copy()
     x, y = ground.centers(np.argwhere(free)).T
@@ -121,14 +116,10 @@ TOUCHABLE = 8
 """Number of nearest walkers with a body in MuJoCo: a body for each of 50 would cost 0.4 % of every step."""
 WALKER_STREAM = 14
 """Random stream of the paths."""
-WALKER_GROUP = 0
-"""Geom group of walkers, which no robot uses."""
+WALKER_GROUP, PROP_GROUP = 0, 1
+"""Geom groups of walkers and props, which the lidar may see through MuJoCo's rays; no robot uses them."""
 WALKER_BIT = 2
 """Bit of MuJoCo's contact filter: walkers touch geoms with this affinity, so neither ground nor walls."""
-
-
-WalkerState = tuple[FloatArray, IntArray, FloatArray, FloatArray]
-"""Distance along the path, direction, seconds waited, each (n,), and centers (n, 3)."""
 
 
 class Walkers:
@@ -140,7 +131,6 @@ class Walkers:
 
     Args:
         world: world with the free ground of the walkers.
-        count: number of walkers.
         robot_radius: radius of the robot that walkers avoid, meters.
         props: x, y and radius of the props.
         bodies: number of walkers that MuJoCo has a body of, m.
@@ -194,15 +184,12 @@ class Walkers:
             self.touchable,
         )
 
-    def state(self) -> WalkerState:
-        """Return where all are on their paths."""
-        return self._along.copy(), self._direction.copy(), self._waited.copy(), self.centers.copy()
-
-    def restore(self, state: WalkerState) -> None:
-        """Put all where they were on the same paths."""
-        parts = (self._along, self._direction, self._waited, self.centers)
-        for part, value in zip(parts, state, strict=True):
-            part[:] = value
+    def copy(self) -> Walkers:
+        """Return walkers that walk on from here alone."""
+        copied = copy(self)
+        for name in ("_along", "_direction", "_waited", "centers", "touchable"):
+            setattr(copied, name, getattr(self, name).copy())
+        return copied
 
 
 def add_walkers(spec: mujoco.MjSpec, count: int) -> None:
@@ -235,17 +222,17 @@ def _walk(
     centers: FloatArray,
     touchable: FloatArray,
 ) -> None:
-    """Move walkers and fill `centers` (n, 3) and `touchable` (m, 3).
+    """Move walkers for `dt` seconds, and fill `centers` (n, 3) and `touchable` (m, 3), the nearest first.
 
     Args:
-        paths: way points (n, m, 2), distances to them along the path (n, m), speeds (n,).
-        state: distance along the path (n,), direction 1 or -1 (n,), seconds waited (n,); changed.
-        dt: seconds.
+        paths: Way points (n, m, 2), distances to them along the path (n, m), speeds (n,).
+        state: Distance along the path (n,), direction 1 or -1 (n,), seconds waited (n,); changed.
+        dt: Seconds.
         robot: x, y, and the distance of the middles at which a walker waits.
-        z: heights of the surface, row 0 = north.
+        z: Heights of the surface, row 0 = north.
         frame: x, y of its south-west node, cell x, y.
-        centers: the middles; those of the last call where dt is above 0.
-        touchable: those nearest to the robot, the nearest first.
+        centers: Middles; those of the last call where dt is above 0.
+        touchable: Middles of those nearest to the robot.
     """
     points, ends, speeds = paths
     along, direction, waited = state

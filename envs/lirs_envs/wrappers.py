@@ -64,23 +64,20 @@ class Curriculum(VectorWrapper):
         self._vector.set_attr("difficulty", difficulty)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step, and count the outcomes of episodes that end."""
+        """Step, and adapt the difficulty to the outcomes of episodes that end."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         over = np.flatnonzero(terminated | truncated).tolist()
         rows = split_infos(infos, self.num_envs) if over else []
         for i in over:
-            self._add(bool(rows[i].get("final_info", rows[i]).get("success", False)))
+            success = bool(rows[i].get("final_info", rows[i]).get("success", False))
+            self._outcomes = [*self._outcomes, success][-self._episodes :]
+            share, (low, high) = sum(self._outcomes) / self._episodes, self._limits
+            if len(self._outcomes) == self._episodes and not low < share < high:
+                change = self._step if share >= high else -self._step
+                self.difficulty = min(max(self.difficulty + change, 0.0), 1.0)
+                self._outcomes = []
         self._vector.set_attr("difficulty", self.difficulty)
         return observations, rewards, terminated, truncated, infos
-
-    def _add(self, success: bool) -> None:
-        """Take in the outcome of an episode, and adapt the difficulty to the last ones."""
-        self._outcomes = [*self._outcomes, success][-self._episodes :]
-        share, (low, high) = sum(self._outcomes) / self._episodes, self._limits
-        if len(self._outcomes) == self._episodes and not low < share < high:
-            change = self._step if share >= high else -self._step
-            self.difficulty = min(max(self.difficulty + change, 0.0), 1.0)
-            self._outcomes = []
 
 
 UNKNOWN, FREE, OCCUPIED = 0, 127, 255

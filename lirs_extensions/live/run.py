@@ -13,9 +13,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.placement import can_stand
 from lirs_envs.robots.robot import make_robot
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import can_stand
 from lirs_extensions.live.bridge import Bridge, Client, ClientDriver, ClientMapper, PublishedMapper
 from lirs_extensions.live.graph import CYCLONE_LOOPBACK, PUBLISHED, LiveTopic, Middleware
 from lirs_extensions.live.options import LiveOptions

@@ -16,11 +16,11 @@ import cv2
 import mujoco
 import numpy as np
 
-from lirs_envs.placement import can_stand, standing_pose
 from lirs_envs.robot_model import RobotModel, check_divergence
 from lirs_envs.robots.control import make_controllers
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.simulation import ROW
+from lirs_envs.simulation_config import can_stand, standing_pose
 from lirs_validation.driving.choice import no_room
 from lirs_wct import FloatArray, Pose2, SimulationError, World
 from lirs_wct.navigation import largest_area

@@ -31,10 +31,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.spatial import ConvexHull
 
-from lirs_envs.placement import check_fit
 from lirs_envs.robot_model import TIPPED, RobotModel
 from lirs_envs.robots.robot import Robot
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import SimulationConfig, check_fit
 from lirs_validation.collision.drives import (
     MAX_DEPTH,
     PERIOD,

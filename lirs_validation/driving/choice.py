@@ -11,10 +11,10 @@ import numpy as np
 
 from lirs_envs.episodes.observations import make_finite
 from lirs_envs.lidar.presets import make_lidar_preset
-from lirs_envs.placement import can_stand
 from lirs_envs.policies import Policy, PolicyContext
 from lirs_envs.pretrained import Pretrained
 from lirs_envs.robots.robot import ROBOTS, Robot, Twist, clip, make_robot
+from lirs_envs.simulation_config import can_stand
 from lirs_validation.config import CLIENT, MANUAL, PRETRAINED, TOUR, RunConfig, driver_parts
 from lirs_validation.driving.frontier_route import FrontierRoute
 from lirs_validation.driving.path_driver import Driver, DriverConfig, Frame, PathDriver, driver_config

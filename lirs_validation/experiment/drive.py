@@ -116,7 +116,7 @@ def _map(
 
 
 def _failure(simulation: Simulation, driver: Driver, now: float) -> tuple[Status, str] | None:
-    mishap = simulation.mishap()
+    mishap = simulation.mishap
     if mishap:
         what = "tipped over" if mishap == "tipped" else "left the world"
         return mishap, f"the robot {what} at {now:.1f} s"

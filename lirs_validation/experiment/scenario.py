@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from lirs_envs.lidar.ray_casting import resolve_rays
 from lirs_envs.robots.robot import Robot
-from lirs_envs.sensing.imu import InertialNoise
+from lirs_envs.sensing.motion import InertialNoise
 from lirs_envs.sensing.sensors import SensorNoise, resolve_noise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lirs_envs.robots.control import DriveConfig
 from lirs_envs.robots.robot import Robot, Twist, Waypoint
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
@@ -45,11 +44,6 @@ def test_a_command_that_cannot_be(command: Any, plane: World, husky: Robot) -> N
     assert sim.pose() == before
     assert sim.time() == 0
     sim.advance(Twist(np.float32(0.5)))  # type: ignore[arg-type]
-
-
-def test_figures_that_cannot_be() -> None:
-    with pytest.raises(ConfigError, match="integral of the yaw loop must be a finite number"):
-        DriveConfig(integral=math.nan)
 
 
 @pytest.mark.parametrize("where", ["qpos", "qvel"])

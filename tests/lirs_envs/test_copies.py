@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from lirs_envs.lidar.ray_casting import MeshCaster
-from lirs_envs.props import Prop
 from lirs_envs.robots.robot import Twist, make_robot
-from lirs_envs.sensing.odometry import OdometryConfig
+from lirs_envs.sensing.motion import OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
+from lirs_envs.simulation_config import Prop
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World
 from tests.kit import started

@@ -146,15 +146,6 @@ def test_step_before_reset_and_after_the_end(plane: World) -> None:
     env.step(action)
 
 
-@pytest.mark.parametrize("action", [np.zeros(3), 0.5, np.zeros((1, 2)), np.array((np.nan, 0.0)), "ahead"])
-def test_wrong_actions(plane: World, action: Any) -> None:
-    env = RobotEnv("mapping", world=plane)
-    env.reset(seed=0)
-    with pytest.raises(ConfigError, match=r"(actions must be numbers of shape|an action must be finite)"):
-        env.step(action)
-    env.step(np.zeros(2))
-
-
 @pytest.mark.parametrize(
     ("task", "options", "words"),
     [

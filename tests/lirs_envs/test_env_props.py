@@ -65,9 +65,9 @@ def test_props_and_rays_are_options_of_plain_json(plane: World) -> None:
         ({"props": [{"shape": "cone", "size": [1], "place": [0, 0, 0]}]}, "shape of a prop"),
         ({"autoreset_mode": "x"}, "unknown autoreset_mode 'x'; legal: Disabled, NextStep, SameStep"),
         ({"autoreset_mode": 5}, "unknown autoreset_mode '5'; legal"),
-        ({"threads": -1}, "threads must be a whole number from 1 up, got -1"),
-        ({"threads": True}, "threads must be a whole number from 1 up, got True"),
-        ({"max_episode_steps": 0}, "max_episode_steps must be a whole number from 1 up, got 0"),
+        ({"threads": -1}, "threads must be a whole number at least 1, got -1"),
+        ({"threads": True}, "threads must be a whole number at least 1, got True"),
+        ({"max_episode_steps": 0}, "max_episode_steps must be a whole number at least 1, got 0"),
         ({"difficulty": True}, "difficulty of the environment must be within \\[0, 1\\], got True"),
         ({"difficulty": "hard"}, "difficulty of the environment must be within \\[0, 1\\], got 'hard'"),
         ({"kind": "waves"}, "kind is for the traverse task alone, the task is mapping, got kind 'waves'"),
@@ -103,3 +103,5 @@ def test_options_of_reset_and_actions(plane: World) -> None:
     for action in (["0.1", "0.2"], [0.1, [0.2]], [0.1], "ahead", None):
         with pytest.raises(ConfigError, match=r"actions must be numbers of shape \(1, 2\)"):
             one.step(action)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="an action must be finite"):
+        one.step(np.array((np.nan, 0.0), np.float32))

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.robot import Robot, Twist, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import Prop, SimulationConfig, StaticRobot
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World

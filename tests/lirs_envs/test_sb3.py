@@ -14,7 +14,7 @@ from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 from lirs_envs.env import RobotEnv
 from lirs_envs.robots.robot import ROBOTS
-from lirs_envs.sb3 import _adapter, as_vec_env
+from lirs_envs.sb3 import _RobotVecEnv, as_vec_env
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_envs.wrappers import Curriculum
 from lirs_wct.errors import ConfigError
@@ -63,6 +63,10 @@ class VecEnvInterface:
         return self.step_wait()  # type: ignore[attr-defined]
 
 
+class Adapted(_RobotVecEnv, VecEnvInterface):
+    """The adapter on the interface."""
+
+
 def vector(count: int = 3, **options: Any) -> RobotVectorEnv:
     given = {"world": "simple", "time_limit": 0.5, "autoreset_mode": "SameStep"} | options
     return RobotVectorEnv(count, "navigation", threads=1, **given)
@@ -76,7 +80,7 @@ def same(one: Any, two: Any) -> bool:
 
 
 def test_steps_are_those_of_the_vector() -> None:
-    adapted, plain = _adapter(VecEnvInterface)([vector()]), vector()
+    adapted, plain = Adapted([vector()]), vector()
     adapted.seed(5)
     first, (second, infos) = adapted.reset(), plain.reset(seed=5)
     assert first["scan"].tobytes() == second["scan"].tobytes()
@@ -126,7 +130,7 @@ def sync(count: int = 3, wrap: Any = lambda env: env) -> Any:
 )
 @pytest.mark.parametrize("make", [vector, sync])
 def test_wrapped_vectors_and_those_of_single_environments(make: Any, wrap: Any) -> None:
-    adapted, plain = _adapter(VecEnvInterface)([wrap(make())]), _adapter(VecEnvInterface)([vector()])
+    adapted, plain = Adapted([wrap(make())]), Adapted([vector()])
     for one in (adapted, plain):
         one.seed(5)
         one.set_attr("difficulty", 0.2)
@@ -142,7 +146,7 @@ def test_wrapped_vectors_and_those_of_single_environments(make: Any, wrap: Any) 
 
 
 def test_several_vectors_are_one(plane: World) -> None:
-    both = _adapter(VecEnvInterface)([vector(2), vector(3, world=plane)])
+    both = Adapted([vector(2), vector(3, world=plane)])
     alone = vector(2), vector(3, world=plane)
     both.seed(5)
     seen, first, second = both.reset(), *(one.reset(seed=s)[0] for one, s in zip(alone, (5, 7), strict=True))

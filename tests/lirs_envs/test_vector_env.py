@@ -175,7 +175,7 @@ def test_one_that_diverges_is_reset_alone(plane: World) -> None:
 
 
 def test_what_cannot_be(plane: World) -> None:
-    with pytest.raises(ConfigError, match="num_envs must be a whole number from 1 up"):
+    with pytest.raises(ConfigError, match="num_envs must be a whole number at least 1"):
         RobotVectorEnv(0, "mapping", world=plane)
     env = RobotVectorEnv(2, "mapping", world=plane, threads=1)
     with pytest.raises(SimulationError, match="must be reset before"):

@@ -10,11 +10,10 @@ import pytest
 
 from lirs_envs.lidar.obstacle_rays import meet_walkers
 from lirs_envs.lidar.ray_casting import mujoco_hits
-from lirs_envs.props import Prop
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import Prop, SimulationConfig
 from lirs_envs.walkers import (
     GAP,
     HALF_LENGTH,

@@ -1,23 +1,20 @@
 """Wheels collide with what is steeper than their robot climbs, and with nothing else."""
 
 import math
-import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
-from lirs_envs import robot_model as collisions
 from lirs_envs.env import RobotEnv
-from lirs_envs.placement import standing_pose
-from lirs_envs.robot_model import ContactMonitor, RobotModel, compile_contact_state, contact_state
+from lirs_envs.robot_group import SingleBody
+from lirs_envs.robot_model import RobotModel, contact_state
 from lirs_envs.robots.control import make_controllers
 from lirs_envs.robots.robot import ROBOTS, Twist, make_robot
 from lirs_envs.simulation import ROW
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import SimulationConfig, standing_pose
 from lirs_envs.tasks.site import make_site
 from lirs_envs.vector_env import RobotVectorEnv
 from lirs_wct.geometry.pose import Pose2
@@ -92,7 +89,7 @@ def test_ground_that_can_be_driven_is_none(where: str, name: str) -> None:
     driven = 0.0
     for _ in range(5):
         body.settle(standing_pose(world, robot, site.draw_start(rng)))
-        monitor, turn = ContactMonitor(body.contact_drops), rng.uniform(-1, 1)
+        single, turn = SingleBody(robot, body), rng.uniform(-1, 1)
         drive = make_controllers(robot, body.actuators, [body])
         drive.begin(0)
         command = np.array(((robot.max_speed, turn * robot.max_turn_rate, 0.0),))
@@ -104,10 +101,10 @@ def test_ground_that_can_be_driven_is_none(where: str, name: str) -> None:
                 dt = steps * body.timestep
                 drive.update(ROW, command, np.array((body.rates(),)), dt, body.ctrl[None])
                 body.step(steps)
-                monitor.record(body.data, dt)
+                single.add_touching(np.zeros(1, np.bool_), dt)
             here = body.pose()
             driven += math.hypot(here.x - before.x, here.y - before.y)
-        assert monitor.body_contacts == 0
+        assert single.collisions.body_contacts == 0
     assert driven > 3 * robot.max_speed
 
 
@@ -116,32 +113,8 @@ DROPS = np.array((-np.inf, 0.8, np.inf))
 CENTERS = np.array(((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0)))
 
 
-def test_threads_may_compile_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second thread found the compiler disabled by the first one."""
-
-    class Dispatcher:
-        enabled, calls = True, 0
-
-        def compile(self, signature: str) -> None:
-            self.calls += 1
-            time.sleep(0.05 * self.calls)  # as one compiler that all threads wait for
-            if not self.enabled:
-                raise RuntimeError("compilation disabled")
-
-        def disable_compile(self) -> None:
-            self.enabled = False
-
-    compile_contact_state()
-    monkeypatch.setattr(collisions, "contact_state", Dispatcher())
-    collisions._compile_contact_state.cache_clear()
-    with ThreadPoolExecutor(4) as pool:
-        for done in [pool.submit(compile_contact_state) for _ in range(4)]:
-            done.result()
-
-
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_single_contacts_and_several_wait_for_no_compiler(count: int) -> None:
-    compile_contact_state()
     # As MuJoCo has them: every contact is a row of many numbers.
     rows = np.zeros((count, 20))
     rows[:, 0] = -0.001 * np.arange(1, count + 1)

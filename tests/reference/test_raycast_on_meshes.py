@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from lirs_envs.lidar.lidar import BaseVelocity, Lidar
+from lirs_envs.lidar.lidar import Lidar
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.obstacle_rays import GROUND
 from lirs_envs.lidar.presets import LidarPreset
@@ -123,7 +123,7 @@ def test_equals_mujoco_s_mesh_rays() -> None:
 
 @needs_embree
 def test_a_rolling_scan_casts_each_beam_from_its_own_place() -> None:
-    mesh, velocity = cave(), BaseVelocity((2.0, 0.0, 0.0), (0.0, 0.0, 0.5))
+    mesh, velocity = cave(), ((2.0, 0.0, 0.0), (0.0, 0.0, 0.5))
     preset = LidarPreset(name="slow", beams=181, fov=3.0, rate=2.0, range_min=0.0, range_max=25.0)
     rng = np.random.default_rng(0)
     lidar = Lidar(preset, MeshCaster(mesh), Pose3(), rng, LidarNoise(), rolling_scan=True)

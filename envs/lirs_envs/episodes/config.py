@@ -8,11 +8,10 @@ from typing import Any
 
 from lirs_envs.lidar.noise import NoiseLevel
 from lirs_envs.lidar.ray_casting import resolve_rays
-from lirs_envs.props import Prop
-from lirs_envs.robots.robot import Robot, make_robot
-from lirs_envs.sensing.odometry import Method, OdometryConfig
+from lirs_envs.robots.robot import make_robot
+from lirs_envs.sensing.motion import Method, OdometryConfig
 from lirs_envs.sensing.sensors import SensorNoise
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import Prop, SimulationConfig
 from lirs_envs.tasks.task import Rewards
 from lirs_wct import ConfigError, Pose2, World, unknown_name
 from lirs_wct.contact import ContactGeometry
@@ -92,8 +91,11 @@ class EnvConfig(Checked, of="the environment"):
         noise = SensorNoise(
             odometry=OdometryConfig(method=self.odometry), lidar=self.noise, rolling_scan=self.sweep
         )
+        robot = make_robot(self.robot)
+        if robot.flies:  # Speeds that suit worlds of about 50 m, whatever the command.
+            robot = replace(robot, max_speed=3.0, max_acceleration=3.0, max_turn_rate=1.5)
         config = SimulationConfig(
-            robot=_limit_flight(make_robot(self.robot)),
+            robot=robot,
             lidar=self.lidar,
             noise=noise,
             rays=resolve_rays(self.rays),
@@ -122,19 +124,12 @@ class EnvConfig(Checked, of="the environment"):
             return None
         if isinstance(self.randomize, str):
             raise ConfigError(f"randomize must be a list or a mapping of names, got {self.randomize!r}")
-        given: Mapping[str, Any]
-        given = self.randomize if isinstance(self.randomize, Mapping) else dict.fromkeys(self.randomize)
-        found: dict[str, tuple[float, float] | None] = {}
-        for name, factors in given.items():
+        ranges: Mapping[str, Any]
+        ranges = self.randomize if isinstance(self.randomize, Mapping) else dict.fromkeys(self.randomize)
+        for name in ranges:
             if name not in RANDOMIZED:
                 raise unknown_name("name to randomize", name, RANDOMIZED)
-            found[name] = RANDOMIZED[name] if factors is None else _range(name, factors)
-        return found
-
-
-def _limit_flight(robot: Robot) -> Robot:
-    """Return a robot whose speed suits worlds of about 50 m if it flies. The limits apply to all commands."""
-    return replace(robot, max_speed=3.0, max_acceleration=3.0, max_turn_rate=1.5) if robot.flies else robot
+        return {name: RANDOMIZED[name] if r is None else _range(name, r) for name, r in ranges.items()}
 
 
 def _prop(given: Any) -> Prop:

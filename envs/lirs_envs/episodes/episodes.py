@@ -41,9 +41,6 @@ class Episodes:
     """N episodes of one task; array row i is robot i and depends on no other.
 
     Attributes:
-        stage: State on which the task acts.
-        task: The task.
-        observations: Observations that the user chose.
         action_space: Action space of one robot.
         terminated: (N,) whether the last step ended the episode by the task's rules, or by an accident.
         truncated: (N,) whether the time was up.
@@ -51,9 +48,6 @@ class Episodes:
 
     Args:
         task: Name of the task (see `TASKS`).
-        config: Options.
-        count: Number of robots, N.
-        threads: Number of threads.
         kind: Kind of course, for the traverse task only; None = `mixed`.
         max_steps: Number of steps until an episode is truncated; None = by the time limit alone.
     """
@@ -71,11 +65,14 @@ class Episodes:
         _check_task(task, config, kind)
         crossing, robot = task == "traverse", config.simulation.robot
         scale = course_scale(robot)
-        factors = _factors(config, crossing)
-        world = _world(config, crossing, scale)
+        factors = config.factors
+        if factors is None:
+            factors = {"terrain": None} if crossing else {"start": None}
+        if "terrain" in factors and not crossing:
+            raise ConfigError("randomize 'terrain' is for the task to cross generated terrain")
         self.config, self.count = config, count
         self.simulation = Simulation(
-            world,
+            _world(config, crossing, scale),
             replace(config.simulation, height_range=scaled_height_range(*scale) if crossing else None),
             count=count,
             period=1 / config.control_hz,
@@ -144,7 +141,11 @@ class Episodes:
             SimulationError: the given start or goal is impossible, or none could be drawn.
         """
         options, reason = check_options(options), ""
-        self._check_options(i, options)
+        for name in options:
+            if name not in self.task.option_names:
+                raise unknown_name("option of reset", name, self.task.option_names)
+        if "difficulty" in options:
+            self.set_difficulty(i, options["difficulty"])
         self._ready[i] = False
         self._randomization.draw(i, rng)
         seed = int(rng.integers(2**31))
@@ -179,13 +180,6 @@ class Episodes:
         self.observations.begin(i)
         self._ready[i] = True
 
-    def _check_options(self, i: int, options: Mapping[str, Any]) -> None:
-        for name in options:
-            if name not in self.task.option_names:
-                raise unknown_name("option of reset", name, self.task.option_names)
-        if "difficulty" in options:
-            self.set_difficulty(i, options["difficulty"])
-
     def set_difficulty(self, i: int, difficulty: float) -> None:
         """Set the difficulty of the next episodes of robot `i`.
 
@@ -207,7 +201,10 @@ class Episodes:
             SimulationError: an episode has not begun or has ended.
         """
         self._check_ready(ids)
-        taken = self._clip_actions(ids, actions)
+        taken = action_array(actions, (len(ids), *self.action_space.shape))
+        if not np.isfinite(taken).all():
+            raise ConfigError("an action must be finite")
+        taken = np.clip(taken, -1.0, 1.0)
         commands = np.zeros((self.count, 3))
         commands[ids, : taken.shape[1]] = taken * self._scale[: taken.shape[1]]
         self._randomization.disturb(ids)
@@ -268,12 +265,6 @@ class Episodes:
         if over.any():
             reason = self._reasons[int(ids[int(np.argmax(over))])]
             raise SimulationError(f"the episode has ended ({reason}): a reset comes before the next step")
-
-    def _clip_actions(self, ids: IntArray, actions: Any) -> FloatArray:
-        taken = action_array(actions, (len(ids), *self.action_space.shape))
-        if not np.isfinite(taken).all():
-            raise ConfigError("an action must be finite")
-        return np.clip(taken, -1.0, 1.0)
 
     def infos(self) -> dict[str, Any]:
         """Return (N, ...) arrays of the entries of `info`."""
@@ -450,16 +441,7 @@ def _check_task(task: str, config: EnvConfig, kind: str | None) -> None:
         raise ConfigError(f"kind is for the traverse task alone, the task is {task}, got kind {kind!r}")
 
 
-def _factors(config: EnvConfig, crossing: bool) -> Factors:
-    factors: Factors = {"terrain": None} if crossing else {"start": None}
-    factors = factors if config.factors is None else config.factors
-    if "terrain" in factors and not crossing:
-        raise ConfigError("randomize 'terrain' is for the task to cross generated terrain")
-    return factors
-
-
 def _world(config: EnvConfig, crossing: bool, scale: CourseScale) -> World:
     if crossing:
         return generate("waves", 0.0, np.random.default_rng(0), **scale._asdict()).world()
-    world = config.world if isinstance(config.world, World) else cached_world(str(config.world))
-    return world.enclose()
+    return (config.world if isinstance(config.world, World) else cached_world(config.world)).enclose()

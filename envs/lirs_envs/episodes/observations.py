@@ -95,19 +95,19 @@ class Observations:
 
     def read(self, ids: IntArray) -> dict[str, Any]:
         """Return new (n, ...) arrays of the chosen groups."""
-        return {name: self._read_group(name, ids) for name in self.space.spaces}
+        values = {}
+        for name in self.space.spaces:
+            group, memory = GROUPS[name], self._memories.get(name)
+            if group.read is not None:
+                values[name] = group.read(self._stage, self._task, ids)
+            elif memory is not None:
+                values[name] = memory.read(ids) if group.recall is None else group.recall(memory, ids)
+        return values
 
-    def _read_group(self, name: str, ids: IntArray) -> Any:
-        group = GROUPS[name]
-        if group.read is not None:
-            return group.read(self._stage, self._task, ids)
-        memory = self._memories[name]
-        return memory.read(ids) if group.recall is None else group.recall(memory, ids)
 
-
-def _scan_space(stage: Stage) -> spaces.Box:
+def _scan_space(stage: Stage, *steps: int) -> spaces.Box:
     preset = stage.simulation.preset
-    return spaces.Box(0.0, np.float32(preset.range_max), (preset.beams,), np.float32)
+    return spaces.Box(0.0, np.float32(preset.range_max), (*steps, preset.beams), np.float32)
 
 
 def _scan(stage: Stage, task: Task, ids: IntArray) -> Float32Array:
@@ -153,18 +153,11 @@ def scan_history(steps: int) -> Group:
     if not (isinstance(steps, int) and not isinstance(steps, bool) and steps >= 1):
         raise ConfigError(f"a history of scans needs a whole number of steps from 1 up, got {steps!r}")
 
-    def space(stage: Stage) -> spaces.Box:
-        preset = stage.simulation.preset
-        return spaces.Box(0.0, np.float32(preset.range_max), (steps, preset.beams), np.float32)
-
-    return Group(space, memory=partial(ScanHistory, steps=steps))
+    return Group(lambda stage: _scan_space(stage, steps), memory=partial(ScanHistory, steps=steps))
 
 
 def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
-    """Return (n, 36) proximities of scans (n, beams): see `GROUPS`.
-
-    Beams that are not above 0 are left out.
-    """
+    """Return (n, 36) proximities of scans (n, beams) (see `GROUPS`)."""
     proximity = np.empty((len(ranges), SECTORS), np.float32)
     angles = lidar.angle_min + lidar.angle_increment * np.arange(lidar.beams)
     # A beam on the border of two sectors belongs to the left one, whatever the rounding.
@@ -175,9 +168,7 @@ def scan_sectors(ranges: Float32Array, lidar: LidarPreset) -> Float32Array:
 
 @njit
 def _find_proximity(ranges: Float32Array, sector_of: IntArray, range_max: float, out: Float32Array) -> None:
-    """Fill the proximity (n, sectors) of each sector: 1 / (1 + r).
-
-    r is the least range above 0 in the sector, meters.
+    """Fill the proximity (n, sectors) 1 / (1 + r) of each sector, r meters its least range above 0.
 
     1 = none of its beams is above 0, 0 = no beam goes there.
     """
@@ -267,7 +258,7 @@ def _local_heights(
 
 GROUPS: dict[str, Group] = {
     "scan": Group(_scan_space, _scan),
-    "scans": scan_history(SCANS),
+    "scans": Group(lambda stage: _scan_space(stage, SCANS), memory=ScanHistory),
     "sectors": Group(
         lambda stage: spaces.Box(0.0, 1.0, (SECTORS,), np.float32),
         lambda stage, task, ids: scan_sectors(stage.simulation.ranges[ids], stage.simulation.preset),

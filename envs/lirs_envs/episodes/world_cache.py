@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 import tempfile
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 
@@ -48,44 +49,31 @@ def _in_memory(source: str, key: str | None) -> World:
         return World.load(place)
     except SourceError:
         world = build_world(source)
-        _keep(world, place)
-        return world
-
-
-def _keep(world: World, place: Path) -> None:
-    """Save a world completely or not at all; ignore a folder without write access."""
-    try:
+    with suppress(OSError):  # without write access nothing is kept
         place.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=place.parent) as scratch:
             saved = world.save(Path(scratch) / "world")
             if place.exists():
                 shutil.rmtree(place)
             saved.rename(place)
-    except OSError:
-        return
+    return world
 
 
 def content_key(source: str) -> str | None:
-    """Return a digest of a source's bytes and the building program.
-
-    None = the world is not cached.
-    """
+    """Return a digest of a source's bytes and the building program; None = the world is not cached."""
     found = find_source(source, BuildOptions())
     if found.kind is SourceKind.FOLDER:
         return None
     digest = hashlib.sha256(_program_digest())
     digest.update(source.encode() if found.kind is SourceKind.BUNDLED else found.path.name.encode())
-    for file in _files(found.kind, found.path):
-        if not file.is_file():
-            return None
+    files = [] if found.kind is SourceKind.BUNDLED else [found.path]
+    if found.kind is SourceKind.MAP:
+        files.append(read_metadata(found.path).image)
+    if not all(file.is_file() for file in files):
+        return None
+    for file in files:
         digest.update(file.read_bytes())
     return digest.hexdigest()[:32]
-
-
-def _files(kind: SourceKind, path: Path) -> tuple[Path, ...]:
-    if kind is SourceKind.BUNDLED:
-        return ()
-    return (path, read_metadata(path).image) if kind is SourceKind.MAP else (path,)
 
 
 @lru_cache(maxsize=1)

@@ -83,7 +83,12 @@ def arena(name: str, config: ArenaConfig) -> World:
         top[inside & (np.abs(y) < config.corridor_width / 2 + WALL)] = 0.0
         walls = inside & (np.abs(np.abs(y) - config.corridor_width / 2 - WALL / 2) <= WALL / 2)
         top[walls] = WALL_HEIGHT
-    top[_boundary(config, x, y)] = WALL_HEIGHT
+    # The outer wall without the pieces that are left out.
+    standing: BoolArray = np.zeros(PIECES, np.bool_)
+    order = np.random.default_rng((config.seed, 4)).permutation(PIECES)
+    standing[order[: round(config.boundary * PIECES)]] = True
+    piece = np.minimum(((np.arctan2(y, x) + math.pi) / math.tau * PIECES).astype(np.int64), PIECES - 1)
+    top[(np.maximum(np.abs(x), np.abs(y)) > SIDE / 2 - WALL) & standing[piece]] = WALL_HEIGHT
     surface = HeightField.centered((ground + top).astype(np.float32), (CELL, CELL))
     start = Pose2(0.0, 0.0, 0.0)
     return World(name, Terrain(surface), (start,), scale="generated", start=start)
@@ -125,15 +130,3 @@ def _add_obstacles(top: FloatArray, config: ArenaConfig, x: FloatArray, y: Float
         else:
             inside = (np.abs(along) <= sizes[0] / 2) & (np.abs(across) <= sizes[1] / 2)
         top[inside] = config.obstacle_height
-
-
-def _boundary(config: ArenaConfig, x: FloatArray, y: FloatArray) -> BoolArray:
-    """Mark the nodes of the outer wall without the pieces that are left out."""
-    edge = np.maximum(np.abs(x), np.abs(y)) > SIDE / 2 - WALL
-    standing = np.zeros(PIECES, np.bool_)
-    order = np.random.default_rng((config.seed, 4)).permutation(PIECES)
-    standing[order[: round(config.boundary * PIECES)]] = True
-    angle = np.arctan2(y, x)
-    piece = np.minimum(((angle + math.pi) / math.tau * PIECES).astype(np.int64), PIECES - 1)
-    marked: BoolArray = edge & standing[piece]
-    return marked

@@ -53,13 +53,13 @@ def with_rocks(
     """Return heights with rocks on them, as domes with steep sides.
 
     Args:
-        rng: random generator of positions and sizes.
+        rng: Random generator of positions and sizes.
         z: (n, n) heights, meters.
-        count: number of rocks.
-        edge: side of the square, meters.
-        border: width along its sides where no rock has its middle; at least the largest radius, meters.
-        radius: least and largest, meters.
-        height: least and largest, meters.
+        count: Number of rocks.
+        edge: Side of the square, meters.
+        border: Width along its sides where no rock has its middle; at least the largest radius, meters.
+        radius: Least and largest radius, meters.
+        height: Least and largest height, meters.
     """
     low, high = zip((border, edge - border), (border, edge - border), radius, height, strict=True)
     rocks = rng.uniform(low, high, (count, 4))

@@ -17,7 +17,7 @@ import numpy as np
 
 from lirs_envs.generators.natural import NODES, fractal, with_rocks
 from lirs_wct import HeightField, Pose2, World, unknown_name
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, njit
 from lirs_wct.errors import positive, within
 from lirs_wct.ground import Terrain
 
@@ -44,12 +44,7 @@ Room = tuple[int, int]
 
 
 def winding_route(rng: np.random.Generator, sway: float) -> FloatArray:
-    """Return (n, 2) x, y of a smooth way from west to east, meters.
-
-    Args:
-        rng: random generator of its bends.
-        sway: most that it is north or south of the middle line, meters.
-    """
+    """Return (n, 2) x, y of a smooth way from west to east, at most `sway` off the middle line, meters."""
     x = np.linspace(-ENDS, ENDS, round(2 * ENDS / LEG) + 1)
     y = rng.uniform(-sway, sway, len(x))
     for k in range(1, len(x)):
@@ -61,10 +56,7 @@ def winding_route(rng: np.random.Generator, sway: float) -> FloatArray:
 
 
 def distance_to_route(route: FloatArray) -> Float32Array:
-    """Return (n, n) distances in meters from course nodes to a route.
-
-    Row 0 = north; the route is a line of (n, 2) points.
-    """
+    """Return (n, n) distances in meters from nodes, row 0 = north, to a route of (n, 2) points."""
     pixels = np.round(np.column_stack((route[:, 0] + HALF, HALF - route[:, 1])) / CELL).astype(np.int32)
     off_route = np.ones((NODES, NODES), np.uint8)
     cv2.polylines(off_route, [pixels], isClosed=False, color=(0,))
@@ -76,9 +68,9 @@ def maze(rooms: int, open_share: float, rng: np.random.Generator) -> tuple[Float
     """Return maze heights (n, n) in meters and the route (n, 2) through it, x, y.
 
     Args:
-        rooms: along each side.
-        open_share: share of the walls that a perfect maze would have which are left out.
-        rng: random generator of walls, start and goal.
+        rooms: Number of rooms along each side.
+        open_share: Share of a perfect maze's walls that are left out.
+        rng: Random generator of walls, start and goal.
     """
     start, goal = (int(rng.integers(rooms)), 0), (int(rng.integers(rooms)), rooms - 1)
     parent = _spanning_tree(rooms, start, rng)
@@ -171,17 +163,13 @@ def steps(difficulty: float, rng: np.random.Generator) -> Obstacles:
     """Return terraces with upright risers, up and down at random."""
     riser = at_difficulty(difficulty, 0.04, 0.22, 0.34)
     treads = rng.uniform(1.2, 2.2, 30)
-    level = _fold(np.cumsum(rng.choice((-1, 1), 30)), 4)
+    # A walk in steps of one that turns round at -4 and 4.
+    walk = np.cumsum(rng.choice((-1, 1), 30))
+    level = np.abs((walk + 4) % 16 - 8) - 4
     at = np.cumsum(treads) - treads.sum() / 2
     bend = rng.uniform(0.3, 1.0) * np.sin(2 * math.pi * Y / rng.uniform(12, 25) + rng.uniform(0, 2 * math.pi))
     z: FloatArray = np.float64(riser) * level[np.clip(np.searchsorted(at, X + bend) - 1, 0, 29)]
     return z, np.array(cv2.GaussianBlur(z.astype(np.float32), (0, 0), 10), dtype=np.float64)
-
-
-def _fold(level: IntArray, most: int) -> IntArray:
-    """Return a walk in steps of one that turns round at -most and most."""
-    folded: IntArray = most - np.abs((level + most) % (4 * most) - 2 * most)
-    return -folded
 
 
 def stones(difficulty: float, rng: np.random.Generator) -> Obstacles:
@@ -225,9 +213,7 @@ def _dig(
     bowl: FloatArray,
     log_rim: FloatArray,
 ) -> None:
-    """Dig bowls (n, 3), x, y, radius, with rims, at nodes of x and y.
-
-    Where two overlap, the larger counts.
+    """Dig bowls (n, 3), x, y, radius, with rims, at nodes of x and y; where two overlap, the larger counts.
 
     Rims are compared by logarithms: an exponential for each would take most of the time.
     """
@@ -296,7 +282,6 @@ class GeneratedTerrain:
 
     Attributes:
         kind: kind of its obstacles.
-        difficulty: 0 to 1.
         heights: (257, 257) float32 meters, row 0 = north.
         cell: spacing of the nodes, meters; the middle is the world's origin.
         start: pose in the west, facing along the way.
@@ -351,7 +336,9 @@ def generate(
     within("[0, 1]")(difficulty, "difficulty of a terrain")
     positive(scale, "scale of a terrain")
     positive(steepness, "steepness of a terrain")
-    ground = _undulation(at_difficulty(difficulty, 0.05, 0.15, 0.3), rng)
+    # Gently rolling ground around 0.
+    coarse = at_difficulty(difficulty, 0.05, 0.15, 0.3) * (fractal(rng, nodes=COARSE) - 0.5)
+    ground = np.asarray(cv2.resize(coarse, (NODES, NODES), interpolation=cv2.INTER_CUBIC), dtype=np.float64)
     if kind == "mazes":
         rooms, open_share = at_difficulty(difficulty, 5, 7, 9), at_difficulty(difficulty, 0.6, 0.1, 0.0)
         walls, route = maze(round(rooms), open_share, rng)
@@ -359,16 +346,16 @@ def generate(
     else:
         z, route = _crossing(kind, difficulty, rng)
         z = scale * steepness * np.clip(z + ground, *HEIGHT_RANGE)
-    heights = z.astype(np.float32)
-    start, goal = _ends(scale * route)
+    route = scale * route
+    (x0, y0), (x1, y1), (x2, y2), (x3, y3) = route[[0, 1, -2, -1]].tolist()
     return GeneratedTerrain(
         kind=kind,
         difficulty=float(difficulty),
-        heights=heights,
+        heights=z.astype(np.float32),
         cell=scale * CELL,
-        start=start,
-        goal=goal,
-        route=scale * route,
+        start=Pose2(x0, y0, math.atan2(y1 - y0, x1 - x0)),
+        goal=Pose2(x3, y3, math.atan2(y3 - y2, x3 - x2)),
+        route=route,
     )
 
 
@@ -379,34 +366,15 @@ def _crossing(kind: str, difficulty: float, rng: np.random.Generator) -> tuple[F
     half_width = at_difficulty(difficulty, 1.4, 1.1, 0.9)
     share = _smooth_step((distance_to_route(route) - half_width) / SHOULDER)
     z = gentle + share * (obstacles - gentle)
-    for x, y in (route[0], route[-1]):
-        _level(z, float(x), float(y))
-    return z, route
-
-
-def _undulation(relief: float, rng: np.random.Generator) -> FloatArray:
-    """Return (n, n) heights of gently rolling ground around 0, meters."""
-    coarse = relief * (fractal(rng, nodes=COARSE) - 0.5)
-    return np.asarray(cv2.resize(coarse, (NODES, NODES), interpolation=cv2.INTER_CUBIC), dtype=np.float64)
-
-
-def _level(z: FloatArray, x: float, y: float) -> None:
-    """Level the ground around a point, in place."""
     reach = PAD + PAD_SHOULDER
-    cols, rows = nodes_within(x, reach), nodes_within(-y, reach)
-    distance = np.hypot(X[:, cols] - x, Y[rows] - y)
-    part = z[rows, cols]
-    level = part[distance <= PAD].mean()
-    z[rows, cols] = level + _smooth_step((distance - PAD) / PAD_SHOULDER) * (part - level)
+    for x, y in (route[0].tolist(), route[-1].tolist()):
+        cols, rows = nodes_within(x, reach), nodes_within(-y, reach)
+        distance, part = np.hypot(X[:, cols] - x, Y[rows] - y), z[rows, cols]
+        level = part[distance <= PAD].mean()
+        z[rows, cols] = level + _smooth_step((distance - PAD) / PAD_SHOULDER) * (part - level)
+    return z, route
 
 
 def _smooth_step(t: FloatArray | Float32Array) -> FloatArray:
     t = np.clip(np.asarray(t, dtype=np.float64), 0.0, 1.0)
     return t * t * (3 - 2 * t)
-
-
-def _ends(route: FloatArray) -> tuple[Pose2, Pose2]:
-    """Return the poses at both ends of a way, facing along it."""
-    (x0, y0), (x1, y1) = route[0].tolist(), route[1].tolist()
-    (x2, y2), (x3, y3) = route[-2].tolist(), route[-1].tolist()
-    return Pose2(x0, y0, math.atan2(y1 - y0, x1 - x0)), Pose2(x3, y3, math.atan2(y3 - y2, x3 - x2))

@@ -4,32 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.noise import LidarNoise, NoiseParameters, draw_noise, lidar_noise, measure
+from lirs_envs.lidar.noise import LidarNoise, NoiseParameters, lidar_noise, measure
 from lirs_envs.lidar.obstacle_rays import WallCells, intensities
 from lirs_envs.lidar.presets import LidarPreset
 from lirs_envs.lidar.ray_casting import Caster, RayCaster, cast_rays
 from lirs_envs.lidar.terrain_rays import TerrainMipmap
 from lirs_envs.robots.control import BodyState
-from lirs_wct import ConfigError, LaserScan, PointCloud, Pose3, SimulationError
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, njit
+from lirs_wct import LaserScan, PointCloud, Pose3, SimulationError
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, IntArray, Vector3, njit
 
-
-@dataclass(frozen=True, slots=True)
-class BaseVelocity:
-    """Velocity of the base during a rolling scan.
-
-    Attributes:
-        linear: Velocity of base_link along x, y, z of the base, m/s.
-        angular: Rates about x, y, z of the base, rad/s.
-    """
-
-    linear: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    angular: tuple[float, float, float] = (0.0, 0.0, 0.0)
+Velocity = tuple[Vector3, Vector3]
+"""Velocity of base_link along the base's axes, m/s, and its rates about them, rad/s."""
 
 
 class Lidar:
@@ -39,9 +28,7 @@ class Lidar:
         returned: (rings * beams,) mask of the beams of the last sweep with a point in its cloud.
 
     Args:
-        preset: Specification of the device.
         caster: Geometry that the beams hit.
-        T_base_laser: Mount.
         rng: Random generator of the noise.
         noise: Noise of the ranges; None = Gaussian with the preset's deviation.
         rolling_scan: Whether the beams are cast one after the other while the mirror turns, once a period;
@@ -73,10 +60,12 @@ class Lidar:
         self._column = np.tile(np.arange(preset.beams, dtype=np.uint16), preset.rings)
         self._mount = T_base_laser.position
         self._limits, self._noise = (preset.range_min, preset.range_max), self.noise.parameters
+        self._normals = np.zeros(len(self._beams))
+        self._uniforms = np.zeros((len(self._beams) if self.noise.draws_uniform else 0, 2))
         self._horizon = preset.horizon_beams
         self._fan = preset.angle_min, preset.angle_increment, *self._limits
 
-    def scan(self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None) -> LaserScan:
+    def scan(self, T_world_base: Pose3, stamp: float, velocity: Velocity | None = None) -> LaserScan:
         """Return the scan from a pose of the robot, with noise.
 
         Args:
@@ -87,12 +76,12 @@ class Lidar:
         return self.planar_scan(self.ranges(T_world_base, velocity)[self._horizon], stamp)
 
     def sweep(
-        self, T_world_base: Pose3, stamp: float, velocity: BaseVelocity | None = None
+        self, T_world_base: Pose3, stamp: float, velocity: Velocity | None = None
     ) -> tuple[LaserScan, PointCloud]:
         """Return planar scan and cloud of one sweep (see `scan`). The scan is one ring of the cloud."""
         origin, directions = self._rays(T_world_base, velocity)
         exact, reflectances = self.caster.hits(origin, directions, self._limits[1])
-        ranges = self._add_noise(exact)
+        ranges = self._measured(exact)
         met = self.returned = np.isfinite(ranges)
         cloud = PointCloud(
             (ranges[met, None] * self._directions[met]).astype(np.float32),
@@ -110,18 +99,21 @@ class Lidar:
         """Return the scan with ranges (beams,) of the ring nearest the horizon."""
         return LaserScan(ranges, *self._fan, stamp, self.T_base_laser, self.time_increment)
 
-    def ranges(self, T_world_base: Pose3, velocity: BaseVelocity | None = None) -> Float32Array:
+    def ranges(self, T_world_base: Pose3, velocity: Velocity | None = None) -> Float32Array:
         """Return (rings * beams,) ranges of a sweep, ring by ring from below (see `scan`)."""
-        return self._add_noise(self.caster.ranges(*self._rays(T_world_base, velocity), self._limits[1]))
+        origin, directions = self._rays(T_world_base, velocity)
+        return self._measured(self.caster.ranges(origin, directions, self._limits[1]))
 
-    def _add_noise(self, exact: FloatArray) -> Float32Array:
+    def _measured(self, exact: FloatArray) -> Float32Array:
         """Return exact ranges (n,) with noise."""
-        normal, uniform = draw_noise(self.noise, len(exact), self._rng)
+        self._rng.standard_normal(out=self._normals)
+        if self._uniforms.size:
+            self._rng.random(out=self._uniforms)
         ranges = np.empty(len(exact), np.float32)
-        measure(exact, normal, uniform, self._limits, self._noise, ranges)
+        measure(exact, self._normals, self._uniforms, self._limits, self._noise, ranges)
         return ranges
 
-    def _rays(self, T_world_base: Pose3, velocity: BaseVelocity | None) -> tuple[FloatArray, FloatArray]:
+    def _rays(self, T_world_base: Pose3, velocity: Velocity | None) -> tuple[FloatArray, FloatArray]:
         """Return world origins, (3,) or (n, 3), and directions (n, 3) of the beams."""
         T = T_world_base
         if not math.isfinite(T.x + T.y + T.z + T.qw + T.qx + T.qy + T.qz):
@@ -133,7 +125,7 @@ class Lidar:
             return origin[0], directions
         # The rings' beams of one angle have one frame.
         rings, columns = self.preset.rings, self.preset.beams
-        R, p = moved_frames(self._times[:columns], velocity.linear, velocity.angular)
+        R, p = moved_frames(self._times[:columns], *velocity)
         origins = np.tile(p + R @ self._mount, (rings, 1))
         directions = np.einsum("nij,rnj->rni", R, self._beams.reshape(rings, columns, 3)).reshape(-1, 3)
         transform_rays(quaternion, position, origins, directions, origins, directions)
@@ -151,9 +143,6 @@ class Lidars:
         clouds: Last cloud of each robot; None without rings.
 
     Args:
-        preset: Specification of the devices.
-        T_base_laser: Mount.
-        count: Number of robots, N.
         rolling_scan: Whether scans are rolling (see `Lidar`).
     """
 
@@ -179,46 +168,34 @@ class Lidars:
     def scan(
         self, rows: IntArray, T_world_base: FloatArray, bodies: Sequence[BodyState], stamp: FloatArray
     ) -> None:
-        """Scan from the poses of robots `rows`.
-
-        Args:
-            rows: Indices of the robots.
-            T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of the poses.
-            bodies: State of each robot; read for rolling scans only.
-            stamp: (N,) seconds.
-        """
+        """Scan from the poses (N, 7), x, y, z, qw, qx, qy, qz, of robots `rows` at stamps (N,), seconds."""
         together: dict[RayCaster, list[int]] = {}
         joins = len(self.ranges) > 1 and self._planar and not self._rolling
         for i in rows.tolist():
             lidar = self.lidars[i]
             if joins and isinstance(lidar.caster, RayCaster):
                 together.setdefault(lidar.caster, []).append(i)
+                self._rngs[i].standard_normal(out=self._normals[i])
+                if self._uniforms.size:
+                    self._rngs[i].random(out=self._uniforms[i])
                 continue
             body, T = bodies[i], Pose3(*T_world_base[i].tolist())
-            velocity = BaseVelocity(body.velocity(), body.rates()) if self._rolling else None
+            velocity = (body.velocity(), body.rates()) if self._rolling else None
             if self._planar:
                 self.ranges[i] = lidar.ranges(T, velocity)
             else:
                 planar, self.clouds[i] = lidar.sweep(T, float(stamp[i]), velocity)
                 self.ranges[i] = planar.ranges
         for caster, group in together.items():
-            self._scan_together(caster, np.array(group), T_world_base)
-
-    def _scan_together(self, caster: RayCaster, rows: IntArray, T_world_base: FloatArray) -> None:
-        for i in rows.tolist():
-            rng = self._rngs[i]
-            rng.standard_normal(out=self._normals[i])
-            if self._uniforms.size:
-                rng.random(out=self._uniforms[i])
-        _scan_rows(
-            rows,
-            T_world_base,
-            self._fan,
-            (caster.terrain, caster.walls),
-            (self._normals, self._uniforms, self._parameters),
-            (self._preset.range_min, self._preset.range_max),
-            self.ranges,
-        )
+            _scan_rows(
+                np.array(group),
+                T_world_base,
+                self._fan,
+                (caster.terrain, caster.walls),
+                (self._normals, self._uniforms, self._parameters),
+                (self._preset.range_min, self._preset.range_max),
+                self.ranges,
+            )
 
     def reading(self, i: int, stamp: float) -> LaserScan:
         """Return the last planar scan of lidar `i`."""
@@ -259,12 +236,6 @@ def moved_frames(times: ArrayLike, velocity: ArrayLike, rates: ArrayLike) -> tup
         rates: (3,) constant rates about the frame's own axes, rad/s.
     """
     t, v, w = (np.asarray(a, dtype=np.float64) for a in (times, velocity, rates))
-    if t.ndim != 1 or v.shape != (3,) or w.shape != (3,):
-        raise ConfigError(
-            f"a motion needs times (n,), velocity (3,), rates (3,), got {t.shape, v.shape, w.shape}"
-        )
-    if not (np.isfinite(v).all() and np.isfinite(w).all()):
-        raise ConfigError(f"velocity and rates of a motion must be finite, got {v} and {w}")
     rate = float(np.linalg.norm(w))
     if rate < 1e-9:
         return np.broadcast_to(np.eye(3), (len(t), 3, 3)), t[:, None] * v

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import astuple, dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from lirs_wct.arrays import Float32Array, FloatArray, njit
 from lirs_wct.errors import Checked, limited, unknown_name
 
 NoiseLevel = Literal["none", "simulated", "datasheet"]
-LEVELS = ("none", "simulated", "datasheet")
+LEVELS: tuple[NoiseLevel, ...] = get_args(NoiseLevel)
 
 
 class NoiseParameters(NamedTuple):
@@ -79,7 +79,7 @@ def lidar_noise(preset: LidarPreset, level: NoiseLevel = "simulated") -> LidarNo
     """Return the noise of a preset.
 
     Args:
-        preset: the device.
+        preset: Specification of the device.
         level: `none`; `simulated` = Gaussian with the preset's own deviation, as simulators have it;
             `datasheet` = all that the device is known for. A preset of the user's has no data sheet: there
             it is `simulated`.
@@ -96,10 +96,7 @@ NO_DRAWS: FloatArray = np.empty((0, 2))
 
 
 def draw_noise(noise: LidarNoise, beams: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Return (n,) normal and (n, 2) uniform random numbers for one scan.
-
-    Without dropout and mixed pixels, the uniform array is (0, 2).
-    """
+    """Return (n,) normal and (n, 2) uniform random numbers; without dropout and mixed pixels (0, 2)."""
     normal = rng.standard_normal(beams)
     return normal, rng.random((beams, 2)) if noise.draws_uniform else NO_DRAWS
 
@@ -113,10 +110,7 @@ def measure(
     parameters: NoiseParameters,
     ranges: Float32Array,
 ) -> None:
-    """Fill `ranges` (n,) with measured ranges, meters.
-
-    +inf = nothing in range, -inf = too near, NaN = lost (REP 117).
-    """
+    """Fill `ranges` (n,), meters: +inf = nothing in range, -inf = too near, NaN = lost (REP 117)."""
     range_min, range_max = limits
     sigma, sigma_relative, quantization, dropout, mixed_pixels, edge_threshold = parameters
     for k in range(len(exact)):

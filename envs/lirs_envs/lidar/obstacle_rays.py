@@ -38,11 +38,12 @@ class WallCells(NamedTuple):
     hole: BoolArray
 
 
-def build_wall_cells(walls: WallGrid | None) -> WallCells:
+NO_WALLS = WallCells(np.zeros((0, 0), np.uint8), np.zeros(6), np.zeros((0, 0), np.bool_))
+
+
+def build_wall_cells(walls: WallGrid) -> WallCells:
     """Build the distances to the walls; none when there is no wall cell."""
-    distance, hole = np.zeros((0, 0), np.uint8), np.zeros((0, 0), np.bool_)
-    if walls is None:
-        return WallCells(distance, np.zeros(6), hole)
+    distance, _, hole = NO_WALLS
     if walls.solid.any():
         cells = cv2.distanceTransform((~walls.solid).astype(np.uint8), cv2.DIST_C, 3)
         distance = np.minimum(cells, 255).astype(np.uint8)
@@ -57,9 +58,7 @@ def build_wall_cells(walls: WallGrid | None) -> WallCells:
 def wall_ranges(
     walls: WallCells, origins: FloatArray, directions: FloatArray, max_range: float, ranges: FloatArray
 ) -> None:
-    """Fill `ranges` (n,) with the distance to the first wall cell on each ray.
-
-    inf = no hit within `max_range`.
+    """Fill `ranges` (n,) with the distance to the first wall cell on each ray; inf = none within `max_range`.
 
     All rays start at one origin (1, 3), or each at its own (n, 3).
     """
@@ -145,16 +144,10 @@ def meet_walkers(
     nearest: FloatArray,
     met: BoolArray,
 ) -> None:
-    """Fill `nearest` with the nearer of `ranges` and walkers, `met` with walker hits.
+    """Fill `nearest` (n,) with the nearer of `ranges` (n,) and walkers (m, 3), `met` (n,) with walker hits.
 
-    Args:
-        centers: (m, 3) middles of the walkers.
-        origins: (1, 3) of all rays, or (n, 3) of each.
-        directions: (n, 3) unit vectors.
-        max_range: meters.
-        ranges: (n,) to all else, perhaps to the walkers as well; inf where nothing is within `max_range`.
-        nearest: (n,).
-        met: (n,).
+    All rays start at one origin (1, 3), or each at its own (n, 3). The ranges may already be those to the
+    walkers.
     """
     nearest[:] = np.inf
     if len(origins) == 1:

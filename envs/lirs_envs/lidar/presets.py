@@ -19,7 +19,6 @@ class LidarPreset:
     as ROS `velodyne_laserscan` takes it.
 
     Attributes:
-        name: how users call it.
         beams: number of beams in a ring; a planar lidar is one ring.
         fov: angle from the first beam to the last, radians; for a full circle the last beam is one
             increment short of the first.
@@ -132,14 +131,13 @@ def _preset(
     sigma: float = 0.0,
     sigma_relative: float = 0.0,
 ) -> LidarPreset:
-    low, high = limits
     return LidarPreset(
         name=name,
         beams=beams,
         fov=math.radians(fov),
         rate=rate,
-        range_min=low,
-        range_max=high,
+        range_min=limits[0],
+        range_max=limits[1],
         sigma=sigma,
         sigma_relative=sigma_relative,
     )

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 
 from lirs_envs.lidar.obstacle_rays import (
     GROUND,
+    NO_WALLS,
     PROP,
     WALKER,
     WALL,
@@ -44,8 +45,7 @@ from lirs_envs.lidar.obstacle_rays import (
     world_reflectances,
 )
 from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, terrain_ranges
-from lirs_envs.props import PROP_GROUP
-from lirs_envs.walkers import WALKER_GROUP, Walkers
+from lirs_envs.walkers import PROP_GROUP, WALKER_GROUP, Walkers
 from lirs_wct import ConfigError, HeightField, TriangleMesh, WallGrid, World, unknown_name
 from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, njit
 from lirs_wct.contact.spec import RAY_GROUP, TERRAIN_GROUP
@@ -64,12 +64,9 @@ class Caster(ABC):
         """Return ranges (n,) as `ranges` does, and (n,) reflectivities times cosines of the incidence."""
 
     def ranges(self, origins: FloatArray, directions: FloatArray, max_range: float) -> FloatArray:
-        """Return (n,) meters along unit directions; inf where nothing is within `max_range`.
+        """Return (n,) meters along unit directions (n, 3); inf where nothing is within `max_range`.
 
-        Args:
-            origins: (3,) start of all rays, or (n, 3) of each; world frame, meters, finite.
-            directions: (n, 3) unit vectors, world frame, contiguous.
-            max_range: meters.
+        The origin is (3,) of all rays, or (n, 3) of each; world frame, meters, finite.
         """
         return self.hits(origins, directions, max_range)[0]
 
@@ -149,9 +146,7 @@ def _refine(
 
 @njit(forceinline=True)
 def _plane_range(vertices: FloatArray, face: Int32Array, o: FloatArray, d: FloatArray) -> float:
-    """Return the distance along a ray to a triangle's plane.
-
-    It is limited to the distances of the corners along the ray.
+    """Return the distance along a ray to a triangle's plane, within those of the corners along the ray.
 
     A ray that grazes the plane meets it anywhere.
     """
@@ -174,19 +169,16 @@ class RayCaster(Caster):
 
     def __init__(self, surface: HeightField, walls: WallGrid | None = None) -> None:
         self.terrain: TerrainMipmap = build_terrain_mipmap(surface)
-        self.walls: WallCells = build_wall_cells(walls)
+        self.walls = NO_WALLS if walls is None else build_wall_cells(walls)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> RayCaster:
         """Return the caster itself: it is a value, and copies of a simulation share it."""
         return self
 
     def cast(self, origin: ArrayLike, directions: ArrayLike, max_range: float = math.inf) -> FloatArray:
-        """Return (n,) ranges in meters along unit directions; inf where nothing is within `max_range`.
+        """Return (n,) ranges in meters along unit directions (n, 3); inf where nothing is within `max_range`.
 
-        Args:
-            origin: (3,) start of all rays, or (n, 3) of each; world frame, meters.
-            directions: (n, 3) unit vectors, world frame.
-            max_range: meters.
+        The origin is (3,) of all rays, or (n, 3) of each; world frame, meters.
 
         Raises:
             ConfigError: an array has the wrong shape or a value that is not finite.
@@ -224,9 +216,7 @@ def cast_rays(
     max_range: float,
     ranges: FloatArray,
 ) -> None:
-    """Fill `ranges` (n,) with the distance to the nearest wall or triangle.
-
-    inf = no hit within `max_range`.
+    """Fill `ranges` (n,) with the distance to the nearest wall or triangle; inf = none within `max_range`.
 
     All rays start at one origin (1, 3), or each at its own (n, 3).
     """
@@ -248,18 +238,10 @@ def mujoco_hits(
     *,
     groups: Collection[int] = (0, 1, 2),
 ) -> tuple[FloatArray, Int32Array, FloatArray]:
-    """Return ranges (n,), geoms (n,) and normals (n, 3) of hits on MuJoCo's geoms, such as props.
+    """Return ranges (n,), geoms (n,) and normals (n, 3) of hits on MuJoCo's geoms of some groups.
 
-    Args:
-        model: the compiled model.
-        data: State of the model, after `mj_forward` or a step.
-        origin: (3,) start of all rays, or (n, 3) of each; world frame, meters.
-        directions: (n, 3) unit vectors, world frame.
-        max_range: meters; farther hits have range inf, rays without a hit also geom -1.
-        groups: geom groups (0 to 5) that rays meet.
-
-    Raises:
-        ConfigError: a group is not 0 to 5, or an array has the wrong shape.
+    The data are those after `mj_forward` or a step, origin and directions those of `RayCaster.cast`. Hits
+    beyond `max_range` have range inf, rays without a hit also geom -1.
     """
     if not set(groups) <= set(range(mujoco.mjNGROUP)):
         raise ConfigError(f"geom groups must be 0 to {mujoco.mjNGROUP - 1}, got {sorted(groups)}")
@@ -341,12 +323,9 @@ class NearestCaster(Caster):
     ) -> tuple[FloatArray, FloatArray]:
         """Return ranges and reflectances (see `Caster`)."""
         rays = (origins, directions, max_range)
-        (first, reflected_first), (second, reflected_second) = (
-            self._first.hits(*rays),
-            self._second.hits(*rays),
-        )
-        nearer = first <= second
-        return np.where(nearer, first, second), np.where(nearer, reflected_first, reflected_second)
+        first, second = self._first.hits(*rays), self._second.hits(*rays)
+        nearer = first[0] <= second[0]
+        return np.where(nearer, first[0], second[0]), np.where(nearer, first[1], second[1])
 
 
 class WalkerCaster(Caster):
@@ -357,7 +336,6 @@ class WalkerCaster(Caster):
 
     Args:
         caster: caster of everything else; with MuJoCo's rays, of the walkers too.
-        walkers: walkers that rays can hit.
         builtin: whether the builtin rays meet the walkers.
     """
 
@@ -398,25 +376,14 @@ def make_caster(
 ) -> Caster:
     """Return the caster of a world with its props and walkers, without the robot.
 
-    Args:
-        world: ground and walls.
-        rays: ray caster, `builtin` or `mujoco`.
-        props: whether the data's model has props.
-        data: MuJoCo's, for props and for its own rays.
-        walkers: walkers that rays can hit; None = none.
+    MuJoCo's data serve props and its own rays.
     """
-    if walkers is not None:
-        groups = (WALKER_GROUP,) if rays == "mujoco" else ()
-        return WalkerCaster(_still_caster(world, rays, props, data, groups), walkers, builtin=not groups)
-    return _still_caster(world, rays, props, data)
-
-
-def _still_caster(
-    world: World, rays: Rays, props: bool, data: mujoco.MjData, groups: tuple[int, ...] = ()
-) -> Caster:
-    groups = (*groups, PROP_GROUP) if props else groups
+    caster: Caster
+    groups = (PROP_GROUP,) if props else ()
     if rays == "mujoco":
         ground = RAY_GROUP if world.overhangs else TERRAIN_GROUP
-        return GeomCaster(data, (*groups, ground))
-    caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
-    return NearestCaster(caster, GeomCaster(data, groups)) if groups else caster
+        caster = GeomCaster(data, (*groups, ground) if walkers is None else (WALKER_GROUP, *groups, ground))
+    else:
+        caster = MeshCaster(world.mesh) if world.overhangs else RayCaster(world.surface, world.walls)
+        caster = NearestCaster(caster, GeomCaster(data, groups)) if groups else caster
+    return caster if walkers is None else WalkerCaster(caster, walkers, builtin=rays == "builtin")

@@ -28,14 +28,13 @@ from lirs_envs.lidar.noise import (
 from lirs_envs.lidar.presets import LidarPreset, make_lidar_preset
 from lirs_envs.lidar.terrain_rays import TerrainMipmap, build_terrain_mipmap, side_ranges, terrain_ranges
 from lirs_wct import ConfigError, HeightField, SimulationError, unknown_name
-from lirs_wct.arrays import BoolArray, FloatArray, Int32Array, IntArray, njit
+from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 
 
 class FieldGeom(NamedTuple):
     """Height field geom of a model.
 
     Attributes:
-        geom: id of the geom.
         terrain: Field in the geom's frame; heights in units of `elevation`, in which MuJoCo stores them.
         elevation: meters a unit of height.
         base: height of the bottom, in units of `elevation`.
@@ -86,17 +85,28 @@ class TerrainLidar:
     ) -> None:
         preset = make_lidar_preset(pattern) if isinstance(pattern, str) else None
         self._beams = _unit_vectors(pattern if preset is None else preset.all_directions)
-        self._limits = _limits(preset, range_min, range_max)
+        low, high = (0.0, math.inf) if preset is None else (preset.range_min, preset.range_max)
+        self._limits = (low if range_min is None else range_min), (high if range_max is None else range_max)
+        if not 0 <= self._limits[0] < self._limits[1]:
+            raise ConfigError(
+                "range_min must be at least 0 and below range_max, got {:g} and {:g} m".format(*self._limits)
+            )
         self._noise, self._rng = _noise(noise, preset), rng
         self._parameters, self._exact = self._noise.parameters, np.zeros(len(self._beams))
         if rng is None and self._noise != LidarNoise():
             raise ConfigError(f"noise {noise!r} needs rng, such as numpy.random.default_rng(0)")
         self._site = _find_site(model, site)
-        self._groups = _group_mask(groups)
+        if not set(groups) <= set(range(mujoco.mjNGROUP)):
+            raise ConfigError(f"geom groups must be 0 to {mujoco.mjNGROUP - 1}, got {sorted(groups)}")
+        self._groups = np.array([group in groups for group in range(mujoco.mjNGROUP)], np.uint8)
         seen = _seen_geoms(model, _excluded_bodies(model, self._site, exclude), self._groups)
         fields = (model.geom_type == mujoco.mjtGeom.mjGEOM_HFIELD) & seen
         self._fields = [_field_geom(model, int(geom)) for geom in np.flatnonzero(fields)]
-        self._model = _hide_geoms(model, fields | ~seen)
+        self._model = model.__copy__()
+        self._model.geom_matid[fields | ~seen] = -1
+        self._model.geom_rgba[fields | ~seen, 3] = 0
+        # Rays would mark the boxes that they meet in the user's data, for drawing.
+        self._model.vis.global_.bvactive = 0
 
     def trace(self, data: mujoco.MjData | Sequence[mujoco.MjData]) -> FloatArray:
         """Return ranges (n,) in meters along the pattern's beams, or (m, n) of m states.
@@ -139,7 +149,7 @@ class TerrainLidar:
         rays = origin, directions.reshape(-1), self._groups
         cutoff = min(limit, mujoco.mjMAXVAL)
         mujoco.mj_multiRay(self._model, data, *rays, True, -1, geoms, ranges, None, n, cutoff)
-        _mark_misses(geoms, ranges)
+        ranges[geoms < 0] = np.inf
         for field in self._fields:
             geom, *solid = field
             pose = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
@@ -164,14 +174,6 @@ def _turn_beams(beams: FloatArray, rotation: FloatArray, directions: FloatArray)
         directions[k, 0] = a * x + b * y + c * z
         directions[k, 1] = d * x + e * y + f * z
         directions[k, 2] = g * x + h * y + i * z
-
-
-@njit
-def _mark_misses(geoms: Int32Array, ranges: FloatArray) -> None:
-    """Set ranges (n,) of rays that met no geom to inf."""
-    for k in range(len(geoms)):
-        if geoms[k] < 0:
-            ranges[k] = np.inf
 
 
 @njit
@@ -214,15 +216,6 @@ def _unit_vectors(pattern: ArrayLike) -> FloatArray:
         raise ConfigError(f"beams of a pattern must have length 1, got {worst:g}")
     unit: FloatArray = beams / lengths[:, None]
     return unit
-
-
-def _limits(preset: LidarPreset | None, least: float | None, most: float | None) -> tuple[float, float]:
-    """Return the smallest and the largest range, meters."""
-    low, high = (0.0, math.inf) if preset is None else (preset.range_min, preset.range_max)
-    low, high = low if least is None else float(least), high if most is None else float(most)
-    if not 0 <= low < high:
-        raise ConfigError(f"range_min must be at least 0 and below range_max, got {low:g} and {high:g} m")
-    return low, high
 
 
 def _noise(name: str, preset: LidarPreset | None) -> LidarNoise:
@@ -274,13 +267,6 @@ def _excluded_bodies(
     return np.flatnonzero(found)
 
 
-def _group_mask(groups: Collection[int]) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-    """Return (6,) which geom groups beams meet."""
-    if not set(groups) <= set(range(mujoco.mjNGROUP)):
-        raise ConfigError(f"geom groups must be 0 to {mujoco.mjNGROUP - 1}, got {sorted(groups)}")
-    return np.array([group in groups for group in range(mujoco.mjNGROUP)], np.uint8)
-
-
 def _seen_geoms(model: mujoco.MjModel, excluded: IntArray, groups: np.ndarray) -> BoolArray:
     """Return (ngeom,) geoms that beams meet, by MuJoCo's rules: transparent ones are invisible."""
     opacity = model.geom_rgba[:, 3].copy()
@@ -300,13 +286,3 @@ def _field_geom(model: mujoco.MjModel, geom: int) -> FieldGeom:
     heights = model.hfield_data[begin : begin + rows * cols].reshape(rows, cols)[::-1].copy()
     surface = HeightField(heights, (2 * x / (cols - 1), 2 * y / (rows - 1)), (-x, -y))
     return FieldGeom(geom, build_terrain_mipmap(surface), elevation, -base / elevation)
-
-
-def _hide_geoms(model: mujoco.MjModel, hidden: BoolArray) -> mujoco.MjModel:
-    """Return a copy of a model in which rays pass through some geoms (ngeom,)."""
-    copied: mujoco.MjModel = model.__copy__()
-    copied.geom_matid[hidden] = -1
-    copied.geom_rgba[hidden, 3] = 0
-    # Rays would mark the boxes that they meet in the user's data, for drawing.
-    copied.vis.global_.bvactive = 0
-    return copied

@@ -128,15 +128,9 @@ CLEARANCE = 1e-6
 def safe_distance(
     terrain: TerrainMipmap, start: tuple[float, float, float], directions: FloatArray, max_range: float
 ) -> float:
-    """Return a distance without ground hits for all beams of a bundle, meters.
+    """Return a distance, at most `max_range`, without ground hits for all beams (n, 3) of a bundle, meters.
 
-    It is at most `max_range`.
-
-    Args:
-        terrain: height field below the bundle.
-        start: u, v, w: in cells from the south-west node, over the field, and meters up.
-        directions: (n, 3) unit vectors.
-        max_range: meters.
+    The start is u, v, w: in cells from the south-west node, over the field, and meters up.
     """
     (u, v, w), (nx, ny) = start, terrain.cells
     per_x, per_y = 1.0 / terrain.frame[2], 1.0 / terrain.frame[3]
@@ -424,15 +418,9 @@ def side_ranges(
     max_range: float,
     ranges: FloatArray,
 ) -> None:
-    """Shorten `ranges` (n,) to the side walls and the bottom of a solid height field.
+    """Shorten `ranges` (n,) of rays from one origin to the side walls and the bottom of a solid height field.
 
-    Args:
-        terrain: height field.
-        base: height of the bottom, meters, below all nodes.
-        origin: (3,) start of all rays.
-        directions: (n, 3) unit vectors.
-        max_range: meters.
-        ranges: (n,) meters.
+    The bottom is at height `base`, below all nodes.
     """
     frame, cells = terrain.frame, terrain.cells
     size = (cells[0] * frame[2], cells[1] * frame[3])

@@ -16,7 +16,6 @@ import math
 import tomllib
 from dataclasses import dataclass, field
 from importlib.resources import files
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -97,9 +96,11 @@ class Robot:
 
     def _repr_html_(self) -> str:
         x, y, z = self.T_base_laser.position
+        count = len(self.left_wheels) + len(self.right_wheels)
+        wheels = f"{count} driven wheels, radius {self.wheel_radius:g} m, track {self.track:g} m"
         rows = [
             ("robot", self.name),
-            ("moves by", f"{len(self.rotors)} rotors" if self.flies else _wheels(self)),
+            ("moves by", f"{len(self.rotors)} rotors" if self.flies else wheels),
             ("radius", f"{self.radius:g} m"),
             ("top speed", f"{self.max_speed:g} m/s"),
             ("top turn rate", f"{self.max_turn_rate:g} rad/s"),
@@ -130,11 +131,6 @@ class Robot:
         return 1 + (self.wheelbase / self.track) ** 2 if self.wheelbase else 1.0
 
 
-def _wheels(robot: Robot) -> str:
-    count = len(robot.left_wheels) + len(robot.right_wheels)
-    return f"{count} driven wheels, radius {robot.wheel_radius:g} m, track {robot.track:g} m"
-
-
 @dataclass(frozen=True, slots=True)
 class Twist:
     """Commanded velocity of the base.
@@ -158,18 +154,6 @@ class Waypoint:
     y: float
     z: float
     yaw: float = 0.0
-
-
-def check_command(robot: Robot, command: object) -> None:
-    """Check a command."""
-    if isinstance(command, Waypoint) and not robot.flies:
-        raise ConfigError(f"{robot.name} drives: it takes a Twist, got {command}")
-    if not isinstance(command, Twist | Waypoint):
-        raise ConfigError(f"a command must be a Twist or a Waypoint, got {command!r}")
-    c = command
-    numbers: list[object] = [c.v, c.omega, c.climb] if isinstance(c, Twist) else [c.x, c.y, c.z, c.yaw]
-    if not all(isinstance(n, Real) and math.isfinite(n) for n in numbers):
-        raise ConfigError(f"a command must be finite, got {command}")
 
 
 def clip(value: float, limit: float) -> float:

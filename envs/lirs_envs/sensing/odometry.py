@@ -1,81 +1,36 @@
-"""Dead reckoning from wheels and gyro, or from optical flow and gyro. The Kalman filter is in `ekf`."""
+"""Odometry of single robots: optical flow and gyro, or a Kalman filter over wheels and gyro.
+
+The state of the filter is (x, y, yaw, bias of the gyro, scale error of the wheels). Between two readings the
+measured short increments are summed. The filter takes the sum as one motion (its control), corrected by its
+estimates of bias and scale. This is table 7.2 of Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, with
+the two errors as further states. Wheels that measure the turn also make the bias observable.
+
+A skid-steered robot that turns on a slope slides down it. Dry friction opposes the direction of the slip.
+Wheels that already slip at speed s therefore react to a small side load like a damper, with mu m g / (2 s) on
+average over the directions of the slip. The pull m g sin(slope) balances it at 2 s sin(slope) / mu.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal, get_args
 
 import numpy as np
 
-from lirs_envs.robots.control import WheelJoints, mean_angle
-from lirs_wct import Pose2, Pose3
-from lirs_wct.arrays import FloatArray, IntArray, Vector3, njit
-from lirs_wct.errors import Checked, check_field, limited, one_of
-
-Method = Literal["gyro", "ekf"]
-METHODS: tuple[Method, ...] = get_args(Method)
-BLOCK = 256
-"""Number of random numbers drawn at once: a single draw would cost as much as the rest of the update."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class OdometryConfig(Checked, of="the odometry"):
-    """Noise and method of odometry; slip comes from the simulation and adds to the noise.
-
-    Attributes:
-        scale_sigma: Standard deviation of the distance's scale error, which varies while the robot drives.
-        scale_length: Correlation length of the scale error, meters (first-order Gauss-Markov process).
-        scale_bias: Constant scale error of the distance, as of a wrong wheel radius.
-        method: `gyro` = distance from the wheels, heading from the gyro; `ekf` = a Kalman filter over both,
-            which estimates the gyro's bias where the wheels measure the turn (at rest, or with one axle).
-    """
-
-    scale_sigma: float = limited(0.02, "[0, 1)")
-    scale_length: float = limited(5.0, "(0, inf)", "m")
-    scale_bias: float = limited(0.0, "(-1, 1)")
-    method: Method = check_field(one_of(METHODS), default="gyro")
-
-
-class DistanceNoises:
-    """Scale errors of the distances of N robots: first-order Gauss-Markov processes over the distance driven.
-
-    Attributes:
-        scale: (N,) present scale error.
-        slip: (N,) share by which distances are too long on top of it.
-        normals: (N, n) coming normal numbers.
-        used: (N,) number of used normal numbers.
-        parameters: Standard deviation, correlation length, meters, and constant error.
-
-    Args:
-        config: Noise.
-        count: Number of robots, N.
-        updates: Largest number of distances between two calls of `draw`.
-    """
-
-    def __init__(self, config: OdometryConfig, count: int, updates: int = 1) -> None:
-        self.parameters = (float(config.scale_sigma), float(config.scale_length), float(config.scale_bias))
-        self._rngs = [np.random.default_rng(0) for _ in range(count)]
-        self.normals = np.zeros((count, BLOCK + updates))
-        self.used = np.full(count, BLOCK + updates)
-        self.scale, self.slip = np.zeros(count), np.zeros(count)
-
-    def begin(self, i: int, rng: np.random.Generator) -> None:
-        """Draw a new scale error of robot `i` from its random stream."""
-        self._rngs[i], self.used[i], self.slip[i] = rng, self.normals.shape[1], 0.0
-        self.draw(np.array((i,)), 1)
-        self.scale[i], self.used[i] = self.parameters[0] * self.normals[i, self.used[i]], self.used[i] + 1
-
-    def draw(self, ids: IntArray, updates: int) -> None:
-        """Draw the next normal numbers where fewer than `updates` are left."""
-        end = self.normals.shape[1]
-        for i in ids[self.used[ids] > end - updates].tolist():
-            normals, used = self.normals[i], self.used[i]
-            normals[used - BLOCK : end - BLOCK] = normals[used:].copy()
-            self._rngs[i].standard_normal(out=normals[end - BLOCK :])
-            self.used[i] -= BLOCK
+from lirs_envs.robots.control import BodyState
+from lirs_envs.robots.robot import Robot
+from lirs_envs.sensing.motion import (
+    DistanceNoises,
+    ImuConfig,
+    OdometryConfig,
+    integrated_pose,
+    measured_distance,
+    yaw_rate,
+)
+from lirs_wct import ConfigError, Pose2, Pose3
+from lirs_wct.arrays import FloatArray, IntArray, Vector3
+from lirs_wct.errors import Checked, limited
 
 
 class DistanceNoise(DistanceNoises):
@@ -92,119 +47,6 @@ class DistanceNoise(DistanceNoises):
         turned = distance * (1.0 + float(self.slip[0]))
         meters: float = measured_distance(self.scale, self.normals[0], self.used, turned, self.parameters)
         return meters
-
-
-@njit
-def measured_distance(
-    scale: FloatArray,
-    normals: FloatArray,
-    used: IntArray,
-    distance: float,
-    parameters: tuple[float, float, float],
-) -> float:
-    """Return a measured distance, meters, with the next normal number; `scale` and `used` are (1,)."""
-    sigma, length, constant = parameters
-    keep = math.exp(-abs(distance) / length)
-    scale[0] = keep * scale[0] + sigma * math.sqrt(1 - keep * keep) * normals[used[0]]
-    used[0] += 1
-    meters: float = distance * (1 + constant + scale[0])
-    return meters
-
-
-@njit
-def yaw_rate(rates: Vector3, roll: float, pitch: float) -> float:
-    """Return the yaw rate (R = Rz Ry Rx) from rates about the base's axes, rad/s."""
-    rate: float = (rates[1] * math.sin(roll) + rates[2] * math.cos(roll)) / max(math.cos(pitch), 0.1)
-    return rate
-
-
-@njit
-def integrated_pose(pose: Vector3, forward: float, turn: float) -> Vector3:
-    """Return x, y, yaw after a short motion along an arc.
-
-    The motion is meters forward while turning by radians, less than a full turn.
-
-    An angle less 2 pi is exact in the range of one full turn, as the remainder is.
-    """
-    x, y, yaw = pose
-    middle = yaw + turn / 2
-    yaw += turn
-    if yaw > math.pi:
-        yaw -= math.tau
-    elif yaw <= -math.pi:
-        yaw += math.tau
-    return x + forward * math.cos(middle), y + forward * math.sin(middle), yaw
-
-
-class WheelOdometries:
-    """Odometry `T_odom_base` of N robots that drive: distance from the wheels, heading from the gyro.
-
-    The yaw of skid-steered wheels is useless (they slip by design), which is why robots of this kind fuse the
-    gyro; its noise and bias are the IMU's. The distance is projected into the plane by the IMU's attitude.
-
-    Attributes:
-        pose: (N, 3) x, y, yaw, meters and radians.
-        draw: Function that draws the random numbers of the next updates (see `DistanceNoises.draw`).
-        integrate: Function that adds the motion of the last `dt` seconds (see `_integrate_wheels`).
-    """
-
-    integrate: Callable[[IntArray, FloatArray, FloatArray, FloatArray, float], None]
-
-    def __init__(self, joints: WheelJoints, config: OdometryConfig, count: int, updates: int = 1) -> None:
-        self._joints = joints
-        self._noises = noises = DistanceNoises(config, count, updates)
-        self._angles, self.pose = np.zeros((count, 2)), np.zeros((count, 3))
-        self.draw = noises.draw
-        # No method: a call of one takes as long as the kernel.
-        self.integrate = partial(
-            _integrate_wheels,
-            joints,
-            (noises.scale, noises.normals, noises.used, noises.slip),
-            noises.parameters,
-            self._angles,
-            self.pose,
-        )
-
-    def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
-        """Begin the odometry of robot `i` where it stands."""
-        self._noises.begin(i, rng)
-        self._angles[i] = mean_angle(qpos[i], self._joints.left), mean_angle(qpos[i], self._joints.right)
-        self.pose[i] = 0.0
-
-    def set_slip(self, i: int, share: float) -> None:
-        """Lengthen the measured distance by a share, until robot `i` begins again."""
-        self._noises.slip[i] = share
-
-    def read(self, ids: IntArray) -> None:
-        """Do nothing: the pose is always up to date."""
-
-
-@njit
-def _integrate_wheels(
-    joints: WheelJoints,
-    noise: tuple[FloatArray, FloatArray, IntArray, FloatArray],
-    parameters: tuple[float, float, float],
-    angles: FloatArray,
-    pose: FloatArray,
-    ids: IntArray,
-    qpos: FloatArray,
-    rates: FloatArray,
-    attitude: FloatArray,
-    dt: float,
-) -> None:
-    """Add the motion since the last update to `pose` (N, 3); update wheel `angles` (N, 2)."""
-    scale, normals, used, slip = noise
-    for n in range(len(ids)):
-        i = ids[n]
-        left, right = mean_angle(qpos[i], joints.left), mean_angle(qpos[i], joints.right)
-        turned = ((left - angles[i, 0]) + (right - angles[i, 1])) / 2
-        driven = turned * joints.radius * (1.0 + slip[i])
-        meters = measured_distance(scale[i : i + 1], normals[i], used[i : i + 1], driven, parameters)
-        roll, pitch = attitude[i, 0], attitude[i, 1]
-        turn = yaw_rate((rates[i, 0], rates[i, 1], rates[i, 2]), roll, pitch) * dt
-        at: Vector3 = (pose[i, 0], pose[i, 1], pose[i, 2])
-        pose[i, 0], pose[i, 1], pose[i, 2] = integrated_pose(at, meters * math.cos(pitch), turn)
-        angles[i, 0], angles[i, 1] = left, right
 
 
 class Odometry:
@@ -229,15 +71,9 @@ class FlowOdometry(Odometry):
     def update(
         self, T_world_base: Pose3, velocity: Vector3, rates: Vector3, roll: float, pitch: float, dt: float
     ) -> None:
-        """Add the motion since the last update; none in no time (`dt` 0).
+        """Add the motion since the last update by the true velocity along the base's axes, m/s.
 
-        Args:
-            T_world_base: True pose.
-            velocity: True velocity along x, y, z of the base, m/s.
-            rates: Measured rates about x, y, z of the base, rad/s.
-            roll: Measured roll, radians.
-            pitch: Measured pitch, radians.
-            dt: Seconds.
+        Rates, rad/s, roll and pitch, radians, are measured.
         """
         east, north, _ = (T_world_base.rotation @ np.array(velocity) * dt).tolist()
         c, s = math.cos(T_world_base.yaw), math.sin(T_world_base.yaw)
@@ -247,3 +83,243 @@ class FlowOdometry(Odometry):
         # Axes of the true yaw: the camera's picture turns with the body.
         moved = Pose2((c * east + s * north) * scale, (c * north - s * east) * scale, turn)
         self.pose = self.pose @ moved
+
+
+X, Y, YAW, BIAS, SCALE = range(5)
+BIAS_ROW = np.eye(5)[BIAS : BIAS + 1]
+
+
+@dataclass(frozen=True, kw_only=True)
+class EkfConfig(Checked, of="the odometry filter"):
+    """Process noise beyond the sensors' own noise; standard deviations.
+
+    Attributes:
+        slip_forward: along the path after one meter of it, meters; grows with the root of the distance.
+        slip_lateral: across the path after one meter of it, meters.
+        slip_turning: across and along after one radian of turn, meters: the point that a robot turns about
+            is never quite base_link.
+        slide: gain of the slide down a slope, by the formula above. On the spot it is up to twice as large,
+            in wide bends nearly nothing.
+        drift: random part of the slide while skidding, after one meter of slide, meters.
+        tilt: error of the turn after one radian of it, from an attitude that is not quite right, radians.
+        wheel_rate: error of the wheels' turn rate on one driven axle, rad/s.
+        wheel_rate_relative: the part that grows with the rate, rad/s each rad/s.
+        gate: largest normalized innovation that is accepted, in deviations: wheels may spin or be dragged.
+        rest: turn rate of the wheels below which the robot stands, rad/s.
+    """
+
+    slip_forward: float = limited(0.01, "[0, inf)")
+    slip_lateral: float = limited(0.01, "[0, inf)")
+    slip_turning: float = limited(0.02, "[0, inf)")
+    slide: float = limited(2.0, "[0, inf)")
+    drift: float = limited(0.35, "[0, inf)")
+    tilt: float = limited(0.003, "[0, inf)")
+    wheel_rate: float = limited(0.05, "[0, inf)")
+    wheel_rate_relative: float = limited(0.05, "[0, inf)")
+    gate: float = limited(3.0, "[0, inf)")
+    rest: float = limited(1e-3, "[0, inf)")
+
+
+class EkfOdometry(Odometry):
+    """Odometry whose pose comes from the filter.
+
+    Args:
+        robot: robot with the wheels.
+        rng: random generator of the noise; the filter itself draws nothing.
+        imu: noise of the gyro.
+        filter_config: errors that the filter expects beyond those.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        config: OdometryConfig,
+        rng: np.random.Generator,
+        imu: ImuConfig,
+        filter_config: EkfConfig | None = None,
+    ) -> None:
+        # Its package needs all of SciPy's statistics, 20 MB, and other odometry does not.
+        from filterpy.kalman import ExtendedKalmanFilter
+
+        super().__init__(config, rng)
+        if robot.flies:
+            raise ConfigError(f"wheel odometry needs a robot with wheels, got {robot.name!r}")
+        self.robot = robot
+        self.filter_config = filter_config or EkfConfig()
+        self._imu = imu
+        # Slip of a wheel a radian of turn: along the wheel by the skid factor's surplus, across by the base.
+        along = robot.track * (robot.skid_factor - 1) / 2
+        self._slip_radius = math.hypot(along, robot.wheelbase / 2)
+        self._filter = ExtendedKalmanFilter(dim_x=5, dim_z=1)
+        self._filter.x = np.zeros(5)
+        self._filter.P = np.diag((0.0, 0.0, 0.0, imu.rate_bias**2, config.scale_sigma**2))
+        self._clear()
+
+    @property
+    def state(self) -> FloatArray:
+        """(5,) x, y, yaw, bias of the gyro in rad/s, scale error of the wheels."""
+        return np.array(self._filter.x)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(5, 5) of the state."""
+        return np.array(self._filter.P)
+
+    def read(self) -> Pose2:
+        """Filter the increments since the last reading; return `T_odom_base`."""
+        if self._time > 0.0:
+            self._predict()
+            self._measure_bias()
+            self._clear()
+            x, y, yaw = self._filter.x[:3].tolist()
+            self.pose = Pose2(x, y, math.remainder(yaw, math.tau))
+        return self.pose
+
+    def _clear(self) -> None:
+        self._moved = Pose2()
+        self._drifted = 0.0
+        self._time = self._distance = self._turned = self._wheels_turned = self._wheel_distance = 0.0
+        self._readings = 0
+
+    def update(
+        self, turned: float, rates: Vector3, roll: float, pitch: float, dt: float, difference: float = 0.0
+    ) -> None:
+        """Add the motion since the last update.
+
+        Args:
+            turned: Mean angle by which the wheels have turned, radians.
+            rates: Measured rates about x, y, z of the base, rad/s.
+            roll: Measured roll, radians.
+            pitch: Measured pitch, radians.
+            dt: Seconds since the last update.
+            difference: Angle by which the right wheels have turned more than the left ones, radians.
+        """
+        robot = self.robot
+        distance = self.noise.measure(turned * robot.wheel_radius)
+        wheel_turn = difference * robot.wheel_radius / (robot.track * robot.skid_factor)
+        turn, moved = yaw_rate(rates, roll, pitch) * dt, self._moved
+        forward = distance * math.cos(pitch)
+        self._moved = Pose2(*integrated_pose((moved.x, moved.y, moved.yaw), forward, turn))
+        if self._slip_radius and turn:
+            slide = self.filter_config.slide * self._slip_radius * abs(turn) / robot.friction
+            ahead, left = slide * math.sin(pitch), -slide * math.sin(roll)
+            self._moved = self._moved @ Pose2(ahead, left)
+            self._drifted += math.hypot(ahead, left)
+        self._time += dt
+        self._distance += abs(distance)
+        self._turned += turn
+        self._wheels_turned += wheel_turn
+        self._wheel_distance += abs(distance) + abs(wheel_turn) * robot.radius
+        self._readings += 1
+
+    def _predict(self) -> None:
+        """Move by the summed motion, less the estimated errors by bias and scale.
+
+        With (a, b) the summed motion in the frame of its start, the bias turns it by half of the turn of
+        the end: an even rate is assumed.
+        """
+        f, a, b = self._filter, self._moved.x, self._moved.y
+        bias, scale = float(f.x[BIAS]), float(f.x[SCALE])
+        half = -bias * self._time / 2
+        yaw = float(f.x[YAW]) + half
+        c, s = math.cos(yaw), math.sin(yaw)
+        east, north = c * a - s * b, s * a + c * b
+        keep = math.exp(-self._distance / self.config.scale_length)
+        F = np.eye(5)
+        F[X, YAW], F[Y, YAW] = -north * (1 - scale), east * (1 - scale)
+        F[X, BIAS], F[Y, BIAS] = north * self._time / 2, -east * self._time / 2
+        F[X, SCALE], F[Y, SCALE] = -east, -north
+        F[YAW, BIAS], F[SCALE, SCALE] = -self._time, keep
+        f.x = np.array(
+            (
+                f.x[X] + east * (1 - scale),
+                f.x[Y] + north * (1 - scale),
+                f.x[YAW] + self._turned - bias * self._time,
+                bias,
+                keep * scale,
+            )
+        )
+        f.P = F @ f.P @ F.T + self._process_noise(c, s, 1 - keep * keep)
+
+    def _process_noise(self, c: float, s: float, renewed: float) -> FloatArray:
+        e, turned = self.filter_config, self._turned
+        pivot = e.slip_turning**2 * abs(turned) + e.drift**2 * self._drifted
+        ahead, aside = e.slip_forward**2 * self._distance + pivot, e.slip_lateral**2 * self._distance + pivot
+        white = self._imu.rate_sigma**2 * self._time**2 / max(self._readings, 1)
+        Q = np.zeros((5, 5))
+        Q[X, X], Q[Y, Y] = c * c * ahead + s * s * aside, s * s * ahead + c * c * aside
+        Q[X, Y] = Q[Y, X] = c * s * (ahead - aside)
+        Q[YAW, YAW] = white + e.tilt**2 * turned**2
+        Q[SCALE, SCALE] = renewed * self.config.scale_sigma**2
+        return Q
+
+    def _measure_bias(self) -> None:
+        """Compare the gyro with the wheels.
+
+        The comparison is exact at rest, useful on one axle and useless where wheels skid.
+        """
+        e, rate = self.filter_config, self._wheels_turned / self._time
+        sigma = self._imu.rate_sigma / math.sqrt(self._readings)
+        if self._wheel_distance / self._time >= e.rest * self.robot.wheel_radius:
+            if self.robot.wheelbase > 0:
+                return
+            sigma = math.hypot(sigma, e.wheel_rate + e.wheel_rate_relative * abs(rate))
+        measured = np.array((self._turned / self._time - rate,))
+        variance = max(sigma, 1e-9) ** 2
+        f = self._filter
+        if abs(measured[0] - f.x[BIAS]) > e.gate * math.sqrt(f.P[BIAS, BIAS] + variance):
+            return
+        R = np.array(((variance,),))
+        f.update(measured, lambda x: BIAS_ROW, lambda x: x[BIAS : BIAS + 1], R)
+
+
+class Odometries:
+    """Odometry `T_odom_base` of N robots with one object each: optical flow, or the Kalman filter.
+
+    Attributes:
+        pose: (N, 3) x, y, yaw, meters and radians.
+        of: Odometry of each robot that has begun.
+    """
+
+    def __init__(
+        self, robot: Robot, config: OdometryConfig, imu: ImuConfig, bodies: Sequence[BodyState]
+    ) -> None:
+        self._robot, self._config, self._imu, self._bodies = robot, config, imu, bodies
+        self.of: dict[int, EkfOdometry | FlowOdometry] = {}
+        self._angles = [(0.0, 0.0)] * len(bodies)
+        self.pose = np.zeros((len(bodies), 3))
+
+    def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
+        """Begin the odometry of robot `i` where it stands."""
+        if self._robot.flies:
+            self.of[i] = FlowOdometry(self._config, rng)
+        else:
+            self.of[i] = EkfOdometry(self._robot, self._config, rng, self._imu)
+        self._angles[i] = self._bodies[i].wheel_angles()
+        self.pose[i] = 0.0
+
+    def integrate(
+        self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float
+    ) -> None:
+        """Add the motion of the last `dt` seconds. `rates` (N, 3) and `attitude` (N, 2) are measured."""
+        for i in ids.tolist():
+            odometry, body = self.of[i], self._bodies[i]
+            x, y, z = rates[i].tolist()
+            roll, pitch = attitude[i].tolist()
+            readings = ((x, y, z), roll, pitch, dt)
+            if isinstance(odometry, FlowOdometry):
+                odometry.update(body.pose(), body.velocity(), *readings)
+            else:
+                left, right = body.wheel_angles()
+                left_turned, right_turned = left - self._angles[i][0], right - self._angles[i][1]
+                self._angles[i] = left, right
+                odometry.update((left_turned + right_turned) / 2, *readings, right_turned - left_turned)
+
+    def set_slip(self, i: int, share: float) -> None:
+        """Lengthen the measured distance by a share, until robot `i` begins again."""
+        self.of[i].noise.slip[0] = share
+
+    def read(self, ids: IntArray) -> None:
+        """Update the poses of robots `ids`."""
+        for i in ids.tolist():
+            self.pose[i] = self.of[i].read().as_array()

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import yaml
 
-from lirs_envs.lidar.noise import LidarNoise, NoiseLevel, lidar_noise
+from lirs_envs.lidar.noise import LEVELS, LidarNoise, NoiseLevel, lidar_noise
 from lirs_envs.lidar.presets import LidarPreset
-from lirs_envs.robots.control import BodyState
-from lirs_envs.robots.robot import Robot
-from lirs_envs.sensing.ekf import EkfOdometry
-from lirs_envs.sensing.imu import ImuConfig
-from lirs_envs.sensing.odometry import FlowOdometry, OdometryConfig
+from lirs_envs.sensing.motion import ImuConfig, OdometryConfig
 from lirs_wct import (
     ConfigError,
     Float32Array,
-    FloatArray,
     Imu,
     ImuReadings,
-    IntArray,
     LaserScan,
     PointCloud,
     Pose2,
@@ -81,14 +74,7 @@ class FaultInjector:
 
     def scan(self, ranges: Float32Array, cloud: PointCloud | None) -> tuple[Float32Array, PointCloud | None]:
         """Return ranges (beams,) and cloud that arrive now, with the present cloud's stamp."""
-        self._late.append((self._cover(ranges), cloud))
-        old_ranges, old_cloud = self._late[0]
-        late_cloud = None if old_cloud is None or cloud is None else replace(old_cloud, stamp=cloud.stamp)
-        return old_ranges, late_cloud
-
-    def _cover(self, exact: Float32Array) -> Float32Array:
-        """Return ranges with dust, and without the beams outside the field of view."""
-        ranges, faults = exact.copy(), self.faults
+        ranges, faults = ranges.copy(), self.faults
         if faults.dust:
             draws = self._rng.random((len(ranges), 2))
             near = DUST_RANGES[0] + (DUST_RANGES[1] - DUST_RANGES[0]) * draws[:, 1]
@@ -96,7 +82,10 @@ class FaultInjector:
             ranges[hit] = near[hit]
         half = math.radians(faults.field_of_view) / 2
         ranges[np.abs(self._angles) > half + 1e-9] = np.nan
-        return ranges
+        self._late.append((ranges, cloud))
+        old_ranges, old_cloud = self._late[0]
+        late_cloud = None if old_cloud is None or cloud is None else replace(old_cloud, stamp=cloud.stamp)
+        return old_ranges, late_cloud
 
     def odometry(self, odometry: Pose2, imu: Imu) -> Pose2:
         """Return `T_odom_base` with the slip since the last call.
@@ -195,16 +184,14 @@ def resolve_noise(noise: str) -> SensorNoise:
     Raises:
         SourceError: it is no level, and no such file can be used.
     """
-    for level in get_args(NoiseLevel):
+    for level in LEVELS:
         if noise == level:
             return SensorNoise(lidar=level)
     return read_noise(Path(noise))
 
 
 def read_noise(path: Path) -> SensorNoise:
-    """Read the noise of a YAML file.
-
-    Omitted sections and fields keep their defaults.
+    """Read the noise of a YAML file; omitted sections and fields keep their defaults.
 
     Raises:
         SourceError: the file cannot be read, or holds anything else; the message names it.
@@ -218,26 +205,22 @@ def read_noise(path: Path) -> SensorNoise:
     if not isinstance(entries, dict) or not entries:
         raise SourceError(f"{path}: must hold sections, got none; legal: {', '.join(SECTIONS)}")
     noise = SensorNoise()
-    for name, figures in entries.items():
-        try:
+    try:
+        for name, figures in entries.items():
             if name not in SECTIONS:
                 raise unknown_name("section", str(name), SECTIONS)
-            noise = replace(noise, **{name: _section(name, figures)})
-        except ConfigError as error:
-            raise SourceError(f"{path}: {error}") from error
+            legal = [field.name for field in fields(SECTIONS[name])]
+            if not isinstance(figures, dict):
+                raise ConfigError(
+                    f"section {name} must hold fields, got {figures!r}; legal: {', '.join(legal)}"
+                )
+            for key in figures:
+                if key not in legal:
+                    raise unknown_name(f"field of {name}", str(key), legal)
+            noise = replace(noise, **{name: SECTIONS[name](**figures)})
+    except ConfigError as error:
+        raise SourceError(f"{path}: {error}") from error
     return noise
-
-
-def _section(name: str, figures: object) -> Any:
-    """Return the object of a section."""
-    kind = SECTIONS[name]
-    legal = [field.name for field in fields(kind)]
-    if not isinstance(figures, dict):
-        raise ConfigError(f"section {name} must hold fields, got {figures!r}; legal: {', '.join(legal)}")
-    for key in figures:
-        if key not in legal:
-            raise unknown_name(f"field of {name}", str(key), legal)
-    return kind(**figures)
 
 
 def write_noise(path: Path, noise: SensorNoise, comment: str) -> None:
@@ -254,57 +237,3 @@ def write_noise(path: Path, noise: SensorNoise, comment: str) -> None:
     text = "".join(f"# {line}\n" for line in comment.splitlines())
     with atomic_write(path) as temporary:
         temporary.write_text(text + yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")
-
-
-class Odometries:
-    """Odometry `T_odom_base` of N robots with one object each: optical flow, or the Kalman filter.
-
-    Attributes:
-        pose: (N, 3) x, y, yaw, meters and radians.
-        of: Odometry of each robot that has begun.
-    """
-
-    def __init__(self, robot: Robot, noise: SensorNoise, bodies: Sequence[BodyState]) -> None:
-        self._robot, self._noise, self._bodies = robot, noise, bodies
-        self.of: dict[int, EkfOdometry | FlowOdometry] = {}
-        self._angles = [(0.0, 0.0)] * len(bodies)
-        self.pose = np.zeros((len(bodies), 3))
-
-    def begin(self, i: int, qpos: FloatArray, rng: np.random.Generator) -> None:
-        """Begin the odometry of robot `i` where it stands."""
-        noise = self._noise
-        if self._robot.flies:
-            self.of[i] = FlowOdometry(noise.odometry, rng)
-        else:
-            self.of[i] = EkfOdometry(self._robot, noise.odometry, rng, noise.imu)
-        self._angles[i] = self._bodies[i].wheel_angles()
-        self.pose[i] = 0.0
-
-    def draw(self, ids: IntArray, updates: int) -> None:
-        """Do nothing: each odometry draws its random numbers itself."""
-
-    def integrate(
-        self, ids: IntArray, qpos: FloatArray, rates: FloatArray, attitude: FloatArray, dt: float
-    ) -> None:
-        """Add the motion of the last `dt` seconds. `rates` (N, 3) and `attitude` (N, 2) are measured."""
-        for i in ids.tolist():
-            odometry, body = self.of[i], self._bodies[i]
-            x, y, z = rates[i].tolist()
-            roll, pitch = attitude[i].tolist()
-            readings = ((x, y, z), roll, pitch, dt)
-            if isinstance(odometry, FlowOdometry):
-                odometry.update(body.pose(), body.velocity(), *readings)
-            else:
-                left, right = body.wheel_angles()
-                left_turned, right_turned = left - self._angles[i][0], right - self._angles[i][1]
-                self._angles[i] = left, right
-                odometry.update((left_turned + right_turned) / 2, *readings, right_turned - left_turned)
-
-    def set_slip(self, i: int, share: float) -> None:
-        """Lengthen the measured distance by a share, until robot `i` begins again."""
-        self.of[i].noise.slip[0] = share
-
-    def read(self, ids: IntArray) -> None:
-        """Update the poses of robots `ids`."""
-        for i in ids.tolist():
-            self.pose[i] = self.of[i].read().as_array()

@@ -33,11 +33,9 @@ class SeenGround:
         wanted_cells: (N,) number of seen cells among the wanted ones.
 
     Args:
-        count: number of robots, N.
         shape: rows and columns of the grid.
         beams: (n, 3) directions of the beams in the base's frame, unit vectors.
         mount: (3,) the lidar in the base's frame, meters.
-        reach: meters.
     """
 
     def __init__(
@@ -64,11 +62,7 @@ class SeenGround:
     def add(self, rows: IntArray, ranges: Float32Array, range_max: float, T_world_base: FloatArray) -> None:
         """Mark the cells below robots' beams as seen; without return, over the full range.
 
-        Args:
-            rows: rows of the robots.
-            ranges: (N, n) meters (see `LaserScan`).
-            range_max: meters.
-            T_world_base: (N, 7) x, y, z, qw, qx, qy, qz of their poses.
+        Ranges are (N, n) meters (see `LaserScan`), poses (N, 7) x, y, z, qw, qx, qy, qz.
         """
         _mark_rows(
             rows,
@@ -129,20 +123,11 @@ def mark_seen(
     ranges: Float32Array,
     range_max: float,
 ) -> tuple[int, int]:
-    """Mark the cells below a beam as seen; count new and wanted cells.
+    """Mark the cells below beams (n, 3) as seen; count new and wanted cells.
 
-    The ceiling of a seen cell becomes -inf.
-
-    Cells are those that a beam crosses in the plane; its height is that in the middle of the crossing.
-
-    Args:
-        ceiling: (rows, cols) height up to which a beam sees the cell's ground, meters.
-        highest: (rows / BLOCK, cols / BLOCK) highest ceiling in each block of cells.
-        wanted: (rows, cols) cells that are counted apart.
-        start: start of all beams: u and v in cells from the grid's corner, z in meters.
-        directions: (n, 3) of the beams in the world, unit vectors.
-        ranges: (n,) meters (see `LaserScan`).
-        range_max: meters.
+    Cells are those that a beam crosses in the plane; its height is that in the middle of the crossing. A
+    cell's ceiling is the height up to which a beam sees its ground, -inf once it is seen; `highest` is that
+    of each block of cells. The start is u and v in cells from the grid's corner, and z in meters.
     """
     (rows, cols), width = ceiling.shape, highest.shape[1]
     u, v, z = start

@@ -11,7 +11,7 @@ import numpy as np
 
 from lirs_envs.robots.robot import Robot
 from lirs_wct import HeightField, OccupancyGrid, Pose2, SimulationError, World
-from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray, njit
+from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, njit
 
 SEEN_CELL = 0.25
 """Edge of a cell of the ground that is to be seen, meters."""
@@ -71,7 +71,6 @@ class Site:
     """Free ground of a robot in a world.
 
     Attributes:
-        world: The world.
         grid: Grid whose free cells are where the robot's middle may be.
         areas: (rows, cols) number of the connected area of each free cell, from 1; 0 = not free.
         largest: Number of the largest area.
@@ -107,10 +106,7 @@ class Site:
         return Pose2(x, y, math.pi * (2 * turn - 1))
 
     def distances(self, x: float, y: float, limit: float = math.inf) -> FloatArray:
-        """Return (rows, cols) shortest path lengths to a point in meters.
-
-        inf = there is none, or none up to the limit.
-        """
+        """Return (rows, cols) shortest path lengths to a point, meters; inf = none up to the limit."""
         row, col = self.grid.cells((x, y)).tolist()
         resolution = self.grid.resolution
         cost: FloatArray = _path_lengths(self.areas > 0, row, col, limit / resolution)
@@ -141,7 +137,8 @@ def make_site(world: World, robot: Robot) -> Site:
     count, areas = cv2.connectedComponents(grid.free.astype(np.uint8), connectivity=4)
     if count < 2:
         raise SimulationError(f"world {world.name!r} has no free place where {robot.name} could start")
-    largest = _largest(areas, world.driven(grid).free)
+    driven = world.driven(grid).free
+    sizes = np.bincount(areas[driven] if driven.any() else areas.ravel())
     surface = world.surface
     steps = np.arange(areas.shape[1]) + 0.5, np.arange(areas.shape[0]) + 0.5
     west, south = surface.origin
@@ -149,13 +146,7 @@ def make_site(world: World, robot: Robot) -> Site:
     y = np.minimum(south + steps[1] * resolution, surface.bounds[3])[:, None]
     dy, dx = np.gradient(surface.height_at(x, y), resolution)
     slope = np.arctan(np.hypot(dx, dy)).astype(np.float32)
-    return Site(world, grid, areas.astype(np.int32), largest, seen_frame(world), slope)
-
-
-def _largest(areas: IntArray, driven: BoolArray) -> int:
-    """Return the number of the area with most drivable cells."""
-    sizes = np.bincount(areas[driven] if driven.any() else areas.ravel())
-    return 1 + int(np.argmax(sizes[1:]))
+    return Site(world, grid, areas.astype(np.int32), 1 + int(np.argmax(sizes[1:])), seen_frame(world), slope)
 
 
 @njit
@@ -202,10 +193,7 @@ def _path_lengths(free: BoolArray, row: int, col: int, limit: float) -> FloatArr
 def _distance_at(
     cost: FloatArray, corner: tuple[float, float], resolution: float, x: float, y: float
 ) -> float:
-    """Return the path length from a point in meters; inf = there is no path.
-
-    It is taken from the nearest of the cells around the point.
-    """
+    """Return the path length from a point in meters, by the cells around it; inf = there is no path."""
     rows, cols = cost.shape
     c, r = math.floor((x - corner[0]) / resolution), math.floor((y - corner[1]) / resolution)
     best = np.inf
@@ -231,19 +219,11 @@ def draw_goal(
     if len(cells) == 0:
         return None
     goals = site.grid.centers(cells[rng.integers(len(cells), size=CANDIDATES)])
-    roughness = [_roughness(site, start, goal) for goal in goals]
+    # Mean slope of the straight lines to the goals, radians; 1 where the robot cannot stand.
+    share, origin = np.linspace(0.0, 1.0, 64)[:, None], np.array((start.x, start.y))
+    cells = site.grid.cells((1 - share) * origin + share * goals[:, None])
+    row, col = np.moveaxis(np.clip(cells, 0, np.array(site.areas.shape) - 1), -1, 0)
+    roughness = np.where(site.areas[row, col] > 0, site.slope[row, col], 1.0).mean(axis=1)
     chosen = np.argsort(roughness, kind="stable")[round(difficulty * (CANDIDATES - 1))]
     x, y = goals[chosen].tolist()
     return x, y
-
-
-def _roughness(site: Site, start: Pose2, goal: FloatArray) -> float:
-    """Return the mean roughness of a straight line to the goal.
-
-    A sample counts 1 where the robot cannot stand, else the slope in radians.
-    """
-    share = np.linspace(0.0, 1.0, 64)[:, None]
-    cells = site.grid.cells((1 - share) * np.array((start.x, start.y)) + share * goal)
-    cells = np.clip(cells, 0, np.array(site.areas.shape) - 1)
-    row, col = cells[:, 0], cells[:, 1]
-    return float(np.where(site.areas[row, col] > 0, site.slope[row, col], 1.0).mean())

@@ -65,10 +65,8 @@ class Stage:
     """State on which tasks act: N robots, their site and seen ground, in rows.
 
     Attributes:
-        simulation: The robots.
         site: Free ground in the initial world.
         seen: Ground that the robots have seen; None = not needed.
-        rewards: Weights of the rewards.
         difficulty: Difficulty of each robot's next episode, 0 to 1.
         randomize_start: Whether starts are drawn.
         randomize_terrain: Whether terrains are drawn.
@@ -108,7 +106,6 @@ class Task(ABC):
         needs_seen: Whether the task reads the ground that the robots have seen (`stage.seen`).
         admits_flight: Whether a robot that flies may do the task.
         ends_at_contact: Whether a collision ends the episode; else each second of contact costs.
-        stage: State on which the task acts.
         goals: (N, 2) x, y of the goals, meters; None = there are none to observe.
     """
 
@@ -125,9 +122,7 @@ class Task(ABC):
 
     @abstractmethod
     def draw(self, i: int, rng: np.random.Generator, options: Mapping[str, Any]) -> Pose2 | None:
-        """Draw the episode of robot `i`; return the start, or None to draw again.
-
-        An episode is start, goal and terrain.
+        """Draw start, goal and terrain of robot `i`; return the start, or None to draw again.
 
         Raises:
             ConfigError: an option has a value that is not legal.
@@ -143,21 +138,15 @@ class Task(ABC):
     def begin(self, i: int, poses: FloatArray) -> None:
         """Begin the episode that was drawn: robot `i` stands at its start.
 
-        Args:
-            i: Row of the robot.
-            poses: (N, 4) x, y, z, yaw of base_link, meters and radians.
+        Poses (N, 4) are x, y, z, yaw of base_link, meters and radians.
         """
 
     @abstractmethod
     def step(self, ids: IntArray, poses: FloatArray, touched: BoolArray) -> tuple[FloatArray, Sequence[str]]:
-        """Return rewards (n,), and why each episode ends; empty = it goes on.
+        """Return rewards (n,), and why each episode of robots `ids` ends; empty = it goes on.
 
-        The costs of contact, effort and accidents are not included.
-
-        Args:
-            ids: Rows of the n robots.
-            poses: (N, 4) x, y, z, yaw of base_link, meters and radians.
-            touched: (N,) whether each robot collided in the step.
+        The costs of contact, effort and accidents are not included. Poses (N, 4) are x, y, z, yaw of
+        base_link, meters and radians; `touched` (N,) tells whether each robot collided in the step.
         """
 
     @abstractmethod
@@ -333,10 +322,7 @@ class NavigationTask(GoalTask):
         }
 
     def _sees_goal(self, i: int, place: FloatArray) -> bool:
-        """Return whether the straight line to the goal is free of obstacles.
-
-        A short path may lead around a wall.
-        """
+        """Return whether the straight line to the goal is free: a short path may lead around a wall."""
         share = np.linspace(0.0, 1.0, 32)[:, None]
         cells = self.stage.site.grid.cells((1 - share) * place + share * self.goals[i])
         row, col = np.clip(cells, 0, np.array(self._open.shape) - 1).T

@@ -45,14 +45,6 @@ def test_sectors_are_those_of_the_robot_for_every_lidar(walled: World, robot: st
     assert sectors.tolist() == scan_sectors(observation["scan"][None], lidar)[0].tolist()
 
 
-def test_body_is_what_the_robot_is(plane: World) -> None:
-    env = RobotEnv("navigation", world=plane, robot="turtlebot2", observe=["body"])
-    observation, _ = env.reset(seed=0)
-    robot = make_robot("turtlebot2")
-    assert observation["body"] == pytest.approx([robot.radius, robot.max_speed, robot.max_turn_rate])
-    assert env.observation_space.contains(observation)
-
-
 def test_goal_direction_is_that_of_the_goal(plane: World) -> None:
     env = RobotEnv("navigation", world=plane, observe=["goal", "goal_direction"])
     for seed in range(5):

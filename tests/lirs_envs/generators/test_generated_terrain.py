@@ -9,8 +9,8 @@ import pytest
 from lirs_envs.generators.floor_plan import CELL, SIZE, floor_plan
 from lirs_envs.generators.natural import NATURAL_TERRAINS, with_rocks
 from lirs_envs.generators.terrain import HEIGHT_RANGE, KINDS, GeneratedTerrain, generate, scaled_height_range
-from lirs_envs.placement import standing_pose
 from lirs_envs.robots.robot import make_robot
+from lirs_envs.simulation_config import standing_pose
 from lirs_wct.errors import ConfigError
 from lirs_wct.ground import LaserMap
 from lirs_wct.world import World

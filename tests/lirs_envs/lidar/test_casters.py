@@ -8,11 +8,10 @@ import pytest
 
 from lirs_envs.lidar.obstacle_rays import GROUND, intensities
 from lirs_envs.lidar.ray_casting import RayCaster
-from lirs_envs.props import Prop, StaticRobot
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
-from lirs_envs.simulation_config import SimulationConfig
+from lirs_envs.simulation_config import Prop, SimulationConfig, StaticRobot
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.world import World

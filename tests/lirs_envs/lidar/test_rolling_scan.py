@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from lirs_envs.lidar.lidar import BaseVelocity, Lidar, moved_frames
+from lirs_envs.lidar.lidar import Lidar, Velocity, moved_frames
 from lirs_envs.lidar.noise import LidarNoise
 from lirs_envs.lidar.presets import LIDARS, LidarPreset, ring_directions
 from lirs_envs.robots.robot import Robot, Twist
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
-from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Pose3
 from lirs_wct.geometry.scan import LaserScan
 from lirs_wct.world import World
@@ -21,10 +20,11 @@ from tests.lirs_envs.lidar.room import room
 
 MOUNT = Pose3(0.2, 0.05, 0.3)
 SLOW = LidarPreset(name="slow", beams=721, fov=math.tau, rate=5.0, range_min=0.1, range_max=30.0)
-MOTION = BaseVelocity((1.2, 0.3, 0.0), (0.0, 0.0, 1.5))
+AT_REST = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+MOTION = ((1.2, 0.3, 0.0), (0.0, 0.0, 1.5))
 
 
-def rolling_scan(velocity: BaseVelocity | None, *, rolling: bool = True) -> LaserScan:
+def rolling_scan(velocity: Velocity | None, *, rolling: bool = True) -> LaserScan:
     lidar = Lidar(SLOW, room(), MOUNT, np.random.default_rng(0), LidarNoise(), rolling_scan=rolling)
     return lidar.scan(Pose3(0.5, -0.4, 0.2), 3.0, velocity=velocity)
 
@@ -57,12 +57,10 @@ def test_motion_distorts_and_de_skewing_undoes_it() -> None:
     scan = rolling_scan(MOTION)
     skewed = deskew(scan, (0, 0, 0), (0, 0, 0))
     assert np.nanmax(off_the_walls(skewed)) > 0.15, "1.2 m/s and 1.5 rad/s for 0.2 s bend the walls"
-    assert np.nanmax(off_the_walls(deskew(scan, MOTION.linear, MOTION.angular))) < 1e-5
+    assert np.nanmax(off_the_walls(deskew(scan, *MOTION))) < 1e-5
     # At rest, a rolling scan is a scan at one instant.
-    np.testing.assert_array_equal(rolling_scan(None).ranges, rolling_scan(BaseVelocity()).ranges)
-    np.testing.assert_array_equal(
-        rolling_scan(BaseVelocity()).ranges, rolling_scan(MOTION, rolling=False).ranges
-    )
+    np.testing.assert_array_equal(rolling_scan(None).ranges, rolling_scan(AT_REST).ranges)
+    np.testing.assert_array_equal(rolling_scan(AT_REST).ranges, rolling_scan(MOTION, rolling=False).ranges)
 
 
 def test_moved_frames_against_small_steps() -> None:
@@ -77,8 +75,6 @@ def test_moved_frames_against_small_steps() -> None:
     np.testing.assert_allclose(p[1], T.position, atol=1e-4)
     np.testing.assert_allclose(R[1], T.rotation, atol=1e-4)
     np.testing.assert_allclose(moved_frames((2.0,), v, (0, 0, 0))[1], [2 * v])
-    with pytest.raises(ConfigError, match="finite"):
-        moved_frames((0.0,), (math.nan, 0, 0), w)
 
 
 def test_the_simulation_has_rolling_scans(walled: World, husky: Robot) -> None:
@@ -90,8 +86,8 @@ def test_the_simulation_has_rolling_scans(walled: World, husky: Robot) -> None:
     assert still.time_increment > 0
     for _ in range(40):
         scan = sim.advance(Twist(0.5, 2.0)).scan
-    motion = BaseVelocity(sim.body.velocity(), sim.body.rates())
-    world = sim.pose().apply(deskew(scan, motion.linear, motion.angular))
+    motion = (sim.body.velocity(), sim.body.rates())
+    world = sim.pose().apply(deskew(scan, *motion))
     naive = sim.pose().apply(deskew(scan, (0, 0, 0), (0, 0, 0)))
     T_wall_world = Pose2(0.5, -0.3, 0.4).inverse()
 

@@ -1,7 +1,6 @@
 """What pictures of a simulation show, and what they say where they cannot be made."""
 
 import math
-import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -11,11 +10,11 @@ import pytest
 
 from lirs_envs.generators.terrain import generate
 from lirs_envs.map_view import GOAL, PATH, ROBOT, SCAN, WALKER, MapView, Snapshot
-from lirs_envs.rendering import CHASE, MAX_ERROR, RENDER_MODES, Camera, RenderScene, Views
+from lirs_envs.rendering import CHASE, MAX_ERROR, Camera, RenderScene
 from lirs_envs.robots.robot import Robot, make_robot
 from lirs_envs.sensing.sensors import SensorNoise
 from lirs_envs.simulation import Simulation
-from lirs_wct.errors import ConfigError, SimulationError
+from lirs_wct.errors import SimulationError
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.sources.build import build_world
 from lirs_wct.world import World
@@ -171,13 +170,3 @@ def test_a_scan_lies_on_what_it_met(husky: Robot) -> None:
         for a, b in zip(x, y, strict=True)
     ]
     assert np.mean(np.array(near) > 0.5) > 0.97
-
-
-def test_modes_and_copies(plane: World, husky: Robot) -> None:
-    snapshot, views = Snapshot.of(simulation(plane, husky)), Views()
-    assert views.render(None, snapshot) is None
-    with pytest.raises(ConfigError, match="unknown render mode 'ascii'; legal: " + ", ".join(RENDER_MODES)):
-        views.render("ascii", snapshot)
-    picture = views.render("map", snapshot)
-    assert np.array_equal(pickle.loads(pickle.dumps(views)).render("map", snapshot), picture)
-    views.close()

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
-from lirs_envs.placement import standing_pose
 from lirs_envs.robots.robot import make_robot
+from lirs_envs.simulation_config import standing_pose
 from lirs_validation.collision.drives import places
 from lirs_validation.config import RunConfig
 from lirs_validation.driving.choice import CLEARANCE, check_driver, make_driver, plan_tour

@@ -39,6 +39,7 @@ class Puppet:
     def pose(self) -> Pose3:
         return Pose3()
 
+    @property
     def mishap(self) -> str:
         return self.fails if self.fails in ("tipped", "off world") and self.ticks >= self.at else ""
 
