@@ -11,7 +11,6 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from rich.console import Console
 
 from benchmarks.steps import arguments
 from lirs_envs.robots.robot import Twist, make_robot
@@ -23,29 +22,18 @@ from lirs_wct.sources.build import build_world
 def main() -> None:
     """Measure and print."""
     options = arguments(__doc__, world="medium", robot="husky", actors=50, quick=False)
-    row = measure(options.world, options.robot, options.actors, 10 if options.quick else 60)
-    Console().print(
-        f"{options.actors} walkers on {options.world}: a step takes {row['ratio']:.3f} x the time "
-        f"({row['us_without']:.0f} -> {row['us_with']:.0f} us)"
+    world, robot = build_world(options.world), make_robot(options.robot)
+    pair = [Simulation(world, SimulationConfig(robot=robot, actors=n)) for n in (0, options.actors)]
+    times = np.array([[drive(s, k) for s in pair] for k in range(-1, 10 if options.quick else 60)])[1:]
+    without, with_walkers = 1e6 * np.median(times, axis=0) * pair[0].period
+    ratio = np.median(times[:, 1] / times[:, 0])
+    print(
+        f"{options.actors} walkers on {options.world}: a step takes {ratio:.3f} x the time "
+        f"({without:.0f} -> {with_walkers:.0f} us)"
     )
 
 
-def measure(world: str, robot: str, actors: int, rounds: int) -> dict[str, float]:
-    """Return microseconds a step, and ratios."""
-    built = build_world(world)
-    pair = [
-        Simulation(built, SimulationConfig(robot=make_robot(robot), actors=count)) for count in (0, actors)
-    ]
-    rounds_of = np.array([[_seconds(s, k) for s in pair] for k in range(-1, rounds)])[1:]
-    without, with_walkers = 1e6 * np.median(rounds_of, axis=0) * pair[0].period
-    return {
-        "ratio": float(np.median(rounds_of[:, 1] / rounds_of[:, 0])),
-        "us_without": float(without),
-        "us_with": float(with_walkers),
-    }
-
-
-def _seconds(simulation: Simulation, number: int) -> float:
+def drive(simulation: Simulation, number: int) -> float:
     """Drive a round of a second; return seconds of processor time."""
     rng, starts = np.random.default_rng(number + 1), simulation.worlds[0].spawn_poses
     simulation.reset(starts[number % len(starts)], seed=number + 1)

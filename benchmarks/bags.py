@@ -16,10 +16,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from rich.console import Console
 from rosbags.highlevel import AnyReader
 
-from benchmarks.steps import arguments
+from benchmarks.steps import arguments, print_rows
 from lirs_envs.sensing.sensors import Observation
 from lirs_validation import validate
 from lirs_validation.experiment.recording import Recording
@@ -38,19 +37,11 @@ def main() -> None:
     """Measure and print."""
     given = arguments(__doc__, scans=100000, mapper="hector,gmapping,cartographer", quick=False)
     scans, seconds = (10_000, 20.0) if given.quick else (given.scans, 120.0)
-    console = Console(width=120)
     with tempfile.TemporaryDirectory() as folder:
         recording = [recorded(name, seconds, Path(folder)) for name in given.mapper.split(",")]
         reading = read(scans, Path(folder))
-    for row in recording:
-        console.print(
-            f"recording, {row['mapper']}: {row['us_a_scan']:.0f} us a scan, "
-            f"{row['share']:.1%} of the rest of the drive"
-        )
-    console.print(
-        f"reading: {reading['scans']} scans at {reading['scans_a_second']:.0f} a second of processor time, "
-        f"{reading['share']:.2f} x what rosbags decodes ({reading['rosbags']:.0f} a second)"
-    )
+    print_rows(recording, "recording")
+    print_rows([reading], "reading")
 
 
 def recorded(mapper: str, seconds: float, folder: Path) -> dict[str, Any]:
@@ -67,7 +58,7 @@ def recorded(mapper: str, seconds: float, folder: Path) -> dict[str, Any]:
     with patch.object(Recording, "add", timed):
         record = validate("simple", mapper=mapper, seconds=seconds, bag="mcap", out=folder).record
     rest = record.cost["cpu_seconds"] - sum(spent)
-    return {"mapper": mapper, "us_a_scan": 1e6 * sum(spent) / len(spent), "share": sum(spent) / rest}
+    return {"mapper": mapper, "us a scan": 1e6 * sum(spent) / len(spent), "of the rest": sum(spent) / rest}
 
 
 def tick(k: int, ranges: np.ndarray[Any, np.dtype[np.float32]]) -> BagTick:
@@ -101,7 +92,7 @@ def read(scans: int, folder: Path) -> dict[str, Any]:
         for connection, _, data in reader.messages([c for c in reader.connections if c.topic in topics]):
             reader.deserialize(data, connection.msgtype)
         peer = time.process_time() - begun
-    return {"scans": scans, "scans_a_second": scans / own, "rosbags": scans / peer, "share": peer / own}
+    return {"scans": scans, "scans a second": scans / own, "rosbags": scans / peer, "ratio": peer / own}
 
 
 if __name__ == "__main__":

@@ -3,12 +3,9 @@
     python benchmarks/envs.py [--quick]
 
 16 Huskys map `medium`, 25 steps a second, each with a scan, by random actions that are held for ten steps.
-Times are of the processor, all threads of this process together, but where it says wall: other programs
-lengthen those less. Rounds of all that is compared follow each other, and medians of the rounds are told.
-
-The floor is what MuJoCo and the rays need: the recorded controls through `mujoco.batch` alone, and the rays
-of every scan from the recorded poses, both in the same batches. AsyncVectorEnv is measured by the wall, and
-so is what it is compared with.
+Times are of the processor, all threads of this process together, but where it says wall; medians over rounds
+of all that is compared. The floor is what MuJoCo and the rays need: the recorded controls through
+`mujoco.batch` alone, and the rays of every scan from the recorded poses, both in the same batches.
 """
 
 from __future__ import annotations
@@ -48,31 +45,19 @@ LIMITS = {
 Step = Callable[[int], Any]
 
 
-def timed(step: Step, steps: int, clock: Callable[[], float]) -> float:
-    """Return microseconds an environment step."""
-    begin = clock()
-    for k in range(steps):
-        step(k)
-    return (clock() - begin) / steps / N * 1e6
-
-
 def medians(
     steps_of: dict[str, tuple[Step, Callable[[], float]]], rounds: int, steps: int
 ) -> dict[str, float]:
-    """Return the median over interleaved rounds of each; a first round, which compiles, does not count."""
+    """Return microseconds of a step: medians over interleaved rounds but the first, which compiles."""
     times: dict[str, list[float]] = {name: [] for name in steps_of}
     for turn in range(rounds + 1):
         for name, (step, clock) in steps_of.items():
-            told = timed(step, steps, clock)
+            begin = clock()
+            for k in range(steps):
+                step(k)
             if turn:
-                times[name].append(told)
+                times[name].append((clock() - begin) / steps / N * 1e6)
     return {name: float(np.median(values)) for name, values in times.items()}
-
-
-def actions(steps: int) -> np.ndarray:
-    """Return (steps, N, 2) random actions that are held."""
-    drawn = np.random.default_rng(0).uniform(-1, 1, (-(-steps // HELD), N, 2)).astype(np.float32)
-    return np.repeat(drawn, HELD, axis=0)[:steps]
 
 
 def vector(threads: int) -> RobotVectorEnv:
@@ -82,16 +67,10 @@ def vector(threads: int) -> RobotVectorEnv:
     return env
 
 
-def rays(row: np.ndarray, mount: Pose3, beams: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return origin (3,) and directions (n, 3) in the world, from a pose of the base (7,)."""
-    T = Pose3(*row.tolist())
-    return (T @ mount).position, np.ascontiguousarray(beams @ T.rotation.T)
-
-
 class Recording:
     """States, controls and poses of a stretch of steps, to be replayed."""
 
-    def __init__(self, steps: int, told: np.ndarray) -> None:
+    def __init__(self, steps: int, actions: np.ndarray) -> None:
         env = vector(1)
         self.simulation = env.episodes.parts[0].simulation
         bodies: Any = self.simulation.groups[0].bodies
@@ -110,7 +89,7 @@ class Recording:
 
         bodies.step = recorded
         for k in range(steps):
-            env.step(told[k])
+            env.step(actions[k])
             self.poses.append(self.simulation.T_world_base.copy())
             self.ranges.append(self.simulation.ranges.copy())
         robot, preset = self.simulation.config.robot, self.simulation.config.preset
@@ -120,7 +99,10 @@ class Recording:
         for i in range(N):
             self.begun.begin(i, frame, np.isfinite(frame.height))
         self.begun.add(ALL, self.ranges[0], self.range_max, self.poses[0])
-        self.rays = [[rays(T, mount, beams) for T in poses] for poses in self.poses]
+        poses = [[Pose3(*row) for row in rows.tolist()] for rows in self.poses]
+        self.rays = [
+            [((T @ mount).position, np.ascontiguousarray(beams @ T.rotation.T)) for T in row] for row in poses
+        ]
 
     def physics(self, k: int) -> None:
         """Replay the controls of a step."""
@@ -150,32 +132,41 @@ class Recording:
 
 
 def main() -> None:
-    """Measure, and say what is kept."""
+    """Measure, and print the limits that are kept."""
     given = arguments(__doc__, quick=False)
-    rounds, steps = (3, 20) if given.quick else (9, 100)
     warnings.simplefilter("ignore")
-    told = actions(steps)
-    found = measure(rounds, steps, told)
-    print_rows([{name: value for name, value in found.items() if name not in LIMITS}])
-    print_limits(found, LIMITS)
+    times = measure(*((3, 20) if given.quick else (9, 100)))
+    print_rows([{f"{name}_us": value for name, value in times.items()}])
+    figures = {
+        "cpu_over_physics_and_rays": times["vector"] / (times["physics"] + times["rays"]),
+        "thread_speedup": times["wall_1"] / times["wall_2"],
+        "physics_thread_speedup": 2 * times["wall_physics_1"] / times["wall_physics_2"],  # two copies
+        "marking_over_rays": times["marking"] / times["rays"],
+        "sync_over_vector": times["sync"] / times["vector"],
+        "async_over_vector": times["wall_async"] / times["wall_all"],
+    }
+    print_rows([figures])
+    print_limits(figures, LIMITS)
 
 
-def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
-    """Return all figures."""
-    recording, other = Recording(steps, told), Recording(steps, told)
+def measure(rounds: int, steps: int) -> dict[str, float]:
+    """Return the microseconds of everything that is compared."""
+    drawn = np.random.default_rng(0).uniform(-1, 1, (-(-steps // HELD), N, 2)).astype(np.float32)
+    actions = np.repeat(drawn, HELD, axis=0)[:steps]
+    recording, other = Recording(steps, actions), Recording(steps, actions)
     one, two, several = vector(1), vector(2), vector(len(os.sched_getaffinity(0)))
     sync = SyncVectorEnv([lambda: gym.make("LIRS/Mapping-v2", **TASK) for _ in range(N)])
     sync.reset(seed=0)
     cpu, wall = time.process_time, time.perf_counter
     times = medians(
         {
-            "vector": (lambda k: one.step(told[k]), cpu),
+            "vector": (lambda k: one.step(actions[k]), cpu),
             "physics": (recording.physics, cpu),
             "rays": (recording.cast, cpu),
             "marking": (recording.mark, cpu),
-            "sync": (lambda k: sync.step(told[k]), cpu),
-            "wall_1": (lambda k: one.step(told[k]), wall),
-            "wall_2": (lambda k: two.step(told[k]), wall),
+            "sync": (lambda k: sync.step(actions[k]), cpu),
+            "wall_1": (lambda k: one.step(actions[k]), wall),
+            "wall_2": (lambda k: two.step(actions[k]), wall),
             "wall_physics_1": (recording.physics, wall),
             "wall_physics_2": (lambda k: recording.physics_beside(k, other), wall),
         },
@@ -186,26 +177,14 @@ def measure(rounds: int, steps: int, told: np.ndarray) -> dict[str, float]:
     peers.reset(seed=0)
     times |= medians(
         {
-            "wall_async": (lambda k: peers.step(told[k]), wall),
-            "wall_all": (lambda k: several.step(told[k]), wall),
+            "wall_async": (lambda k: peers.step(actions[k]), wall),
+            "wall_all": (lambda k: several.step(actions[k]), wall),
         },
         rounds,
         steps,
     )
     peers.close()
-    return {f"{name}_us": value for name, value in times.items()} | ratios(times)
-
-
-def ratios(times: dict[str, float]) -> dict[str, float]:
-    """Return what is asked for, and how much faster a vector is than single environments."""
-    return {
-        "cpu_over_physics_and_rays": times["vector"] / (times["physics"] + times["rays"]),
-        "thread_speedup": times["wall_1"] / times["wall_2"],
-        "physics_thread_speedup": 2 * times["wall_physics_1"] / times["wall_physics_2"],  # two copies
-        "marking_over_rays": times["marking"] / times["rays"],
-        "sync_over_vector": times["sync"] / times["vector"],
-        "async_over_vector": times["wall_async"] / times["wall_all"],
-    }
+    return times
 
 
 if __name__ == "__main__":

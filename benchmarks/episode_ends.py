@@ -3,7 +3,7 @@
     python benchmarks/episode_ends.py [--episodes 200] [--seed 0]
 
 Random actions are those of a learner that begins; `go_to_goal` with random actions in a third of the seconds
-is one that has learned and explores. The worlds are of the benchmark's split `validation`.
+is one that explores. The worlds are of the benchmark's split `validation`.
 """
 
 from __future__ import annotations

@@ -5,11 +5,9 @@
 
 Methods are mappers, `policy:NAME`, and `planted`, the mappers of planted_mappers.py with hector as reference.
 Each search has 150 drives of 60 s and ends with its first case. No search begins after `--minutes`; the same
-command continues, also within a search. Finished searches are rows of benchmarks/falsify.csv; one without a
-case counts as 150 drives. Asked are a case in at least 4 of 5 seeds, and at most 4 changed parameters for a
-planted defect. `reference ratio` is of the same drive with the reference; of a planted mapper it is the
-repaired one. `--write` makes the cases of the table, for `lirs-wct validate --suite FOLDER/cases.yaml`
-and, of policies, `lirs-wct bench POLICY --set FOLDER/cases.json`.
+command continues, also within a search. Finished searches are rows of benchmarks/falsify.csv. `--write` makes
+the cases of the table, for `lirs-wct validate --suite FOLDER/cases.yaml` and, of policies, `lirs-wct bench
+POLICY --set FOLDER/cases.json`.
 """
 
 from __future__ import annotations
@@ -18,16 +16,15 @@ import csv
 import sys
 import time
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import yaml
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.planted_mappers import DEFECTS
-from benchmarks.steps import arguments
+from benchmarks.steps import arguments, print_rows
 from lirs_extensions.search.case_search import Case, process_pool
 from lirs_extensions.search.falsify.drives import (
     CaseDrives,
@@ -57,18 +54,16 @@ COLUMNS = (
 def searches(methods: list[str], kinds: list[str], seeds: list[int], jobs: int) -> Iterator[FalsifyOptions]:
     """Yield the options of each search, seed by seed."""
     common: dict[str, Any] = {"drives": DRIVES, "cases": 1, "jobs": jobs}
-    for method in methods:
-        for kind in kinds:
-            for seed in seeds:
-                shared = common | {"search": kind, "seed": seed}
-                if method == "planted":
-                    for defect in DEFECTS.values():
-                        name = f"planted_mappers:{defect.__name__}"
-                        yield FalsifyOptions(mapper=name, reference="hector", **shared)
-                elif method.startswith("policy:"):
-                    yield FalsifyOptions(policy=method.partition(":")[2], **shared)
-                else:
-                    yield FalsifyOptions(mapper=method, **shared)
+    for method, kind, seed in product(methods, kinds, seeds):
+        shared = common | {"search": kind, "seed": seed}
+        if method == "planted":
+            for defect in DEFECTS:
+                name = f"planted_mappers:{defect.__name__}"
+                yield FalsifyOptions(mapper=name, reference="hector", **shared)
+        elif method.startswith("policy:"):
+            yield FalsifyOptions(policy=method.partition(":")[2], **shared)
+        else:
+            yield FalsifyOptions(mapper=method, **shared)
 
 
 def name_of(options: FalsifyOptions) -> str:
@@ -131,8 +126,6 @@ def write_cases(rows: list[dict[str, str]], chosen: list[FalsifyOptions], out: P
 
 def read_rows() -> list[dict[str, str]]:
     """Return the rows of the finished searches."""
-    if not OUTCOME.exists():
-        return []
     with OUTCOME.open(newline="", encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
@@ -145,31 +138,19 @@ def write_rows(rows: list[dict[str, str]]) -> None:
         writer.writerows(sorted(rows, key=lambda row: (row["method"], row["search"], int(row["seed"]))))
 
 
-def summary(rows: list[dict[str, str]]) -> Table:
-    """Return drives until the first case by method and search."""
-    table = Table("method", "search", "found", "drives until the first case (none = 150)", "median")
+def summary(rows: list[dict[str, str]]) -> Iterator[dict[str, Any]]:
+    """Yield drives until the first case by method and search; without a case, all."""
     for method, search in sorted({(row["method"], row["search"]) for row in rows}):
-        of = [row for row in rows if (row["method"], row["search"]) == (method, search)]
-        counts = [int(row["first case"] or DRIVES) for row in of]
-        found = sum(bool(row["first case"]) for row in of)
-        table.add_row(
-            method, search, f"{found} of {len(of)}", ", ".join(map(str, counts)), f"{median(counts):g}"
-        )
-    return table
+        cases = [row["first case"] for row in rows if (row["method"], row["search"]) == (method, search)]
+        counts = [int(case or DRIVES) for case in cases]
+        found = f"{sum(map(bool, cases))} of {len(cases)}"
+        yield {"method": method, "search": search, "found": found, "drives": counts, "median": median(counts)}
 
 
 def main() -> None:
     """Measure and print."""
-    given = arguments(
-        __doc__,
-        methods=",".join(METHODS),
-        searches="cma,random",
-        seeds="1-5",
-        minutes=60.0,
-        jobs=1,
-        out=Path("out/falsify"),
-        write=Path,
-    )
+    defaults: dict[str, Any] = {"methods": ",".join(METHODS), "searches": "cma,random", "seeds": "1-5"}
+    given = arguments(__doc__, **defaults, minutes=60.0, jobs=1, out=Path("out/falsify"), write=Path)
     sys.path.insert(0, str(HERE))  # of the planted mappers
     end, rows = time.monotonic() + 60 * given.minutes, read_rows()
     done = {(row["method"], row["search"], row["seed"]) for row in rows}
@@ -186,7 +167,7 @@ def main() -> None:
             break
         rows.append(row_of(options, given.out))
         write_rows(rows)
-    Console(width=140).print(summary(rows))
+    print_rows(summary(rows), width=140)
 
 
 if __name__ == "__main__":

@@ -4,20 +4,16 @@
 
 Every run has scans, IMU and truth of a simulated Husky, and the trajectories that the C++ originals made of
 the scans: HectorSLAM's core (0.05 m, odometry as the start of the match), OpenSLAM's GMapping (30 particles,
-its defaults, three seeds) and Google's Cartographer (2D, its defaults, odometry, no IMU; once more with
-use_online_correlative_scan_matching, "search"). The table holds ATEs in meters: of the odometry, of each
-original, of the same method as published here (`hector_original`) and terrain-aware (`hector`, with
-attitude); where a method draws random numbers, the median of the seeds and their range.
-
-Below: Spearman's rank correlation of a method as published with its original, runs within a factor of two of
-it, runs on the same side of the odometry's ATE, all by medians. Last, local SLAM of Cartographer pose by
-pose, which is deterministic.
+its defaults, three seeds) and Google's Cartographer (2D, its defaults, odometry, no IMU; "search" with
+use_online_correlative_scan_matching). The table holds ATEs in meters, of the odometry, each original, the
+same method as published here and terrain-aware. Below: Spearman's rank correlation with the original, runs
+within a factor of two of it and on the same side of the odometry's ATE, by medians of the seeds. Last, local
+SLAM of Cartographer pose by pose, which is deterministic.
 """
 
 from __future__ import annotations
 
 import gzip
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,12 +23,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import default_rng
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from scipy.stats import spearmanr
 
-from benchmarks.steps import arguments
+from benchmarks.slam import SEARCH, make
+from benchmarks.steps import DATA, arguments, print_rows
 from lirs_envs.robots.robot import make_robot
 from lirs_extensions.originals.cartographer.local_slam import TrajectoryBuilder
 from lirs_extensions.originals.cartographer.mapper import CartographerOriginalConfig
@@ -43,9 +38,7 @@ from lirs_wct.formats.drive_files import read_imu, read_tum
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry import LaserScan
 from lirs_wct.option import read_numbers
-from slam_baselines.mapper import Mapper, make_mapper
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "fidelity"
 ORIGINALS = {
     "C++ Hector": "original_hector.tum.gz",
     "C++ GMapping": "original_gmapping_s*.tum.gz",
@@ -53,8 +46,6 @@ ORIGINALS = {
     "C++ Cartographer, search": "original_cartographer_correlative.tum.gz",
 }
 """Columns of the originals, and their files in the folder of a run."""
-SEARCH = "cartographer_original, search"
-"""Column of `cartographer_original` with its exhaustive search around each predicted pose."""
 PUBLISHED = {
     "hector_original": "C++ Hector",
     "gmapping_original": "C++ GMapping",
@@ -78,14 +69,7 @@ Row = dict[str, Sequence[float]]
 
 
 class Agreement(NamedTuple):
-    """How a method as published agrees with its original, by the medians of the seeds.
-
-    Attributes:
-        runs: how many have both.
-        rank_correlation: Spearman's, of the ATEs; None for fewer than three runs.
-        within_factor_two: runs whose ATE is within a factor of two of the original's.
-        same_side: runs on the same side of the odometry's ATE.
-    """
+    """Rank correlation of a method's ATEs with its original's, and runs of all in which they agree."""
 
     runs: int
     rank_correlation: float | None
@@ -95,21 +79,23 @@ class Agreement(NamedTuple):
 
 def main() -> None:
     """Map every run and print the table."""
-    given = arguments(__doc__, data=DATA, run=(), noise=0.0, seeds="1-3", quick=False)
-    found_runs = sorted(path.parent for path in given.data.glob("*/scans.clf.gz"))
-    runs = [run for run in found_runs if not given.run or run.name in given.run]
-    runs = runs[: QUICK if given.quick else None]
-    if not runs:
-        sys.exit(f"{given.data}: holds no such run with scans.clf.gz")
+    given = arguments(__doc__, data=DATA / "fidelity", run=(), noise=0.0, seeds="1-3", quick=False)
+    runs = sorted(path.parent for path in given.data.glob("*/scans.clf.gz"))
+    runs = [run for run in runs if not given.run or run.name in given.run][: QUICK if given.quick else None]
     seeds = read_numbers("1" if given.quick else given.seeds, "--seeds")
     rows = {run.name: ates(run, seeds, given.noise) for run in track(runs, "mapping")}
-    found = {method: agreement(rows.values(), method) for method in PUBLISHED}
-    Console(width=220).print(table(rows))
-    for method, figures in found.items():
-        Console(width=220).print(formatted(method, figures))
-    distances = {run.name: local_distances(run) for run in runs}
-    for name, apart in distances.items():
-        print(f"local SLAM, {name}: {' / '.join(f'{d:.6f}' for d in apart)} m {DISTANCES}")
+    cells = [{"run": run} | {c: cell(row[c]) for c in COLUMNS} for run, row in rows.items()]
+    print_rows(cells, "ATE in meters", width=220)
+    for method in PUBLISHED:
+        figures = agreement(rows.values(), method)
+        correlation = "-" if figures.rank_correlation is None else f"{figures.rank_correlation:.2f}"
+        print(
+            f"{method}: rank correlation {correlation}, within a factor of two {figures.within_factor_two}, "
+            f"same side of the odometry {figures.same_side} of {figures.runs}"
+        )
+    for run in runs:
+        apart = " / ".join(f"{distance:.6f}" for distance in local_distances(run))
+        print(f"local SLAM, {run.name}: {apart} m (after 1 s / median / largest)")
 
 
 def ates(run: Path, seeds: Sequence[int], noise: float = 0.0) -> Row:
@@ -123,7 +109,7 @@ def ates(run: Path, seeds: Sequence[int], noise: float = 0.0) -> Row:
         if method in paths:
             continue
         for seed in seeds if method in SEEDED else seeds[:1]:
-            mapper = made(method, seed)
+            mapper = make(method, seed)
             for scan, T_odom_base, imu in zip(scans, log.odometry, readings, strict=True):
                 mapper.update(scan, T_odom_base, imu)
             paths.setdefault(method, []).append(mapper.trajectory())
@@ -131,7 +117,7 @@ def ates(run: Path, seeds: Sequence[int], noise: float = 0.0) -> Row:
 
 
 def recorded(run: Path, noise: float = 0.0) -> tuple[LaserLog, list[LaserScan]]:
-    """Return the log of a run, and its scans with the laser's mount, of which the log has the plane only."""
+    """Return the log of a run, and its scans with the mount in space."""
     log, mount, rng = read_carmen(run / "scans.clf.gz"), make_robot("husky").T_base_laser, default_rng(0)
     scans = []
     for scan in log.scans:
@@ -140,18 +126,8 @@ def recorded(run: Path, noise: float = 0.0) -> tuple[LaserLog, list[LaserScan]]:
     return log, scans
 
 
-def made(method: str, seed: int) -> Mapper:
-    """Return the mapper of a column."""
-    if method == SEARCH:
-        return make_mapper("cartographer_original", use_online_correlative_scan_matching=True)
-    return make_mapper(method, seed=seed)
-
-
-DISTANCES = "(after 1 s / median / largest)"
-
-
 def local_distances(run: Path) -> tuple[float, float, float]:
-    """Return the distances of local SLAM's poses from the original's, meters: see DISTANCES."""
+    """Return distances of local SLAM's poses from the original's, meters: after 1 s, median, largest."""
     log, scans = recorded(run)
     builder = TrajectoryBuilder(CartographerOriginalConfig())
     poses = [builder.add_scan(*pair).pose for pair in zip(scans, log.odometry, strict=True)]
@@ -182,27 +158,8 @@ def agreement(rows: Any, method: str) -> Agreement:
     )
 
 
-def formatted(method: str, figures: Agreement) -> str:
-    """Return the agreement in words."""
-    if not figures.runs:
-        return f"{method}: no run has its original"
-    correlation = figures.rank_correlation
-    return (
-        f"{method}: rank correlation {'-' if correlation is None else f'{correlation:.2f}'}, "
-        f"within a factor of two {figures.within_factor_two} of {figures.runs}, "
-        f"same side of the odometry {figures.same_side} of {figures.runs}"
-    )
-
-
-def table(rows: dict[str, Row]) -> Table:
-    """Return the rows for the screen: the median of the seeds, and their range."""
-    shown = Table("run", *COLUMNS, title="ATE in meters")
-    for run, row in rows.items():
-        shown.add_row(run, *(_cell(row[column]) for column in COLUMNS))
-    return shown
-
-
-def _cell(values: Sequence[float]) -> str:
+def cell(values: Sequence[float]) -> str:
+    """Return the median of the seeds, and their range."""
     if not values:
         return "-"
     spread = f" ({min(values):.3f}-{max(values):.3f})" if len(values) > 1 else ""

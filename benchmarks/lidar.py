@@ -1,11 +1,11 @@
 """Time of a laser scan: our ray traversal beside MuJoCo's rays on the same terrain, and every limit it keeps.
 
-    python benchmarks/lidar.py [--quick]
+    python benchmarks/lidar.py [--quick] [--only terrain|quadruped]
 
-720 beams over 270 degrees, 30 m, from 0.45 m above the ground and tilted by it, on one square of 50 m sampled
-with 257^2 to 4097^2 heights. Every method goes through the same poses one after the other, so that none of
-them keeps a pose's cells in the processor's cache: a robot moves on between two scans. Times are of the
-processor, which other programs lengthen less than those of a clock. It exits 1 where a limit is not kept.
+720 beams over 270 degrees, 30 m. `terrain`: from 0.45 m above the ground and tilted by it, on one square of
+50 m sampled with 257^2 to 4097^2 heights; every method goes through the same poses one after the other, so
+that none keeps a pose's cells in the processor's cache. `quadruped`: `TerrainLidar` on MuJoCo models beside
+`mj_multiRay`, on a height field and without one. Times are of the processor; a broken limit exits 1.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
+import cv2
 import mujoco
 import numpy as np
-import scipy.sparse as sparse
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
-from benchmarks.steps import arguments, print_limits
+from benchmarks.steps import arguments, print_limits, print_rows
+from lirs_envs.lidar import TerrainLidar
 from lirs_envs.lidar.presets import ring_directions
 from lirs_envs.lidar.ray_casting import RayCaster, mujoco_hits
 from lirs_wct.geometry import HeightField
@@ -32,6 +32,20 @@ Array = NDArray[np.float64]
 Rays = tuple[Array, Array]
 Cast = Callable[[Array, Array], Array]
 SIDE, RANGE, FOV = 50.0, 30.0, 1.5 * np.pi
+SIZES = (257, 513, 1025, 2049, 4097)
+SAMPLES, BEAMS, POSES = 1025, 720, 40
+LIMITS = {
+    "scan_541_ms": ("541 beams at 1025^2 [ms]", "<=", 0.12),
+    "rings_16x900_ms": ("16 rings of 900 beams at 1025^2 [ms]", "<=", 2.5),
+    "growth_4097_257": ("4097^2, in scans of 257^2", "<=", 3.0),
+    "ratio_mesh": ("times faster than MuJoCo's rays on a mesh", ">=", 14.0),
+    "ratio_hfield": ("times faster than MuJoCo's rays on an hfield", ">=", 5000.0),
+}
+"""Limits of the terrains: in words, at most or at least, and how much."""
+QUADRUPED_LIMITS = {
+    "ratio_field": ("times faster than mj_multiRay on a height field", ">=", 1000.0),
+    "share_plane": ("mj_multiRay's times without a height field", "<=", 1.05),
+}
 
 
 def octaves(samples: int, seed: int = 0) -> HeightField:
@@ -39,28 +53,9 @@ def octaves(samples: int, seed: int = 0) -> HeightField:
     rng = np.random.default_rng(seed)
     z = np.zeros((samples, samples), np.float32)
     for octave in range(1, 10):
-        knots = 2**octave
-        lattice = rng.standard_normal((knots + 3, knots + 3)).astype(np.float32) * 2.0 ** (1 - octave)
-        weights = _catmull_rom(samples, knots)
-        z += (weights @ (weights @ lattice).T).T
+        lattice = rng.standard_normal((2**octave + 3,) * 2).astype(np.float32) * 2.0 ** (1 - octave)
+        z += cv2.resize(lattice, (samples, samples), interpolation=cv2.INTER_CUBIC)
     return HeightField.centered(z, (SIDE / (samples - 1),) * 2)
-
-
-def _catmull_rom(samples: int, knots: int) -> sparse.csr_array:
-    x = np.linspace(0, knots, samples)
-    i = np.minimum(x.astype(int), knots - 1)
-    f = x - i
-    values = np.stack(
-        (
-            -0.5 * f + f**2 - 0.5 * f**3,
-            1 - 2.5 * f**2 + 1.5 * f**3,
-            0.5 * f + 2 * f**2 - 1.5 * f**3,
-            -0.5 * f**2 + 0.5 * f**3,
-        ),
-        axis=1,
-    ).astype(np.float32)
-    rows, cols = np.repeat(np.arange(samples), 4), (i[:, None] + np.arange(4)).ravel()
-    return sparse.csr_array((values.ravel(), (rows, cols)), shape=(samples, knots + 3))
 
 
 def fan(beams: int) -> Array:
@@ -117,18 +112,6 @@ def triangles(surface: HeightField) -> tuple[NDArray[np.float32], NDArray[np.int
     return np.stack((x, y, surface.south_up), axis=-1).astype(np.float32), faces
 
 
-SIZES = (257, 513, 1025, 2049, 4097)
-SAMPLES, BEAMS, POSES = 1025, 720, 40
-LIMITS = {
-    "scan_541_ms": ("541 beams at 1025^2 [ms]", "<=", 0.12),
-    "rings_16x900_ms": ("16 rings of 900 beams at 1025^2 [ms]", "<=", 2.5),
-    "growth_4097_257": ("4097^2, in scans of 257^2", "<=", 3.0),
-    "ratio_mesh": ("times faster than MuJoCo's rays on a mesh", ">=", 14.0),
-    "ratio_hfield": ("times faster than MuJoCo's rays on an hfield", ">=", 5000.0),
-}
-"""What is asked: in words, at most or at least, and how much."""
-
-
 def rings(count: int, beams: int, highest: float) -> Array:
     """Return (count * beams, 3) directions of rings, evenly below and above the horizon."""
     around = np.linspace(-np.pi, np.pi, beams, endpoint=False)
@@ -148,32 +131,10 @@ def milliseconds(cast: Cast, rays: list[Rays], rounds: int) -> Array:
     return median
 
 
-def differences(a: Cast, b: Cast, rays: list[Rays]) -> Array:
-    """Difference of two methods in meters over all beams that both see."""
-    pairs = [(a(o, d), b(o, d)) for o, d in rays]
-    both = [np.isfinite(p) & np.isfinite(q) for p, q in pairs]
-    return np.concatenate([np.abs(p[k] - q[k]) for (p, q), k in zip(pairs, both, strict=True)])
-
-
-def compared(surface: HeightField, ours: Cast, rays: list[Rays], quick: bool) -> dict[str, float]:
-    """Return times of MuJoCo's rays, and ratios taken pose by pose."""
-    mesh, hfield = mujoco_cast(surface, "mesh"), mujoco_cast(surface, "hfield")
-    few, rounds = (3 if quick else 8), (3 if quick else 8)
-    times, mesh_times = milliseconds(ours, rays, rounds), milliseconds(mesh, rays, rounds)
-    hfield_times = milliseconds(hfield, rays[:few], 1)
-    return {
-        "mesh_ms": float(np.median(mesh_times)),
-        "hfield_ms": float(np.median(hfield_times)),
-        "difference": float(differences(ours, mesh, rays[:4]).max()),
-        "ratio_mesh": float(np.median(mesh_times / times)),
-        "ratio_hfield": float(np.median(hfield_times / times[:few])),
-    }
-
-
-def measure(quick: bool, console: Console) -> tuple[dict[str, float], list[dict[str, float]]]:
+def measure_terrains(quick: bool) -> tuple[dict[str, float], list[dict[str, float]]]:
     """Return the figures and a row for each number of samples."""
-    rounds, rows, figures = (10 if quick else 30), [], {}
-    for samples in track(SIZES, "terrains", console=console, transient=True):
+    rounds, rows, figures = (10 if quick else 30), [], dict[str, float]()
+    for samples in track(SIZES, "terrains", transient=True):
         surface = octaves(samples)
         rays = scans(surface, POSES, fan(BEAMS))
         begin = time.perf_counter()
@@ -184,31 +145,114 @@ def measure(quick: bool, console: Console) -> tuple[dict[str, float], list[dict[
             return caster.cast(o, d, RANGE)
 
         row["ours_ms"] = float(np.median(milliseconds(ours, rays, rounds)))
-        if samples == SAMPLES or (samples < SAMPLES and not quick):
-            row |= compared(surface, ours, rays, quick)
         if samples == SAMPLES:
+            row |= compare_with_mujoco(surface, ours, rays, 3 if quick else 8)
+            figures |= {key: row[key] for key in LIMITS if key in row}
             for name, beams in (("scan_541_ms", fan(541)), ("rings_16x900_ms", rings(16, 900, 0.26))):
                 times = milliseconds(ours, scans(surface, POSES, beams), rounds // 3)
                 figures[name] = float(np.median(times))
-            figures |= {key: row[key] for key in LIMITS if key in row}
         rows.append(row)
     figures["growth_4097_257"] = rows[-1]["ours_ms"] / rows[0]["ours_ms"]
     return figures, rows
 
 
+def compare_with_mujoco(surface: HeightField, ours: Cast, rays: list[Rays], rounds: int) -> dict[str, float]:
+    """Return times of MuJoCo's rays, and ratios taken pose by pose."""
+    mesh, hfield = mujoco_cast(surface, "mesh"), mujoco_cast(surface, "hfield")
+    times, mesh_times = milliseconds(ours, rays, rounds), milliseconds(mesh, rays, rounds)
+    hfield_times = milliseconds(hfield, rays[:rounds], 1)
+    with np.errstate(invalid="ignore"):  # both see nothing
+        apart = np.concatenate([np.abs(ours(o, d) - mesh(o, d)) for o, d in rays[:4]])
+    return {
+        "mesh_ms": float(np.median(mesh_times)),
+        "hfield_ms": float(np.median(hfield_times)),
+        "difference_m": float(apart[np.isfinite(apart)].max()),
+        "ratio_mesh": float(np.median(mesh_times / times)),
+        "ratio_hfield": float(np.median(hfield_times / times[:rounds])),
+    }
+
+
+LEG = """<body pos="{x} {y} 0"><joint axis="1 0 0"/><geom type="sphere" size=".05"/>
+  <body><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 -.1 0 -.22" size=".03"/>
+    <body pos="-.1 0 -.22"><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .1 0 -.22" size=".02"/>
+      <geom type="sphere" pos=".1 0 -.22" size=".025"/></body></body></body>"""
+QUADRUPED = f"""<body name="trunk" pos="0 0 .5"><freejoint/><geom type="box" size=".25 .12 .06"/>
+  <site name="lidar" pos=".2 0 .2"/>
+  {"".join(LEG.format(x=x, y=y) for x in (0.2, -0.2) for y in (0.13, -0.13))}</body>"""
+CLUTTER = "".join(
+    f'<geom type="{kind}" size=".3 .4 .5" pos="{3 * np.cos(k)} {3 * np.sin(k)} .5"/>'
+    for k, kind in enumerate(("box", "sphere", "capsule", "cylinder", "ellipsoid"))
+)
+FIELD = f'<hfield name="ground" nrow="{SAMPLES}" ncol="{SAMPLES}" size="{SIDE / 2} {SIDE / 2} {{relief}} 1"/>'
+MODEL = "<mujoco><asset>{assets}</asset><worldbody>{ground}{robot}</worldbody></mujoco>"
+
+
+def on_field() -> mujoco.MjModel:
+    """Return the quadruped on rough terrain."""
+    surface = octaves(SAMPLES)
+    assets, ground = FIELD.format(relief=surface.relief), '<geom type="hfield" hfield="ground"/>'
+    model = mujoco.MjModel.from_xml_string(MODEL.format(assets=assets, ground=ground, robot=QUADRUPED))
+    model.hfield_data[:] = ((surface.south_up - surface.z.min()) / surface.relief).ravel()
+    return model
+
+
+def on_plane() -> mujoco.MjModel:
+    """Return the quadruped on a plane between five bodies."""
+    ground = '<geom type="plane" size="0 0 1"/>' + CLUTTER
+    return mujoco.MjModel.from_xml_string(MODEL.format(assets="", ground=ground, robot=QUADRUPED))
+
+
+def states(model: mujoco.MjModel, count: int) -> list[mujoco.MjData]:
+    """Return states of the robot at random places, half a meter above the ground, tilted by up to 0.1 rad."""
+    rng, placed = np.random.default_rng(1), []
+    group, geom = np.ones(6, np.uint8), np.empty(1, np.int32)
+    for x, y, yaw, pitch in rng.uniform((-20, -20, -np.pi, -0.1), (20, 20, np.pi, 0.1), (count, 4)):
+        data = mujoco.MjData(model)
+        data.qpos[:3] = x, y, 100.0
+        mujoco.mj_kinematics(model, data)
+        down = mujoco.mj_ray(model, data, data.qpos[:3] - (0, 0, 1), (0, 0, -1.0), group, True, 1, geom)
+        data.qpos[2] += 0.5 - (1 + down)
+        mujoco.mju_euler2Quat(data.qpos[3:7], np.array((yaw, pitch, 0.0)), "zyx")
+        mujoco.mj_kinematics(model, data)
+        placed.append(data)
+    return placed
+
+
+def measure_quadruped(model: mujoco.MjModel, count: int, rounds: int) -> float:
+    """Return the median of mj_multiRay's times over ours, scan by scan; calls alternate."""
+    beams, body = fan(BEAMS), model.site_bodyid[0]
+    lidar, placed = TerrainLidar(model, "lidar", beams, range_max=RANGE), states(model, count)
+    geoms, ranges = np.empty(BEAMS, np.int32), np.empty(BEAMS)
+
+    def theirs(data: mujoco.MjData) -> None:
+        d = (beams @ data.site_xmat[0].reshape(3, 3).T).ravel()
+        origin = data.site_xpos[0]
+        mujoco.mj_multiRay(model, data, origin, d, None, True, body, geoms, ranges, None, BEAMS, RANGE)
+
+    lidar.trace(placed[0])
+    times = np.empty((rounds, count, 2))
+    for turn in range(rounds):
+        for k, data in enumerate(placed):
+            for which, trace in enumerate((lidar.trace, theirs)):
+                begin = time.thread_time()
+                trace(data)
+                times[turn, k, which] = time.thread_time() - begin
+    return float(np.median(times[..., 1] / times[..., 0]))
+
+
 def main() -> None:
     """Measure and print."""
-    given = arguments(__doc__, quick=False)
-    console = Console()
-    figures, rows = measure(given.quick, console)
-    names = ("ours_ms", "mesh_ms", "hfield_ms", "build_ms", "difference")
-    table = Table(
-        "samples", *(f"{name[:-3]} [ms]" if name.endswith("_ms") else f"{name} [m]" for name in names)
-    )
-    for row in rows:
-        table.add_row(f"{row['samples']:.0f}^2", *(f"{row[n]:.3g}" if n in row else "" for n in names))
-    console.print(table)
-    sys.exit(not print_limits(figures, LIMITS))
+    given = arguments(__doc__, quick=False, only="")
+    kept, figures = True, dict[str, Any]()
+    if given.only != "quadruped":
+        figures, rows = measure_terrains(given.quick)
+        print_rows(sorted(rows, key=len, reverse=True), width=120)
+        kept = print_limits(figures, LIMITS)
+    if given.only != "terrain":
+        figures["ratio_field"] = measure_quadruped(on_field(), 3 if given.quick else 10, 1)
+        figures["share_plane"] = 1 / measure_quadruped(on_plane(), 20, 20 if given.quick else 200)
+        kept &= print_limits(figures, QUADRUPED_LIMITS)
+    sys.exit(not kept)
 
 
 if __name__ == "__main__":

@@ -3,8 +3,7 @@
     python benchmarks/live.py [--seconds 30] [--domain 42]
 
 A client in another process receives all scans and clouds. Jitter is the time by which a scan is published
-too late at --rate 1. The share of a core is the processor time of the calls that publish; the middleware's
-own threads send what a slow client missed, and are not in it.
+too late at --rate 1. The share of a core is the processor time of the calls that publish.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
-from rich.console import Console
 
 from benchmarks.steps import arguments
 from lirs_extensions.live import run as live_run
@@ -58,13 +56,19 @@ def main() -> None:
     if given.client:
         print(receive(given.domain, given.client))
         return
-    console = Console(width=120)
-    console.print(f"load average: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    print(f"load average: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
     for lidar in (LIDAR_50_HZ, LIDAR_CLOUDS):
         for reliability in ("reliable", "best effort"):
             MeteredNode.seconds, MeteredNode.sent, MeteredNode.messages = 0.0, 0, 0
             result, received = driven(lidar, reliability, given.seconds, given.domain)
-            console.print(f"{lidar}, {reliability}: {line(result, received, given.seconds)}")
+            jitter = 1e3 * np.array(result.bridge.jitter)
+            print(
+                f"{lidar}, {reliability}: {len(jitter) / given.seconds:.0f} scans a second, "
+                f"jitter p50 {np.median(jitter):.2f} ms, p99 {np.percentile(jitter, 99):.2f} ms, "
+                f"longest {jitter.max():.1f} ms; {MeteredNode.sent / SIZE / given.seconds:.1f} MiB a second, "
+                f"publishing took {MeteredNode.seconds / given.seconds:.1%} of a core; "
+                f"{received} of {MeteredNode.messages} scans and clouds received"
+            )
 
 
 def driven(lidar: str, reliability: str, seconds: float, domain: int) -> tuple[LiveRun, int]:
@@ -97,18 +101,6 @@ def receive(domain: int, reliability: str) -> int:
             received, last = received + found, time.monotonic()
         time.sleep(0.002)
     return received
-
-
-def line(result: LiveRun, received: int, seconds: float) -> str:
-    """Return the figures of a drive in one line."""
-    jitter = 1e3 * np.array(result.bridge.jitter)
-    return (
-        f"{len(jitter) / seconds:.0f} scans a second, jitter p50 {np.median(jitter):.2f} ms, "
-        f"p99 {np.percentile(jitter, 99):.2f} ms, longest {jitter.max():.1f} ms; "
-        f"{MeteredNode.sent / SIZE / seconds:.1f} MiB a second, publishing took "
-        f"{MeteredNode.seconds / seconds:.1%} of a core; "
-        f"{received} of {MeteredNode.messages} scans and clouds received"
-    )
 
 
 if __name__ == "__main__":

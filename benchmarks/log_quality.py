@@ -4,11 +4,10 @@
         [-o FOLDER] [--csv FILE]
     python benchmarks/log_quality.py --from benchmarks/log_quality.csv
 
-Every k-th scan of each log is mapped by each mapper, with the odometry as logged and with a worse one: yaw
-noise of 4 deg per square root of a meter, and 10 % of each step. With a folder, finished results are kept
-there and the same command continues. True error: ATE against the reference poses; of the Intel log, which has
-none, the mean translational error of the relations. A result that is more than a meter off must not be `ok`:
-the last line counts those that are. --from prints the table of an earlier measurement.
+Every k-th scan of each log is mapped by each mapper, with the odometry as logged and with a worse one. With a
+folder, finished results are kept there and the same command continues. True error: ATE against the reference
+poses, of the Intel log the mean translational error of the relations. The last line counts results that are
+more than a meter off, and `ok`. --from prints the table of an earlier measurement.
 """
 
 from __future__ import annotations
@@ -20,13 +19,15 @@ import json
 import math
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import spearmanr
 
-from benchmarks.slam import DATA, LOGS, REFERENCES, RELATIONS
+from benchmarks.slam import LOGS, REFERENCES, RELATIONS
+from benchmarks.steps import DATA
 from lirs_validation import map_log
 from lirs_validation.metrics.mapped_log import reference_errors
 from lirs_validation.metrics.trajectory import rms
@@ -53,11 +54,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--log", nargs="+", default=list(LOGS), choices=list(LOGS))
     parser.add_argument("--mapper", nargs="+", default=list(MAPPED))
-    parser.add_argument("--every", nargs="+", type=int, default=[1, 2, 4], help="keep every k-th scan")
-    parser.add_argument("--data", type=Path, default=DATA, help=f"folder with {', '.join(LOGS)}")
-    parser.add_argument("-o", "--output", type=Path, help="keep the results there")
-    parser.add_argument("--csv", type=Path, help="write the rows there")
-    parser.add_argument("--from", dest="stored", type=Path, help="rows of an earlier measurement")
+    parser.add_argument("--every", nargs="+", type=int, default=[1, 2, 4])
+    parser.add_argument("--data", type=Path, default=DATA / "logs")
+    for flags in (("-o", "--output"), ("--csv",)):
+        parser.add_argument(*flags, type=Path)
+    parser.add_argument("--from", dest="stored", type=Path)
     given = parser.parse_args()
     if given.stored:
         with given.stored.open(encoding="utf-8", newline="") as file:
@@ -69,7 +70,9 @@ def main() -> None:
         with atomic_write(given.csv) as path, path.open("w", encoding="utf-8", newline="") as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
             writer.writeheader()
-            writer.writerows({name: shown(row[name]) for name in COLUMNS} for row in rows)
+            for row in rows:
+                cells = {name: row[name] for name in COLUMNS}
+                writer.writerow({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in cells.items()})
     print(table(rows))
 
 
@@ -83,7 +86,7 @@ def measured(given: argparse.Namespace, out: Path) -> Iterator[dict[str, Any]]:
             for every in given.every:
                 path = out / f"{log}-{odometry}-every{every}.clf.gz"
                 with atomic_write(path) as temporary, gzip.open(temporary, "wt", encoding="utf-8") as kept:
-                    kept.writelines(thinned(source, every))
+                    kept.writelines(thin(source, every))
                 case = {"log": log, "odometry": odometry, "every": every}
                 mappers = dict.fromkeys((*given.mapper, *SECOND))
                 found = {name: result(name, case, path, given.data) for name in mappers}
@@ -137,19 +140,10 @@ def correlation(rows: Iterable[Mapping[str, Any]], figure: str) -> float:
     return float(spearmanr(errors, figures).statistic)
 
 
-def shown(value: Any) -> Any:
-    """Return a cell of the rows' file."""
-    return f"{value:.4g}" if isinstance(value, float) else value
-
-
-def thinned(lines: Iterable[str], every: int, first: int = 0) -> Iterator[str]:
-    """Yield the lines of a CARMEN log with every k-th scan from the first one on."""
-    scans = -1
-    for line in lines:
-        scan = line.startswith("FLASER")
-        scans += scan
-        if not scan or (scans >= first and (scans - first) % every == 0):
-            yield line
+def thin(lines: Iterable[str], every: int) -> Iterator[str]:
+    """Yield the lines of a CARMEN log with every k-th scan."""
+    scans = count()
+    yield from (line for line in lines if not line.startswith("FLASER") or next(scans) % every == 0)
 
 
 def worsened(lines: Iterable[str], seed: int = 1) -> Iterator[str]:

@@ -23,11 +23,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.slam import DATA, LOGS, RELATIONS
-from benchmarks.steps import arguments
+from benchmarks.slam import LOGS, RELATIONS
+from benchmarks.steps import DATA, arguments, print_rows
 from lirs_validation.logs.read_log import read_constraints
 from lirs_validation.metrics.mapped_log import constraint_errors
 from lirs_validation.metrics.trajectory import trajectory_errors
@@ -57,21 +55,21 @@ EPOCH = 11644473600
 
 def main() -> None:
     """Run each program on each log and print the table."""
-    given = arguments(__doc__, data=DATA.parent, logs=",".join(("intel", *RUNS)), rawlog=Path, limit=900.0)
+    given = arguments(__doc__, data=DATA, logs=",".join(("intel", *RUNS)), rawlog=Path, limit=900.0)
     if given.rawlog:
         write_rawlog(given.rawlog[1], read_carmen(given.rawlog[0]))
         return
-    table = Table("log", "odometry", *PROGRAMS, "gmapping_original", title="error in meters (CPU seconds)")
+    rows = []
     for name in given.logs.split(","):
         folder = given.data / "fidelity" / name
         intel = given.data / "logs" / LOGS["intel"]
         log = read_carmen(intel if name == "intel" else folder / "scans.clf.gz")
-        made = [("", log.track, 0.0)]
-        made += [(program, *run(program, log, given.limit)) for program in PROGRAMS]
-        made.append(("gmapping_original", *map_here(log)))
-        told = [f"{error(name, path, log, given.data):.3f} ({seconds:.0f})" for _, path, seconds in made]
-        table.add_row(name, *told)
-    Console(width=120).print(table)
+        paths = {"odometry": (log.track, 0.0)}
+        paths |= {program: run(program, log, given.limit) for program in PROGRAMS}
+        paths["gmapping_original"] = map_here(log)
+        row = {key: f"{error(name, *path, log, given.data)}" for key, path in paths.items()}
+        rows.append({"log": name} | row)
+    print_rows(rows, "error in meters (CPU seconds)", width=120)
 
 
 def run(program: str, log: LaserLog, limit: float) -> tuple[Trajectory, float]:
@@ -102,12 +100,14 @@ def map_here(log: LaserLog) -> tuple[Trajectory, float]:
     return mapper.trajectory(), time.process_time() - begun
 
 
-def error(name: str, path: Trajectory, log: LaserLog, data: Path) -> float:
-    """Return the error of a path in meters."""
+def error(name: str, path: Trajectory, seconds: float, log: LaserLog, data: Path) -> str:
+    """Return the error of a path in meters, and its CPU seconds."""
     if name == "intel":
         relations = read_constraints(data / "logs" / RELATIONS)
-        return float(constraint_errors(path, relations, log.track).translation.mean())
-    return trajectory_errors(read_tum(data / "fidelity" / name / "truth.tum.gz"), path).ate_rmse
+        meters = float(constraint_errors(path, relations, log.track).translation.mean())
+    else:
+        meters = trajectory_errors(read_tum(data / "fidelity" / name / "truth.tum.gz"), path).ate_rmse
+    return f"{meters:.3f} ({seconds:.0f})"
 
 
 def write_rawlog(target: Path, log: LaserLog) -> None:

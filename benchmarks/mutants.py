@@ -2,13 +2,11 @@
 
     python benchmarks/mutants.py [GROUP|MODULE ...] [--number N] [--seed K] [--quick]
 
-A group (`metrics`, `poses`, `readers`) is a set of modules of which N mutants are drawn; of a module, a path,
-all are taken (or N). Samples of different seeds share no mutant. A mutant is killed where a test of its
-module fails, crashes or takes too long; the tests are those of the module's name or that import it, else of
-its folder, without real files. The slow tests run where the fast ones pass. Everything runs in a copy of the
-checkout, each mutant in a fork of a process with the libraries loaded. Kernels of a mutated module run as
-plain Python: numba's cache would hold those of another mutant.
-Every survivor is printed.
+Of a group (`metrics`, `poses`, `readers`) N mutants are drawn, of a module all are taken. A mutant is killed
+where a test of its module fails, crashes or takes too long; the tests are those of the module's name or that
+import it, else of its folder, the slow ones last. Everything runs in a copy of the checkout, each mutant in a
+fork of a process with the libraries loaded; kernels of a mutated module run as plain Python. Every survivor
+is printed. Samples of different seeds share no mutant.
 """
 
 from __future__ import annotations
@@ -32,48 +30,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
+from benchmarks.steps import arguments, print_rows
 
-from benchmarks.steps import arguments
-
-COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
+ORDER: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
     ast.Lt: (ast.LtE, ast.Gt),
     ast.LtE: (ast.Lt, ast.GtE),
     ast.Gt: (ast.GtE, ast.Lt),
     ast.GtE: (ast.Gt, ast.LtE),
-    ast.Eq: (ast.NotEq,),
-    ast.NotEq: (ast.Eq,),
-    ast.Is: (ast.IsNot,),
-    ast.IsNot: (ast.Is,),
-    ast.In: (ast.NotIn,),
-    ast.NotIn: (ast.In,),
 }
-OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-    ast.FloorDiv: ast.Mult,
-    ast.Mod: ast.Mult,
-    ast.Pow: ast.Mult,
-    ast.BitAnd: ast.BitOr,
-    ast.BitOr: ast.BitAnd,
-    ast.LShift: ast.RShift,
-    ast.RShift: ast.LShift,
-}
-FUNCTIONS = [
-    ("min", "max"),
-    ("minimum", "maximum"),
-    ("nanmin", "nanmax"),
-    ("argmin", "argmax"),
-    ("floor", "ceil"),
-    ("any", "all"),
-    ("sin", "cos"),
-    ("zeros", "ones"),
-    ("radians", "degrees"),
-]
-TWIN = {**dict(FUNCTIONS), **{b: a for a, b in FUNCTIONS}}
+
+
+def both_ways(*pairs: tuple[Any, Any]) -> dict[Any, Any]:
+    """Return a table in which each of a pair stands for the other."""
+    return dict(pairs) | {b: a for a, b in pairs}
+
+
+NEGATIONS = both_ways((ast.Eq, ast.NotEq), (ast.Is, ast.IsNot), (ast.In, ast.NotIn))
+OPERATORS = both_ways(
+    (ast.Add, ast.Sub), (ast.Mult, ast.Div), (ast.BitAnd, ast.BitOr), (ast.LShift, ast.RShift)
+) | dict.fromkeys((ast.FloorDiv, ast.Mod, ast.Pow), ast.Mult)
+TWIN = both_ways(
+    *(("min", "max"), ("minimum", "maximum"), ("nanmin", "nanmax"), ("argmin", "argmax")),
+    *(("floor", "ceil"), ("any", "all"), ("sin", "cos"), ("zeros", "ones"), ("radians", "degrees")),
+)
 GUARDS = ("strict", "stacklevel")
 """Arguments without a say in what comes out."""
 OPERATIONS = (ast.BinOp, ast.BoolOp, ast.Compare, ast.UnaryOp)
@@ -82,13 +61,7 @@ Node = ast.expr | ast.stmt
 
 @dataclass(frozen=True)
 class Mutation:
-    """A text in place of a node's.
-
-    Attributes:
-        start: first byte of the node in the source (UTF-8).
-        end: first byte behind it.
-        text: what stands there instead.
-    """
+    """A text in place of the bytes of a node in the source (UTF-8), from `start` to before `end`."""
 
     start: int
     end: int
@@ -143,7 +116,7 @@ def _replacements(node: Node, in_function: bool) -> Iterator[tuple[Node, ast.AST
     match node:
         case ast.Compare(ops=ops):
             for k, op in enumerate(ops):
-                for other in COMPARISONS[type(op)]:
+                for other in ORDER.get(type(op)) or (NEGATIONS[type(op)],):
                     yield node, _with(node, ops=[*ops[:k], other(), *ops[k + 1 :]])
         case ast.BinOp(op=ast.BitOr()) if not in_function:
             return  # a union of types
@@ -154,7 +127,10 @@ def _replacements(node: Node, in_function: bool) -> Iterator[tuple[Node, ast.AST
         case ast.UnaryOp(operand=operand):
             yield node, operand
         case ast.Constant(value=value) if isinstance(value, bool | int | float):
-            yield from ((node, ast.Constant(other)) for other in _numbers(value))
+            others = [not value] if isinstance(value, bool) else [value - 1, value + 1]
+            if isinstance(value, float):
+                others = [value * 2, value / 2] if value else [1.0]
+            yield from ((node, ast.Constant(other)) for other in others)
         case ast.If(test=test) | ast.IfExp(test=test) if not isinstance(test, ast.Compare | ast.UnaryOp):
             yield test, ast.UnaryOp(ast.Not(), test)
         case ast.Break():
@@ -168,14 +144,6 @@ def _replacements(node: Node, in_function: bool) -> Iterator[tuple[Node, ast.AST
             yield node, ast.Name(TWIN[name])
         case ast.Attribute(attr=name) if name in TWIN:
             yield node, _with(node, attr=TWIN[name])
-
-
-def _numbers(value: bool | int | float) -> list[bool | int | float]:
-    if isinstance(value, bool):
-        return [not value]
-    if isinstance(value, int):
-        return [value - 1, value + 1]
-    return [value * 2, value / 2] if value else [1.0]
 
 
 def _with(node: ast.AST, **fields: object) -> ast.AST:
@@ -204,14 +172,7 @@ COPIED = (
     *("tests", "examples", "pyproject.toml"),
 )
 PRELOADED = (
-    "numpy",
-    "scipy.spatial",
-    "scipy.optimize",
-    "cv2",
-    "numba",
-    "pytest",
-    "hypothesis.extra.numpy",
-    "yaml",
+    *("numpy", "scipy.spatial", "scipy.optimize", "cv2", "numba", "pytest", "hypothesis.extra.numpy", "yaml"),
 )
 """Libraries that every mutant's process finds loaded."""
 MARKS = ("not slow and not shared", "slow and not shared")
@@ -232,29 +193,17 @@ class Mutant:
     source: str
     mutation: Mutation
 
-    @property
-    def diff(self) -> str:
-        """The changed lines."""
-        return self.mutation.diff(self.source)
 
-
-def modules_of(patterns: Sequence[str], root: Path) -> list[str]:
-    """Return the modules of patterns, paths in the checkout; packages' `__init__` is left out."""
-    found = sorted({path for pattern in patterns for path in root.glob(pattern)})
-    return [str(path.relative_to(root)) for path in found if path.name != "__init__.py"]
-
-
-def drawn(modules: Sequence[str], number: int | None, seed: int, root: Path) -> list[Mutant]:
-    """Return a sample of the modules' mutants: slice `seed` (from 1) of one shuffled list of all."""
-    sources = {module: (root / module).read_text(encoding="utf-8") for module in modules}
-    found = [
-        Mutant(name, text, mutation) for name, text in sources.items() for mutation in mutations_of(text)
-    ]
-    random.Random(0).shuffle(found)
-    number = len(found) if number is None else number
-    if (seed - 1) * number >= len(found):
-        sys.exit(f"--seed {seed}: there are {len(found)} mutants, {number} a seed")
-    return sorted(found[(seed - 1) * number : seed * number], key=lambda m: (m.module, m.mutation.start))
+def draw(patterns: Sequence[str], number: int | None, seed: int, root: Path) -> list[Mutant]:
+    """Return a sample of the mutants: slice `seed` (from 1) of one shuffled list of all."""
+    paths = sorted(path for pattern in patterns for path in root.glob(pattern) if path.stem != "__init__")
+    sources = {str(path.relative_to(root)): path.read_text(encoding="utf-8") for path in paths}
+    mutants = [Mutant(name, text, change) for name, text in sources.items() for change in mutations_of(text)]
+    random.Random(0).shuffle(mutants)
+    number = len(mutants) if number is None else number
+    if (seed - 1) * number >= len(mutants):
+        sys.exit(f"--seed {seed}: there are {len(mutants)} mutants, {number} a seed")
+    return sorted(mutants[(seed - 1) * number : seed * number], key=lambda m: (m.module, m.mutation.start))
 
 
 def tests_of(module: str, root: Path) -> list[str]:
@@ -358,32 +307,24 @@ def _pytest(folder: Path, tests: list[str], jit: bool, mark: str, keep: bool) ->
     os._exit(int(code))
 
 
-def figures(laboratory: Laboratory, mutants: Sequence[Mutant], console: Console) -> list[dict[str, Any]]:
-    """Run every mutant; return its module, its diff and whether it was killed."""
-    rows = []
+def count_killed(laboratory: Laboratory, mutants: Sequence[Mutant]) -> list[dict[str, Any]]:
+    """Run every mutant and print those that survive; return the counts of every module."""
+    outcomes: dict[str, list[bool]] = {}
     for mutant in mutants:
         killed = laboratory.killed(mutant)
-        rows.append({"module": mutant.module, "killed": killed, "diff": mutant.diff})
+        for name in (mutant.module, "all"):
+            outcomes.setdefault(name, []).append(killed)
         if not killed:
-            console.print(f"survived: {mutant.module}\n{mutant.diff}\n", markup=False, highlight=False)
-    return rows
-
-
-def table(rows: Sequence[dict[str, Any]], title: str) -> Table:
-    """Return the counts of every module."""
-    shown = Table("module", "mutants", "killed", "survived", "share", title=title)
-    modules = sorted({row["module"] for row in rows})
-    for module in [*modules, "all"]:
-        killed = [row["killed"] for row in rows if module in (row["module"], "all")]
-        share = f"{sum(killed) / len(killed):.0%}"
-        shown.add_row(module, str(len(killed)), str(sum(killed)), str(len(killed) - sum(killed)), share)
-    return shown
+            print(f"survived: {mutant.module}\n{mutant.mutation.diff(mutant.source)}\n", flush=True)
+    return [
+        {"module": name, "mutants": len(killed), "killed": sum(killed), "share": sum(killed) / len(killed)}
+        for name, killed in sorted(outcomes.items(), key=lambda item: item[0] == "all")
+    ]
 
 
 def main() -> None:
     """Draw mutants, run their tests, print what survived and the counts."""
     given = arguments(__doc__, "groups", groups=list(GROUPS), number=int, seed=1, quick=False)
-    console = Console(width=130)
     for name in PRELOADED:
         importlib.import_module(name)
     with tempfile.TemporaryDirectory() as folder:
@@ -391,9 +332,8 @@ def main() -> None:
         for name in given.groups:
             number, patterns = GROUPS.get(name, (None, (name,)))
             number = given.number or (8 if given.quick else number)
-            modules = modules_of(patterns, laboratory.folder)
-            mutants = drawn(modules, number, given.seed, laboratory.folder)
-            console.print(table(figures(laboratory, mutants, console), f"{name}, seed {given.seed}"))
+            mutants = draw(patterns, number, given.seed, laboratory.folder)
+            print_rows(count_killed(laboratory, mutants), f"{name}, seed {given.seed}", width=130)
 
 
 if __name__ == "__main__":

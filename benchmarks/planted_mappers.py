@@ -10,9 +10,8 @@ import math
 from collections import deque
 from dataclasses import replace
 
-from lirs_wct import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
+from lirs_wct import Imu, LaserScan, Pose2, Trajectory
 from slam_baselines.hector import HectorConfig, HectorMapper
-from slam_baselines.mapper import MapperStats
 
 LAG = 0.1
 """Seconds."""
@@ -22,39 +21,14 @@ STILL = 0.02
 """Speed below which the robot stands still or turns on the spot, m/s."""
 
 
-class Sound:
-    """Hector without a defect."""
-
-    def __init__(self, config: HectorConfig | None = None) -> None:
-        self.mapper = HectorMapper(config)
-        self._before: Pose2 | None = None
-
-    def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        return self.mapper.update(scan, odometry, imu)
-
-    @property
-    def lost(self) -> bool:
-        return self.mapper.lost
-
-    def map(self) -> OccupancyGrid:
-        return self.mapper.map()
-
-    def trajectory(self) -> Trajectory:
-        return self.mapper.trajectory()
-
-    @property
-    def stats(self) -> MapperStats:
-        return self.mapper.stats
-
-
-class WrongRoll(Sound):
+class WrongRoll(HectorMapper):
     """The sign of the roll is wrong."""
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
-        return self.mapper.update(scan, odometry, imu and replace(imu, roll=-imu.roll))
+        return super().update(scan, odometry, imu and replace(imu, roll=-imu.roll))
 
 
-class LateScans(Sound):
+class LateScans(HectorMapper):
     """Scans are 100 ms older than odometry and attitude."""
 
     def __init__(self) -> None:
@@ -65,45 +39,47 @@ class LateScans(Sound):
         self._late.append(scan)
         while len(self._late) > 1 and self._late[1].stamp <= scan.stamp - LAG + 1e-6:
             self._late.popleft()
-        return self.mapper.update(replace(self._late[0], stamp=scan.stamp), odometry, imu)
+        return super().update(replace(self._late[0], stamp=scan.stamp), odometry, imu)
 
 
-class LosesScans(Sound):
+class LosesScans(HectorMapper):
     """Every third scan is lost, and its odometry increment with it."""
 
     def __init__(self) -> None:
         super().__init__()
         self._count, self._sum = 0, Pose2()
+        self._before: Pose2 | None = None
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         assert odometry is not None, "this mapper needs odometry"
         step = (self._before or odometry).inverse() @ odometry
         self._before, self._count = odometry, self._count + 1
         if self._count % 3 == 0:
-            return self.mapper.front.estimate.pose
+            return self.front.estimate.pose
         self._sum = self._sum @ step
-        return self.mapper.update(scan, self._sum, imu)
+        return super().update(scan, self._sum, imu)
 
 
-class NeverForgets(Sound):
+class NeverForgets(HectorMapper):
     """Free space does not lower the occupancy of a cell."""
 
     def __init__(self) -> None:
         super().__init__(HectorConfig(update_factor_free=0.4999))
 
 
-class DriftsAtStandstill(Sound):
+class DriftsAtStandstill(HectorMapper):
     """The heading drifts while the robot stands still or turns on the spot."""
 
     def __init__(self) -> None:
         super().__init__()
         self._drift, self._stamp = Pose2(), 0.0
+        self._before: Pose2 | None = None
         self._stamps: list[float] = []
         self._poses: list[Pose2] = []
 
     def update(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         assert odometry is not None, "this mapper needs odometry"
-        pose, step = self.mapper.update(scan, odometry, imu), scan.stamp - self._stamp
+        pose, step = super().update(scan, odometry, imu), scan.stamp - self._stamp
         moved = (self._before or odometry).inverse() @ odometry
         if math.hypot(moved.x, moved.y) < STILL * step:
             place = self._drift @ Pose2(pose.x, pose.y)
@@ -117,11 +93,4 @@ class DriftsAtStandstill(Sound):
         return Trajectory.from_poses(self._stamps, self._poses)
 
 
-DEFECTS = {
-    "wrong sign of roll": WrongRoll,
-    "100 ms lag": LateScans,
-    "every third scan lost": LosesScans,
-    "a map that never forgets": NeverForgets,
-    "heading drift at standstill": DriftsAtStandstill,
-}
-"""Planted defects by name."""
+DEFECTS = (WrongRoll, LateScans, LosesScans, NeverForgets, DriftsAtStandstill)

@@ -10,10 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.steps import arguments
+from benchmarks.steps import arguments, print_rows
 from lirs_envs.robots.robot import ROBOTS, Robot, Twist, make_robot
 from lirs_envs.simulation import Simulation
 from lirs_envs.simulation_config import SimulationConfig
@@ -53,7 +51,7 @@ def main() -> None:
     """Measure and print."""
     options = arguments(__doc__, "sources", sources=list(RECIPES), robot=list(ROBOTS), terrain="hfield")
     robots = [make_robot(name) for name in options.robot]
-    table = Table("world", "terrain", "robot", "us a step", "legal", "RTF", title="MuJoCo's step alone")
+    rows = []
     for source in options.sources:
         world = build_scenario(RunConfig(source=source)).world
         for terrain in options.terrain.split(","):
@@ -63,9 +61,9 @@ def main() -> None:
                 except WctError as error:
                     print(f"{robot.name}, {terrain}: {error}")
                     continue
-                legal = f"at most {DEAREST:g}"
-                table.add_row(world.name, terrain, robot.name, f"{us:.1f}", legal, f"{rtf:.0f}")
-    Console().print(table)
+                row = {"world": world.name, "terrain": terrain, "robot": robot.name}
+                rows.append(row | {f"us a step, at most {DEAREST:g}": us, "RTF": rtf})
+    print_rows(rows, "MuJoCo's step alone")
 
 
 if __name__ == "__main__":

@@ -2,23 +2,15 @@
 
     python benchmarks/run.py [SOURCE ...] [--seeds 1-5] [--seconds 120] [--quick]
 
-The peer is the paper: Gazebo, Husky, the same SLAM method on solid worlds (its Tables III and IV);
-its figure for the simple world is lost with its Table II, its abstract says 0.42 to 0.73.
-
-`ratio_reference` is the RTF over that of the reference physics: the commands of the whole drive through
-MuJoCo's step alone, at most 4 ms long, with every contact geom on. The machine drops out; .50 is asked of
-hector, .38 of cartographer, .28 of gmapping.
-
-`f1_aligned` and `false_occupied_aligned` are of the map after its trajectory's alignment, which moves the
-start by `start_shift` meters and turns the map by `start_turn_deg`.
-
-`ate_level` is the ATE of the same mapper fed with the same scans levelled by the true attitude, and
-`ratio_level` the run's ATE over it: what the IMU's errors cost on uneven ground (at most 1.5 is asked).
+`ratio_paper` is the RTF over the paper's: Gazebo, Husky, the same SLAM method on solid worlds (Tables III and
+IV). `ratio_reference` is the RTF over that of the reference physics: the commands of the whole drive through
+MuJoCo's step alone, at most 4 ms long, with every contact geom on. Aligned figures are of the map after its
+trajectory's alignment. `ate_level` is the ATE of the same mapper fed with the same scans levelled by the true
+attitude, and `ratio_level` the run's ATE over it: the cost of the IMU's errors on uneven ground.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -27,14 +19,10 @@ from lirs_validation.config import RunConfig
 from lirs_validation.experiment.loading import mapper_named
 from lirs_validation.experiment.run import Run, drive_and_conclude, prepare
 from lirs_validation.metrics.trajectory import trajectory_errors
+from lirs_validation.report.paper import PUBLISHED_RTF, SOLID
 from lirs_wct.option import read_numbers
 
 WORLDS = ("simple", "medium", "advanced")
-PAPER_RTF = {
-    "gmapping": {"medium": 0.46, "advanced": 0.42},
-    "hector": {"medium": 0.64, "advanced": 0.60},
-    "cartographer": {"medium": 0.59, "advanced": 0.57},
-}
 
 
 def main() -> None:
@@ -70,8 +58,7 @@ def row(config: RunConfig) -> dict[str, Any]:
     run = drive_and_conclude(ready)
     record = run.record
     level, ate = levelled_ate(run), record.trajectory["ate_rmse"]
-    turn = record.map["start_turn"]
-    paper = PAPER_RTF.get(config.mapper, {}).get(config.source)
+    paper = PUBLISHED_RTF.get((config.source, config.mapper, SOLID))
     reference = ready.simulation.replay(reference=True).rtf
     parts = {f"{name}_ms": 1e3 * value for name, value in record.rtf["parts"].items()}
     return {
@@ -88,8 +75,6 @@ def row(config: RunConfig) -> dict[str, Any]:
         "odometry_ate": record.trajectory["odometry_ate_rmse"],
         "f1": record.map["f1"],
         "f1_aligned": record.map["f1_aligned"],
-        "start_shift": record.map["start_shift"],
-        "start_turn_deg": None if turn is None else math.degrees(turn),
         "f1_input": record.map["f1_input"],
         "false_occupied": record.map["false_occupied"],
         "false_occupied_aligned": record.map["false_occupied_aligned"],

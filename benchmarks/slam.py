@@ -1,4 +1,4 @@
-"""How right and how fast the mappers are on real logs, beside the targets and the C++ originals.
+"""How right and how fast the mappers are on real logs, beside the C++ originals.
 
     python benchmarks/slam.py [--mapper NAME ...] [--seeds N] [--quick] [--data FOLDER]
 
@@ -6,17 +6,15 @@ Intel Research Lab: relative-relation metric of Kuemmerle et al. 2009, once over
 those of which both stamps are those of scans (to 1 ms); the floor of these relations is about .015 m. MIT
 CSAIL, Orebro and Edmonton (a scan a meter): absolute error against reference poses, after rigid alignment.
 One thread, CPU time, compilation apart; every row in a process of its own, MB is what it grows by while
-driving. `--quick` drives a fifth of each log with one seed. The originals' figures were measured on 2 cores
-of an AMD EPYC and are noisy by 30-50 %.
+driving. `--quick` drives a fifth of each log with one seed.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import resource
-import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import fields
 from importlib import import_module
@@ -24,18 +22,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.steps import arguments
+from benchmarks.steps import DATA, arguments, print_rows
 from lirs_validation.logs.read_log import read_constraints, read_reference
-from lirs_validation.metrics.mapped_log import RelativePoseConstraint, constraint_errors, reference_errors
+from lirs_validation.metrics.mapped_log import constraint_errors, reference_errors
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MAPPERS, Mapper, make_mapper
 
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data" / "logs"
 LOGS = {
     "intel": "intel/intel.clf.gz",
     "csail": "csail/mit-csail.clf.gz",
@@ -48,31 +43,13 @@ REFERENCES = {
     "orebro": "orebro/reference_poses.tum.gz",
     "edmonton": "edmonton/reference_poses.tum.gz",
 }
-
 SEARCH = "cartographer_original-search"
 """Row of `cartographer_original` with its exhaustive search around each predicted pose."""
-METHODS = {SEARCH: "cartographer_original"}
-"""Mappers of the rows that have another name."""
 
 RIGHT = ("m", "deg", "m at scans", "deg at scans", "lost")
 FAST = ("ms a scan", "ms a used", "p50", "p95", "p99", "max", "seconds", "MB")
 Figures = Mapping[str, float]
 
-TARGETS: Mapping[tuple[str, str], Figures] = {
-    ("hector", "intel"): {"m": 0.02, "deg": 0.62, "ms a scan": 0.04},
-    ("hector", "csail"): {"m": 0.35},
-    ("gmapping", "intel"): {"m": 0.02, "deg": 0.62, "ms a used": 25, "seconds": 25, "MB": 150},
-    ("gmapping", "csail"): {"m": 0.30, "ms a used": 45},
-    ("cartographer", "intel"): {"m": 0.022, "deg": 0.62, "ms a used": 6, "seconds": 8, "p99": 10, "max": 50},
-    ("cartographer", "csail"): {"m": 0.20},
-    ("hector", "orebro"): {"m": 0.50},
-    ("hector", "edmonton"): {"m": 0.50},
-    ("gmapping", "orebro"): {"m": 0.36},
-    ("gmapping", "edmonton"): {"m": 0.18},
-    ("cartographer", "orebro"): {"m": 0.30},
-    ("cartographer", "edmonton"): {"m": 0.15},
-}
-"""What is asked for; a used scan is a processed one of gmapping and a node of cartographer."""
 ORIGINALS: Mapping[tuple[str, str], Figures] = {
     ("hector", "intel"): {"m": 0.024, "deg": 0.58, "ms a scan": 0.046},
     ("hector", "csail"): {"m": 6.0, "ms a scan": 0.10},
@@ -89,11 +66,7 @@ ORIGINALS: Mapping[tuple[str, str], Figures] = {
 def main() -> None:
     """Measure what is asked for, one row after the other, and print the tables."""
     names = [*sorted(MAPPERS), SEARCH]
-    given = arguments(__doc__, mapper=names, log=list(LOGS), seeds=5, quick=False, data=DATA)
-    missing = [given.data / path for path in (*LOGS.values(), RELATIONS, *REFERENCES.values())]
-    missing = [path for path in missing if not path.is_file()]
-    if missing:
-        sys.exit(f"{missing[0]}: no such file; --data must hold {', '.join(LOGS)}")
+    given = arguments(__doc__, mapper=names, log=list(LOGS), seeds=5, quick=False, data=DATA / "logs")
     jobs = [
         (name, log, seed, 0.2 if given.quick else 1.0, given.data)
         for log in given.log
@@ -103,21 +76,20 @@ def main() -> None:
     fresh = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(max_workers=1, mp_context=fresh, max_tasks_per_child=1) as one_by_one:
         rows = list(one_by_one.map(measure, jobs))
-    console = Console(width=140)
-    console.print(table("How right", RIGHT, rows))
-    console.print(table("How fast", FAST, rows))
+    for title, figures in (("How right", RIGHT), ("How fast", FAST)):
+        print_rows(table(figures, rows), title, width=140)
 
 
 def seeded(name: str) -> bool:
     """Whether a mapper draws random numbers."""
-    method = MAPPERS[METHODS.get(name, name)]
+    method = MAPPERS[name.removesuffix("-search")]
     return "seed" in {f.name for f in fields(getattr(import_module(method.module), method.config))}
 
 
-def made(name: str, seed: int) -> Mapper:
+def make(name: str, seed: int) -> Mapper:
     """Return the mapper of a row."""
     if name == SEARCH:
-        return make_mapper(METHODS[name], use_online_correlative_scan_matching=True)
+        return make_mapper("cartographer_original", use_online_correlative_scan_matching=True)
     return make_mapper(name, seed=seed)
 
 
@@ -126,9 +98,9 @@ def measure(job: tuple[str, str, int, float, Path]) -> dict[str, Any]:
     name, log_name, seed, share, data = job
     log = read_carmen(data / LOGS[log_name])
     scans = int(len(log.scans) * share)
-    drive(made(name, seed), log, min(scans, 300))  # compiles, or loads what is compiled
+    drive(make(name, seed), log, min(scans, 300))  # compiles, or loads what is compiled
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    mapper = made(name, seed)
+    mapper = make(name, seed)
     updates, seconds = drive(mapper, log, scans)
     stats = mapper.stats
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
@@ -137,7 +109,7 @@ def measure(job: tuple[str, str, int, float, Path]) -> dict[str, Any]:
     row = {"mapper": name, "log": log_name, "seed": seed, "scans": scans, "used": used}
     row |= {"ms a scan": 1e3 * seconds / scans, "ms a used": 1e3 * seconds / max(used, 1)}
     row |= {"p50": p50, "p95": p95, "p99": p99, "max": most, "seconds": seconds, "MB": grown / 1024}
-    row |= {"lost": stats.lost, "map_bytes": stats.memory, "counts": dict(stats.counts)}
+    row |= {"lost": stats.lost}
     return row | judge(log_name, mapper.trajectory(), log, data)
 
 
@@ -157,53 +129,26 @@ def judge(log_name: str, estimate: Trajectory, log: LaserLog, data: Path) -> dic
         errors = reference_errors(estimate, read_reference(data / REFERENCES[log_name]))
         return {"m": float(np.sqrt((errors.position**2).mean()))}
     relations = read_constraints(data / RELATIONS)
-    return relation_figures(estimate, relations, log) | {
-        f"{key} at scans": value
-        for key, value in relation_figures(estimate, at_scans(relations, log), log).items()
-    }
+    stamps = np.array([(r.stamp_a, r.stamp_b) for r in relations])
+    gaps = np.abs(stamps[..., None] - log.stamps).min(axis=-1).max(axis=-1)
+    at_scans = tuple(r for r, gap in zip(relations, gaps, strict=True) if gap <= 1e-3)
+    figures = {}
+    for where, chosen in (("", relations), (" at scans", at_scans)):
+        apart = constraint_errors(estimate, chosen, log.track)
+        if len(apart.translation):
+            figures[f"m{where}"] = float(apart.translation.mean())
+            figures[f"deg{where}"] = float(np.degrees(apart.rotation.mean()))
+    return figures
 
 
-def relation_figures(
-    estimate: Trajectory, relations: tuple[RelativePoseConstraint, ...], log: LaserLog
-) -> dict[str, float]:
-    """Return the mean absolute errors over relations; nothing where none lies within the estimate."""
-    errors = constraint_errors(estimate, relations, log.track)
-    if len(errors.translation) == 0:
-        return {}
-    return {"m": float(errors.translation.mean()), "deg": float(np.degrees(errors.rotation.mean()))}
-
-
-def at_scans(
-    relations: tuple[RelativePoseConstraint, ...], log: LaserLog, within: float = 1e-3
-) -> tuple[RelativePoseConstraint, ...]:
-    """Return the relations of which both stamps are those of scans."""
-    asked = np.array([(r.stamp_a, r.stamp_b) for r in relations])
-    gap = np.abs(asked[..., None] - log.stamps).min(axis=-1).max(axis=-1)
-    return tuple(r for r, apart in zip(relations, gap, strict=True) if apart <= within)
-
-
-def table(title: str, figures: tuple[str, ...], rows: list[dict[str, Any]]) -> Table:
-    """Return rows for people: target and original above each mapper's own, what misses its target marked."""
-    shown = Table("mapper", "log", "seed", title=f"{title} (! = target missed)")
-    for figure in figures:
-        shown.add_column(figure, justify="right")
+def table(figures: tuple[str, ...], rows: list[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the figures of the C++ original above those of each mapper's seeds."""
     for case in dict.fromkeys((row["mapper"], row["log"]) for row in rows):
-        limits = TARGETS.get(case, {})
-        for label, known in (("target", limits), ("C++", ORIGINALS.get(case, {}))):
-            shown.add_row(*case, label, *(told(known.get(f)) for f in figures), style="dim")
-        for row in rows:
-            if (row["mapper"], row["log"]) == case:
-                cells = (
-                    told(row.get(f)) + ("!" if row.get(f, 0) > limits.get(f, np.inf) else "") for f in figures
-                )
-                shown.add_row(*case, str(row["seed"]), *cells)
-        shown.add_section()
-    return shown
-
-
-def told(value: float | None) -> str:
-    """Return a figure for people."""
-    return "" if value is None else f"{value:.3g}"
+        mine = [row for row in rows if (row["mapper"], row["log"]) == case]
+        original: dict[str, Any] = {"seed": "C++", **ORIGINALS.get(case, {})}
+        for row in ([original] if case in ORIGINALS else []) + mine:
+            named = {"mapper": case[0], "log": case[1], "seed": row["seed"]}
+            yield named | {figure: row.get(figure) for figure in figures}
 
 
 if __name__ == "__main__":

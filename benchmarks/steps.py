@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import gc
+import resource
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+"""Folder in which logs, maps and pictures may lie beside a checkout."""
 Limits = Mapping[str, tuple[str, str, float]]
 """Limit of each figure: in words, `<=` or `>=`, and how much."""
 
@@ -60,3 +65,9 @@ def print_limits(figures: Mapping[str, float], limits: Limits) -> bool:
         kept &= holds
     Console().print(table)
     return kept
+
+
+def resident_mb() -> float:
+    """Return the resident memory of this process, MB; Linux only."""
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6

@@ -2,12 +2,9 @@
 
     python benchmarks/sweep.py [--cells 1000] [--seconds 120] [--real 12] [--quick]
 
-Experiments that only write a record of full size are put through everything that `validate` does: looked at,
-run, written down. What is left after their own time is the suite's; it stands
-beside the time of a real experiment (Husky, Hector, world `simple`), which is the peer here.
-
-Then real experiments are run by one process and by two, in turns, the processes' start included: at least 1.8
-times as many a minute are asked of two, on two cores with nothing beside them.
+Experiments that only write a record of full size are put through everything that `validate` does; what is
+left after their own time is the suite's. Then real experiments are run by one process and by two, in turns,
+the processes' start included.
 """
 
 from __future__ import annotations
@@ -18,7 +15,6 @@ import time
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -42,10 +38,7 @@ SPEEDUP, TURNS = 1.8, 2
 
 @dataclass(frozen=True)
 class QuickExperiment(RunTask):
-    """An experiment that tells of its progress as a run does, and leaves the files that a real run left.
-
-    What the writing took is noted: that is the experiment's, all else the suite's.
-    """
+    """An experiment that leaves the files of a real run, and notes the seconds that this took."""
 
     template: RunRecord | None = None
     left: str = ""
@@ -72,25 +65,24 @@ def main() -> None:
     """Measure and print."""
     given = arguments(__doc__, cells=1000, seconds=120.0, real=12, quick=False)
     count, seconds = (100, 20.0) if given.quick else (given.cells, given.seconds)
-    console = Console(width=120)
     with tempfile.TemporaryDirectory() as folder:
         validate("simple", seconds=1.0)  # compiles
         begun = time.perf_counter()
         run = validate("simple", seconds=seconds, out=Path(folder) / "real")
         real = time.perf_counter() - begun
         overhead = suite_seconds(run, count, Path(folder) / "swept")
-    console.print(
+    print(
         f"{count} experiments, {1e3 * overhead:.1f} ms of the suite for each = "
         f"{overhead / real:.2%} of a real experiment of {real:.1f} s (limit {LIMIT:.0%})"
     )
-    minute = throughput(given.real, seconds)
-    console.print(
-        f"{given.real} real experiments of {seconds:g} s: {minute['one']:.1f} a minute by one process, "
-        f"{minute['two']:.1f} by two = {minute['speedup']:.2f} x (limit {SPEEDUP:g})"
+    one, two = throughput(given.real, seconds)
+    print(
+        f"{given.real} real experiments of {seconds:g} s: {one:.1f} a minute by one process, "
+        f"{two:.1f} by two = {two / one:.2f} x (limit {SPEEDUP:g})"
     )
 
 
-def throughput(count: int, seconds: float) -> dict[str, Any]:
+def throughput(count: int, seconds: float) -> tuple[float, ...]:
     """Return real experiments a minute by one process and by two, the best of their turns."""
     experiments = [RunTask(RunConfig(source="medium", seconds=seconds, seed=seed)) for seed in range(count)]
     best = {1: 0.0, 2: 0.0}
@@ -101,7 +93,7 @@ def throughput(count: int, seconds: float) -> dict[str, Any]:
             spent = time.perf_counter() - begun
         assert not {"error", "timeout"} & {outcome.status for outcome in outcomes}
         best[jobs] = max(best[jobs], 60.0 * count / spent)
-    return {"one": best[1], "two": best[2], "speedup": best[2] / best[1]}
+    return tuple(best.values())
 
 
 def suite_seconds(real: Run, count: int, out: Path) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from benchmarks.steps import arguments
 from lirs_envs.env import RobotEnv
 from lirs_envs.generators.terrain import KINDS
 from lirs_envs.robots.robot import make_robot
+from lirs_extensions.bench.episode import reset_options
 from lirs_extensions.bench.tasks import SETS, SPLITS, BenchTask, TaskSet, WorldSpec, set_entry, task_set
 from lirs_validation.driving.choice import CLEARANCE
 from lirs_wct.errors import SimulationError, SourceError
@@ -28,14 +30,9 @@ from lirs_wct.geometry import OccupancyGrid
 from lirs_wct.world import World
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Plan:
-    """Tasks to draw in one world.
-
-    Attributes:
-        navigation: Number of tasks with a goal.
-        mapping: Number of tasks without one.
-    """
+    """Tasks to draw in one world: how many with a goal (navigation), and without one (mapping)."""
 
     world: WorldSpec
     split: str
@@ -46,13 +43,13 @@ class Plan:
 
 MAPS = (("maze", "train"), ("smoothers_world", "validation"), ("depot", "test"), ("willow", "test"))
 """Maps of buildings that do not ship, with their splits."""
-
-
+ELEVATION = (("apollo15", "train"), ("prayag", "validation"), ("vrc_driving", "test"), ("moon", "test"))
+"""Elevation models that do not ship, with their splits."""
 FURTHER_PLANS = range(23, 69)
 """Seeds of floor plans for tests of navigation only: 150 generated tasks tell policies apart."""
 
 
-def made(maker: str, name: str, **options: Any) -> WorldSpec:
+def make(maker: str, name: str, **options: Any) -> WorldSpec:
     """Return a world that ships, or that a generator makes."""
     return WorldSpec(name=name, maker=maker, options=tuple(options.items()))
 
@@ -67,11 +64,9 @@ def lirs() -> list[Plan]:
     """Return the three bundled worlds, one a split."""
     worlds = (("simple", "train"), ("medium", "validation"), ("advanced", "test"))
     return [
-        Plan(
-            world=made("bundled", name, source=name), split=split, robot=robot, navigation=count, mapping=two
-        )
+        Plan(make("bundled", name, source=name), split, robot, count, 2)
         for name, split in worlds
-        for robot, count, two in (("husky", 6, 2), ("jackal", 4, 2))
+        for robot, count in (("husky", 6), ("jackal", 4))
     ]
 
 
@@ -80,56 +75,31 @@ def hills() -> list[Plan]:
     plans = []
     for first, split in ((0, "train"), (10, "validation"), (20, "test")):
         for k, (kind, mapping) in enumerate((("hills", 0), ("dunes", 0), ("boulders", 4))):
-            world = (
-                made(kind, f"{kind}-{first + k}", seed=first + k) if mapping else _natural(kind, first + k)
-            )
-            robot = "husky" if k else "jackal"
-            plans.append(Plan(world=world, split=split, robot=robot, navigation=4, mapping=mapping))
-    for name, split in (
-        ("apollo15", "train"),
-        ("prayag", "validation"),
-        ("vrc_driving", "test"),
-        ("moon", "test"),
-    ):
-        plans.append(Plan(world=from_files(name), split=split, robot="husky", navigation=4, mapping=0))
-    return plans
-
-
-def _natural(kind: str, seed: int) -> WorldSpec:
-    return made("natural", f"{kind}-{seed}", kind=kind, seed=seed)
+            seed = first + k
+            world = make("natural", f"{kind}-{seed}", kind=kind, seed=seed)
+            world = make(kind, f"{kind}-{seed}", seed=seed) if kind == "boulders" else world
+            plans.append(Plan(world, split, "husky" if k else "jackal", 4, mapping))
+    return plans + [Plan(from_files(name), split, "husky", 4, 0) for name, split in ELEVATION]
 
 
 def indoor() -> list[Plan]:
     """Return floor plans for each split, and maps of buildings that do not ship."""
     robots = ("jackal", "turtlebot2", "turtlebot3_waffle")
     plans = [
-        Plan(
-            world=made("floor plan", f"floor-plan-{seed}", seed=seed),
-            split=split,
-            robot=robots[k],
-            navigation=4,
-            mapping=2,
-        )
+        Plan(_floor_plan(first + k), split, robot, 4, 2)
         for first, split in ((0, "train"), (10, "validation"), (20, "test"))
-        for k, seed in enumerate(range(first, first + 3))
+        for k, robot in enumerate(robots)
     ]
     # A lidar of 30 m sees half of a hall at once: there a robot with a short one maps.
     for robot, navigation, mapping in (("jackal", 4, 0), ("turtlebot2", 0, 2)):
-        for name, split in MAPS:
-            plans.append(
-                Plan(world=from_files(name), split=split, robot=robot, navigation=navigation, mapping=mapping)
-            )
+        plans += [Plan(from_files(name), split, robot, navigation, mapping) for name, split in MAPS]
     # Last, so that the seeds of the tasks above stay.
-    return plans + [
-        Plan(
-            world=made("floor plan", f"floor-plan-{seed}", seed=seed),
-            split="test",
-            robot=robots[k % len(robots)],
-            navigation=3,
-            mapping=0,
-        )
-        for k, seed in enumerate(FURTHER_PLANS)
-    ]
+    further = zip(FURTHER_PLANS, cycle(robots), strict=False)
+    return plans + [Plan(_floor_plan(seed), "test", robot, 3, 0) for seed, robot in further]
+
+
+def _floor_plan(seed: int) -> WorldSpec:
+    return make("floor plan", f"floor-plan-{seed}", seed=seed)
 
 
 def generated() -> list[Plan]:
@@ -137,11 +107,11 @@ def generated() -> list[Plan]:
     courses = (("mazes", 0.5, 2), ("mazes", 1.0, 2), ("stones", 0.7, 0))
     return [
         Plan(
-            world=made("course", f"{kind}-{first + k}", kind=kind, difficulty=difficulty, seed=first + k),
-            split=split,
-            robot="husky" if kind == "stones" else "jackal",
-            navigation=3,
-            mapping=mapping,
+            make("course", f"{kind}-{first + k}", kind=kind, difficulty=difficulty, seed=first + k),
+            split,
+            "husky" if kind == "stones" else "jackal",
+            3,
+            mapping,
         )
         for first, split in ((0, "train"), (10, "validation"), (20, "test"))
         for k, (kind, difficulty, mapping) in enumerate(courses)
@@ -273,9 +243,8 @@ def draw_mapping(plan: Plan, world: World, seed: int) -> BenchTask:
 
 def can_begin(env: RobotEnv, task: BenchTask) -> bool:
     """Return whether the environment takes the task's start and goal, which were rounded."""
-    options: dict[str, Any] = {"start": task.start}
     try:
-        env.reset(seed=task.seed, options=options | ({"goal": task.goal} if task.goal else {}))
+        env.reset(seed=task.seed, options=reset_options(task))
     except SimulationError:
         return False
     return True

@@ -1,6 +1,6 @@
 """Mean return and mean score of policies on courses to traverse: both must rank the policies alike.
 
-    python benchmarks/traverse_ranking.py [--courses N] [--csv FILE]
+    python benchmarks/traverse_ranking.py [--courses N]
 
 Eight policies drive a Husky over 20 test courses of the benchmark's set `generated`. The score is that of
 `lirs-wct bench`: the share of the distance to the goal that is gained at the end. It exits 1 where Spearman's
@@ -9,19 +9,15 @@ rank correlation of the two means is below .8, or where standing still earns as 
 
 from __future__ import annotations
 
-import csv
 import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from scipy.stats import spearmanr
 
-from benchmarks.steps import arguments
+from benchmarks.steps import arguments, print_rows
 from lirs_envs.env import RobotEnv
 from lirs_envs.policies import GoToGoal, Policy, PolicyContext, RandomActions, StraightAhead
 from lirs_extensions.bench.episode import make_task_env, reset_options
@@ -91,28 +87,21 @@ def drive(name: str, task: BenchTask) -> tuple[float, float, str]:
 
 def main() -> None:
     """Measure and print."""
-    given = arguments(__doc__, courses=20, csv=Path)
+    given = arguments(__doc__, courses=20)
     tasks = task_set("generated").chosen("traverse", "test")[: given.courses]
-    console = Console()
     rows = []
-    for name in track(POLICIES, "policies", console=console, transient=True):
+    for name in track(POLICIES, "policies", transient=True):
         driven = [drive(name, task) for task in tasks]
         reasons = [reason for *_, reason in driven]
         accidents = sum(reason in ("tipped over", "left the world") for reason in reasons)
-        earned, scores = np.mean([row[0] for row in driven]), np.mean([row[1] for row in driven])
-        rows.append((name, float(earned), float(scores), reasons.count("success"), accidents))
-    rows.sort(key=lambda row: row[2])
-    table = Table("policy", "mean return", "mean score", "goals", "tipped or left")
-    cells = [(name, f"{r:.2f}", f"{s:.3f}", str(goals), str(bad)) for name, r, s, goals, bad in rows]
-    for row in cells:
-        table.add_row(*row)
-    console.print(table)
-    means = {name: earned for name, earned, *_ in rows}
-    rank = float(spearmanr([row[1] for row in rows], [row[2] for row in rows]).statistic)
-    console.print(f"Spearman {rank:.3f} over {len(rows)} policies x {len(tasks)} courses")
-    if given.csv:
-        with given.csv.open("w", newline="") as file:
-            csv.writer(file).writerows([("policy", "return", "score", "goals", "tipped_or_left"), *cells])
+        earned, score = np.mean([row[:2] for row in driven], axis=0).tolist()
+        row = {"policy": name, "mean return": earned, "mean score": score, "goals": reasons.count("success")}
+        rows.append(row | {"tipped or left": accidents})
+    rows.sort(key=lambda row: row["mean score"])
+    print_rows(rows)
+    means = {row["policy"]: row["mean return"] for row in rows}
+    rank = float(spearmanr(list(means.values()), [row["mean score"] for row in rows]).statistic)
+    print(f"Spearman {rank:.3f} over {len(rows)} policies x {len(tasks)} courses")
     sys.exit(rank < LEAST or means["still"] >= min(means["beeline"], means["slow beeline"]))
 
 

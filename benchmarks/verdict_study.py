@@ -2,16 +2,13 @@
 
     python benchmarks/verdict_study.py drive [--data FOLDER] [--minutes 60] [--drives 20] [--quick]
     python benchmarks/verdict_study.py features [--data FOLDER] [--quick]
-    python benchmarks/verdict_study.py evaluate
-    python benchmarks/verdict_study.py fit
-    python benchmarks/verdict_study.py streams
+    python benchmarks/verdict_study.py evaluate | fit | streams
 
-`drive` drives every method in every world, a few drives of each after the other, and continues where the
-last call ended: `verdict_drives.csv` has the classes of the drives, a letter each. `features` writes the
-features of the worlds to `verdict_sites.csv`. `evaluate` reads both: the forecast with one family of worlds
-left out at a time, its Brier score against the base rate and against the wall hits alone, with a bootstrap
-over worlds; a table of reliability; the error rates of the sequential test on random streams (`streams`
-prints these alone) and on the stored drives. `fit` stores the models that `lirs-wct verdict` uses.
+`drive` adds classes of drives to `verdict_drives.csv`, a letter each, and goes on where the last call ended.
+`features` writes the features of the worlds to `verdict_sites.csv`. `evaluate` reads both: Brier scores of
+the forecast with one family of worlds left out at a time, a table of reliability, and error rates of the
+sequential test on random streams (`streams` prints these alone) and on the stored drives. `fit` stores the
+models that `lirs-wct verdict` uses.
 """
 
 from __future__ import annotations
@@ -21,6 +18,7 @@ import csv
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import minimize
 
-from benchmarks import steps
+from benchmarks.steps import DATA, arguments
 from lirs_envs.generators.floor_plan import floor_plan
 from lirs_envs.generators.natural import EDGE, NATURAL_TERRAINS, NODES
 from lirs_envs.generators.terrain import generate
@@ -47,11 +45,9 @@ from lirs_wct.files import atomic_write, write_json
 from lirs_wct.geometry import HeightField
 from lirs_wct.ground import Terrain
 from lirs_wct.option import read_names
-from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import World
 
 HERE = Path(__file__).parent
-DATA = HERE.parents[1] / "shared" / "data"
 EXAMPLES = HERE.parent / "examples" / "data"
 METHODS = ("hector", "hector_original", "gmapping_original", "genz-icp")
 RING_LIDAR = "vlp16"
@@ -60,14 +56,8 @@ BLOCK = 4
 """Drives of a method in one world, at most, before the next world."""
 PLANAR = "planar"
 """Lidar of a planar method in the table of worlds: the robot's own."""
-LETTERS = {
-    "works": "w",
-    "path only": "p",
-    "adds nothing": "a",
-    "loses its way": "l",
-    "not evaluated": "n",
-    "failed": "f",
-}
+CLASSES = ("works", "path only", "adds nothing", "loses its way", "not evaluated", "failed")
+LETTERS = {name: name[0] for name in CLASSES}
 """Letter of each class in the table."""
 Key = tuple[str, str, str]
 ROBOTS = ("husky", "jackal")
@@ -81,14 +71,14 @@ class Site:
     family: str
     name: str
     robot: str
-    make: Callable[[], World | tuple[str, BuildOptions]]
+    make: Callable[[], World | Path]
 
     def scenario(self, config: RunConfig) -> Scenario:
         """Return the config's scenario in this world."""
-        made = self.make()
-        if isinstance(made, World):
-            return Scenario(replace(config, source=self.name), made, None)
-        return build_scenario(replace(config, source=made[0], build=made[1]))
+        world = self.make()
+        if isinstance(world, World):
+            return Scenario(replace(config, source=self.name), world, None)
+        return build_scenario(replace(config, source=str(world)))
 
 
 def sites(data: Path) -> Iterator[Site]:
@@ -96,19 +86,17 @@ def sites(data: Path) -> Iterator[Site]:
     rocks = [name for name in NATURAL_TERRAINS if "rocks" in name]
     bare = [name for name in NATURAL_TERRAINS if "rocks" not in name]
     courses = ("slopes", "steps", "stones", "waves", "craters", "gaps")
-    families: dict[str, list[tuple[str, Callable[[], World | tuple[str, BuildOptions]]]]] = {
-        "natural": [(f"{name} 11", _natural(name, 11)) for name in bare],
-        "rocks": [(f"{name} {seed}", _natural(name, seed)) for name in rocks for seed in (21, 22)],
-        "floor plans": [(f"floor plan {seed}", _floor_plan(seed)) for seed in range(31, 36)],
-        "mazes": [
-            (f"maze {seed}", _course("mazes", level, seed)) for level, seed in ((0.2, 41), (0.6, 42), (1, 43))
-        ],
-        "courses": [(f"{kind} 51", _course(kind, 0.3, 51)) for kind in courses],
-        "maps": [(path, _file(data / "maps" / path)) for path in MAPS],
-        "heights": [(path, _file(data / "height" / path)) for path in HEIGHTS],
+    families: dict[str, list[tuple[str, Callable[[], World | Path]]]] = {
+        "natural": [(f"{name} 11", partial(_natural, name, 11)) for name in bare],
+        "rocks": [(f"{name} {seed}", partial(_natural, name, seed)) for name in rocks for seed in (21, 22)],
+        "floor plans": [(f"floor plan {seed}", partial(_floor_plan, seed)) for seed in range(31, 36)],
+        "mazes": [(f"maze {seed}", partial(_course, "mazes", level, seed)) for level, seed in MAZES],
+        "courses": [(f"{kind} 51", partial(_course, kind, 0.3, 51)) for kind in courses],
+        "maps": [(path, partial(Path, data, "maps", path)) for path in MAPS],
+        "heights": [(path, partial(Path, data, "height", path)) for path in HEIGHTS],
         "bundled": [
-            *((name, _file(Path(name))) for name in ("simple", "medium", "advanced")),
-            *((name, _file(EXAMPLES / name)) for name in ("office.yaml", "dunes.png")),
+            *((name, partial(Path, name)) for name in ("simple", "medium", "advanced")),
+            *((name, partial(Path, EXAMPLES, name)) for name in ("office.yaml", "dunes.png")),
         ],
     }
     for family, worlds in families.items():
@@ -116,6 +104,8 @@ def sites(data: Path) -> Iterator[Site]:
             yield Site(family, name, ROBOTS[k % len(ROBOTS)], make)
 
 
+MAZES = ((0.2, 41), (0.6, 42), (1.0, 43))
+"""Difficulties and seeds."""
 MAPS = (
     "navigation2/depot.yaml",
     "turtlebot_apps/willow-2010-02-18-0.10.yaml",
@@ -133,76 +123,52 @@ HEIGHTS = (
 )
 
 
-def _natural(kind: str, seed: int) -> Callable[[], World]:
-    def make() -> World:
-        z = NATURAL_TERRAINS[kind](np.random.default_rng(seed)).astype(np.float32)
-        cell = EDGE / (NODES - 1)
-        return World(f"{kind} {seed}", Terrain(HeightField.centered(z - z.min(), (cell, cell))))
-
-    return make
+def _natural(kind: str, seed: int) -> World:
+    z = NATURAL_TERRAINS[kind](np.random.default_rng(seed)).astype(np.float32)
+    cell = EDGE / (NODES - 1)
+    return World(f"{kind} {seed}", Terrain(HeightField.centered(z - z.min(), (cell, cell))))
 
 
-def _floor_plan(seed: int) -> Callable[[], World]:
-    return lambda: World(f"floor plan {seed}", floor_plan(np.random.default_rng(seed)))
+def _floor_plan(seed: int) -> World:
+    return World(f"floor plan {seed}", floor_plan(np.random.default_rng(seed)))
 
 
-def _course(kind: str, difficulty: float, seed: int) -> Callable[[], World]:
-    return lambda: replace(generate(kind, difficulty, np.random.default_rng(seed)).world(), spawn_poses=())
-
-
-def _file(path: Path) -> Callable[[], tuple[str, BuildOptions]]:
-    return lambda: (str(path), BuildOptions())
+def _course(kind: str, difficulty: float, seed: int) -> World:
+    return replace(generate(kind, difficulty, np.random.default_rng(seed)).world(), spawn_poses=())
 
 
 def configs(site: Site, method: str, seeds: Iterable[int]) -> Iterator[RunConfig]:
     """Yield the config of a method's drive with each seed."""
     lidar = RING_LIDAR if method == "genz-icp" else None
-    for seed in seeds:
-        yield RunConfig(
-            source=site.name,
-            robot=site.robot,
-            mapper=method,
-            lidar=lidar,
-            seed=seed,
-            seconds=SECONDS,
-            scan_time="instant",
-        )
+    config = RunConfig(
+        source=site.name, robot=site.robot, mapper=method, lidar=lidar, seconds=SECONDS, scan_time="instant"
+    )
+    yield from (replace(config, seed=seed) for seed in seeds)
 
 
 def drive(options: argparse.Namespace) -> None:
     """Drive until the time is over or every method has its drives everywhere."""
     end = time.monotonic() + 60 * options.minutes
-    own = {key: found for key, found in options.tables.drives().items() if key[2] in options.methods}
+    own = {key: classes for key, classes in options.tables.drives().items() if key[2] in options.methods}
     for last in range(BLOCK, options.drives + BLOCK, BLOCK):
         for site in chosen_sites(options):
             scenario, cache = None, ScenarioCache()
             try:
-                for config in pending_drives(site, own, options.methods, min(last, options.drives)):
-                    if time.monotonic() > end:
-                        return
-                    cache.put(scenario := scenario or site.scenario(config))
-                    key = site.family, site.name, config.mapper
-                    own[key] = own.get(key, "") + letter_of(config, scenario, cache)
-                    options.tables.add_drives(own)
+                for method in options.methods:
+                    key = site.family, site.name, method
+                    lacking = range(len(own.get(key, "")) + 1, min(last, options.drives) + 1)
+                    for config in configs(site, method, lacking):
+                        if time.monotonic() > end:
+                            return
+                        cache.put(scenario := scenario or site.scenario(config))
+                        own[key] = own.get(key, "") + letter_of(config, scenario, cache)
+                        options.tables.add_drives(own)
             except WctError as error:
                 print(f"left out: {site.name}: {error}", flush=True)
 
 
-def pending_drives(
-    site: Site, classes: dict[Key, str], methods: Sequence[str], drives: int
-) -> Iterator[RunConfig]:
-    """Yield the configs of the drives that a world lacks, method by method."""
-    for method in methods:
-        done = len(classes.get((site.family, site.name, method), ""))
-        yield from configs(site, method, range(done + 1, drives + 1))
-
-
 def letter_of(config: RunConfig, scenario: Scenario, cache: ScenarioCache) -> str:
-    """Return the letter of a drive's class.
-
-    Raises:
-        WctError: the robot fits nowhere in this world.
-    """
+    """Return the letter of a drive's class."""
     built = scenario.config
     try:
         ended = run(replace(config, source=built.source, build=built.build), scenarios=cache)
@@ -236,11 +202,7 @@ def chosen_sites(options: argparse.Namespace) -> list[Site]:
 
 @dataclass(frozen=True)
 class Tables:
-    """Results of the study, which several calls may write.
-
-    Attributes:
-        folder: Folder of `verdict_drives.csv` and `verdict_sites.csv`.
-    """
+    """Results of the study in `verdict_drives.csv` and `verdict_sites.csv`, which several calls may write."""
 
     folder: Path = HERE
 
@@ -331,10 +293,8 @@ def left_out_predictions(data: MethodData) -> dict[str, FloatArray]:
 
 def fit_models(tables: Tables) -> dict[str, Any]:
     """Return the model of each method, fitted to all of its worlds, as JSON stores them."""
-    fitted = {}
-    for method in METHODS:
-        data = data_of(method, tables)
-        fitted[method] = fit(data.features, data.successes, data.drives).to_dict()
+    data = {method: data_of(method, tables) for method in METHODS}
+    fitted = {method: fit(d.features, d.successes, d.drives).to_dict() for method, d in data.items()}
     return {"features": list(FEATURES), "methods": fitted}
 
 
@@ -364,18 +324,9 @@ def evaluate(tables: Tables, console: Console) -> None:
     """Print Brier scores, reliability, and error rates of the sequential test."""
     rng = np.random.default_rng(1)
     title = "Brier score, one family left out; gains over the others with their lower 90 % bound"
-    headings = (
-        "method",
-        "worlds",
-        "drives",
-        "forecast",
-        "base rate",
-        "walls",
-        "over base rate",
-        "over walls",
-    )
+    headings = ("method", "worlds", "drives", "forecast", "base rate", "walls")
     rows, points = score_rows(tables, rng)
-    table = Table(*headings, title=title)
+    table = Table(*headings, "over base rate", "over walls", title=title)
     for row in rows:
         table.add_row(*row)
     console.print(table, reliability(points), stream_errors(rng), stored_errors(tables, rng))
@@ -443,18 +394,9 @@ def end_of(stream: BoolArray) -> SequentialTest:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Drive or evaluate."""
-    options = steps.arguments(
-        __doc__,
-        "action",
-        action="evaluate",
-        data=DATA,
-        minutes=60.0,
-        drives=20,
-        methods=",".join(METHODS),
-        quick=False,
-        tables=HERE,
-        words=words,
-    )
+    defaults: dict[str, Any] = {"action": "evaluate", "data": DATA, "minutes": 60.0, "drives": 20}
+    defaults |= {"methods": ",".join(METHODS), "quick": False, "tables": HERE}
+    options = arguments(__doc__, "action", words=words, **defaults)
     options.tables = Tables(options.tables)
     options.methods = read_names(options.methods, "--methods")
     if options.action == "drive":

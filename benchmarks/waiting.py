@@ -2,12 +2,9 @@
 
     python benchmarks/waiting.py [--peer FOLDER] [--runs 5] [--only ROW,...]
 
-The peer is another checkout with a .venv, such as an older version in a worktree. Medians of whole processes
-on one core, on two for `map` and `jobs`. `help`, `info`, `build`, `validate` and `map` are seconds of a
-clock. `demo` is that of the three runs of `make demo` with an empty cache of Numba's, and `compile` the
-processor seconds of one simulated second of `hector` with such a cache. `verdict` is processor seconds for
-60 s of its drives, start-up included. `jobs` is runs of 60 s a minute with `--jobs 2`. `info` and `build`
-take smooth hills of 1025 x 1025 pixels.
+The peer is another checkout with a .venv. Medians of whole processes on one core, on two for `map` and
+`jobs`, in seconds; `demo` and `compile` with an empty cache of Numba's. `compile` and `verdict` are seconds
+of the processor, for a second of simulation and for 60 s of its drives. `jobs` is runs a minute.
 """
 
 from __future__ import annotations
@@ -17,102 +14,52 @@ import os
 import resource
 import subprocess
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks.steps import arguments
+from benchmarks.steps import arguments, print_rows
 
 ROOT = Path(__file__).resolve().parents[1]
-BUDGET = "60s"
 
 
-@dataclass(frozen=True)
-class Checkout:
-    """A checkout with its virtual environment."""
-
-    folder: Path
-
-    def run(self, words: str, *, cores: int = 1, cache: Path | None = None) -> tuple[float, float, str]:
-        """Run `lirs-wct WORDS`; return clock and processor seconds, and what it printed."""
-        env = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-        env |= {} if cache is None else {"NUMBA_CACHE_DIR": str(cache)}
-        command = [str(self.folder / ".venv/bin/lirs-wct"), *words.split()]
-        chosen = sorted(os.sched_getaffinity(0))[:cores]
-        before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        done = subprocess.run(
-            command,
-            cwd=self.folder,
-            env=env,
-            check=True,
-            capture_output=True,
-            text=True,
-            preexec_fn=lambda: os.sched_setaffinity(0, chosen),
-        )
-        seconds, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
-        cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        return seconds, cpu, done.stdout
-
-
-Row = Callable[[Checkout, Path], float]
-"""Measures a checkout once, with an empty folder."""
-
-
-def clock(words: str, cores: int = 1) -> Row:
-    """Return the row of a command's seconds; OUT stands for the folder, PICTURE for one beside it."""
-
-    def seconds(checkout: Checkout, out: Path) -> float:
-        picture = out.with_name("hills.png")
-        write_picture(picture)
-        return checkout.run(words.replace("OUT", str(out)).replace("PICTURE", str(picture)), cores=cores)[0]
-
-    return seconds
-
-
-def demo(checkout: Checkout, out: Path) -> float:
-    """Return the seconds of the runs of `make demo` with an empty cache."""
-    words = f"validate simple medium advanced --robot husky --mapper hector --seconds 120 --seed 1 -o {out}"
-    return checkout.run(words, cache=out / "cache")[0]
-
-
-def compilation(checkout: Checkout, out: Path) -> float:
-    """Return the processor seconds of a short run with an empty cache."""
-    return checkout.run(f"validate simple --seconds 1 -o {out}", cache=out / "cache")[1]
-
-
-def verdict(checkout: Checkout, out: Path) -> float:
-    """Return the processor seconds of a decision for 60 s of its drives, some of which end early."""
-    words = f"verdict medium --mapper hector --seconds 60 --budget {BUDGET} -o {out}"
-    cpu = checkout.run(words)[1]
-    records = [json.loads(path.read_text(encoding="utf-8")) for path in out.glob("*/record.json")]
-    driven = sum(float(record["rtf"]["simulated_seconds"]) for record in records)
-    return 60 * cpu / driven
-
-
-def jobs(checkout: Checkout, out: Path) -> float:
-    """Return the runs a minute of twenty in two processes."""
-    words = f"validate medium --mapper hector --seconds 60 --seed 1-20 --jobs 2 -o {out}"
-    return 60 * 20 / checkout.run(words, cores=2)[0]
-
-
-ROWS: dict[str, Row] = {
-    "help": clock("--help"),
-    "info": clock("info PICTURE"),
-    "build": clock("build PICTURE -o OUT"),
-    "validate": clock("validate medium --seconds 120 --mapper hector -o OUT"),
-    "map": clock("map examples/data/office.clf.gz -o OUT", cores=2),
-    "demo": demo,
-    "compile": compilation,
-    "verdict": verdict,
-    "jobs": jobs,
+DRIVE = "--mapper hector --seconds 120 -o OUT"
+ROWS = {
+    "help": "--help",
+    "info": "info PICTURE",
+    "build": "build PICTURE -o OUT",
+    "validate": f"validate medium {DRIVE}",
+    "map": "map examples/data/office.clf.gz -o OUT",
+    "demo": f"validate simple medium advanced --robot husky --seed 1 {DRIVE}",
+    "compile": "validate simple --seconds 1 -o OUT",
+    "verdict": "verdict medium --mapper hector --seconds 60 --budget 60s -o OUT",
+    "jobs": "validate medium --mapper hector --seconds 60 --seed 1-20 --jobs 2 -o OUT",
 }
+"""Commands; OUT stands for an empty folder, PICTURE for smooth hills of 1025 x 1025 pixels."""
+TWO_CORES, EMPTY_CACHE = ("map", "jobs"), ("demo", "compile")
+
+
+def measure(name: str, checkout: Path, folder: Path) -> float:
+    """Run a command in a checkout once; return the figure of its row."""
+    out, picture = folder / "out", folder / "hills.png"
+    out.mkdir()
+    write_picture(picture)
+    words = ROWS[name].replace("OUT", str(out)).replace("PICTURE", str(picture)).split()
+    env = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+    env |= {"NUMBA_CACHE_DIR": f"{folder}/cache"} if name in EMPTY_CACHE else {}
+    cores = sorted(os.sched_getaffinity(0))[: 2 if name in TWO_CORES else 1]
+    command = ["taskset", "-c", ",".join(map(str, cores)), str(checkout / ".venv/bin/lirs-wct"), *words]
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run(command, cwd=checkout, env=env, check=True, capture_output=True)
+    seconds, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    if name == "verdict":
+        records = [json.loads(path.read_text(encoding="utf-8")) for path in out.glob("*/record.json")]
+        return 60 * cpu / sum(float(record["rtf"]["simulated_seconds"]) for record in records)
+    return {"compile": cpu, "jobs": 60 * 20 / seconds}.get(name, seconds)
 
 
 def write_picture(path: Path) -> None:
@@ -125,23 +72,17 @@ def write_picture(path: Path) -> None:
 def main() -> None:
     """Measure the rows, checkouts in turn, and print their medians."""
     given = arguments(__doc__, peer=Path, runs=5, only=",".join(ROWS))
-    checkouts = [Checkout(folder.resolve()) for folder in (ROOT, given.peer) if folder]
-    found: dict[str, list[list[float]]] = {}
+    checkouts = {"here": ROOT} | ({"peer": given.peer.resolve()} if given.peer else {})
+    rows = []
     for name in given.only.split(","):
-        found[name] = [[] for _ in checkouts]
+        figures: dict[str, list[float]] = {where: [] for where in checkouts}
         for _ in range(given.runs):
-            for checkout, values in zip(checkouts, found[name], strict=True):
+            for where, checkout in checkouts.items():
                 with TemporaryDirectory() as folder:
-                    out = Path(folder, "out")
-                    out.mkdir()
-                    values.append(ROWS[name](checkout, out))
-        print(name, *(f"{median(values):.2f}" for values in found[name]), flush=True)
-    table = Table("row", *("here", "peer", "here / peer")[: 3 if given.peer else 1])
-    for name, columns in found.items():
-        medians = [median(column) for column in columns]
-        ratio = [f"{medians[0] / medians[1]:.2f}"] if given.peer else []
-        table.add_row(name, *(f"{m:.2f}" for m in medians), *ratio)
-    Console(width=100).print(table)
+                    figures[where].append(measure(name, checkout, Path(folder)))
+        rows.append({"row": name} | {where: median(values) for where, values in figures.items()})
+        print(rows[-1], flush=True)
+    print_rows(rows, width=100)
 
 
 if __name__ == "__main__":

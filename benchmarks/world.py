@@ -3,33 +3,31 @@
     python benchmarks/world.py [--quick] [--only WORD] [--data DIR]
 
 Each row is a process of its own, so that its peak memory, libraries included, is its own; kernels are
-compiled before the clock starts. Worlds are built and written as by `lirs-wct build`, textures, start poses
-and `world.json` included. The peer in the same run is pydelatin, where installed. A limit stands behind its
-figure; a broken one makes the exit code 1. Where the CPU's seconds are far below the clock's, the machine had
-other work. "agreement" is the share of a world's area where the mesh that `build` makes unasked and the
-height field differ by more than the budget (0.1 % of the relief; DIR holds `height/*`).
+compiled before the clock starts. The peer in the same run is pydelatin, where installed. A limit stands
+behind its figure; a broken one makes the exit code 1. "agreement" is the share of a world's area where the
+mesh that `build` makes unasked and the height field differ by more than the budget (0.1 % of the relief; DIR
+holds `height/*`).
 """
 
 from __future__ import annotations
 
 import importlib.util
 import itertools
-import json
-import subprocess
+import multiprocessing
 import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
 import numpy as np
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
-from benchmarks.steps import arguments
+from benchmarks.steps import DATA, arguments, print_rows
 from lirs_wct.errors import WctError
 from lirs_wct.export.package import write_package
 from lirs_wct.geometry import HeightField
@@ -173,22 +171,30 @@ def write_yaml(path: Path, resolution: float) -> Path:
     return path
 
 
-BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
-"""Where real inputs may lie beside a checkout."""
 QUICK = 1025
 """Pixels along the side of the largest picture of a quick run."""
+FORMS = {
+    "seconds": "{:.2f}",
+    "cpu": "{:.2f}",
+    "peak_mb": "{:.0f}",
+    "triangles": "{:,}",
+    "file_mb": "{:.1f}",
+    "over_1": "{:.3f}",
+    "over_3": "{:.3f}",
+    "time_ratio": "{:.2f}",
+    "triangle_ratio": "{:.3f}",
+}
+"""Formats of the figures; over_N is the share of the area with more than N times the budget, percent."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One measurement.
+    """One measurement of a job.
 
     Attributes:
-        job: Name in `JOBS`.
-        samples: pixels along a side of the noise; 0 = the source is a file.
-        source: File; empty where samples are drawn.
-        budget: the job's number: largest error as a share of the relief, or triangles.
-        limits: largest value of a figure.
+        samples: Pixels along a side of the noise; 0 = the source is a file.
+        budget: The job's number: largest error as a share of the relief, or samples.
+        limits: Largest value of a figure.
     """
 
     job: str
@@ -199,46 +205,27 @@ class Row:
 
 
 def plan(quick: bool, data: Path) -> list[Row]:
-    """Every row that world construction is held to."""
+    """Return every row that world construction is held to."""
+    ratios = {"time_ratio": 1.6, "triangle_ratio": 1.45}
+    sizes = itertools.product((513, 1025, 2049, 4097), (5e-4, 2e-3))
+    large = (("terrain", 8193), ("terrain", 16385), ("map", 10_000))
     rows = [
         Row(job="world within error", samples=4097, budget=2e-3, limits={"seconds": 5, "peak_mb": 550}),
-        *(
-            Row(
-                job="triangulation",
-                samples=n,
-                budget=error,
-                limits={"time_ratio": 1.6, "triangle_ratio": 1.45},
-            )
-            for n in (513, 1025, 2049, 4097)
-            for error in (5e-4, 2e-3)
-        ),
-        *(
-            Row(job=f"large {kind}", samples=n, budget=n)
-            for kind, n in (("terrain", 8193), ("terrain", 16385), ("map", 10_000))
-        ),
+        *(Row(job="triangulation", samples=n, budget=error, limits=ratios) for n, error in sizes),
+        *(Row(job=f"large {kind}", samples=n, budget=n) for kind, n in large),
     ]
-    if quick:
-        rows = [row for row in rows if row.samples <= QUICK]
+    rows = [row for row in rows if row.samples <= QUICK or not quick]
     return rows + [Row(job="agreement", source=source, limits={"over_3": 0.1}) for source in terrains(data)]
 
 
 def terrains(data: Path) -> list[str]:
     """Return the bundled terrains and the pictures and elevation models that are terrain with relief."""
-    found = list(BUNDLED)
+    sources = list(BUNDLED)
     for path in sorted(data.glob("height/*")):
-        try:
-            world = build_world(path, BuildOptions(grayscale=True))
-        except WctError:
-            continue
-        if world.surface.relief:
-            found.append(str(path))
-    return found
-
-
-def compiled(row: Row) -> None:
-    """Compile the kernels of a job, which leaves a hundred megabytes behind, in this process."""
-    with tempfile.TemporaryDirectory() as folder:
-        warm(row.job, Path(folder) / "warm", row.budget)
+        with suppress(WctError):
+            if build_world(path, BuildOptions(grayscale=True)).surface.relief:
+                sources.append(str(path))
+    return sources
 
 
 def run_one(row: Row) -> Figures:
@@ -256,90 +243,42 @@ def run_one(row: Row) -> Figures:
         figures = JOBS[row.job](source, out, row.budget)
         figures.setdefault("seconds", time.perf_counter() - start)
         figures.setdefault("cpu", time.process_time() - cpu)
-        figures["peak_mb"] = peak_mb()
+        lines = Path("/proc/self/status").read_text().splitlines()
+        peak = next(line for line in lines if line.startswith("VmHWM"))
+        figures["peak_mb"] = int(peak.split()[1]) * 1024 / 1e6
     return figures
 
 
-def peak_mb() -> float:
-    """Largest resident memory since it was last cleared, MB; Linux alone says it."""
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024 / 1e6
-
-
-def measured(rows: list[Row], console: Console) -> list[Figures]:
-    """Measure the rows, each in a process of its own."""
-    out: list[Figures] = []
-    known: set[str] = set()
-    for row in track(rows, description="worlds", console=console, transient=True):
-        if row.job not in known:
-            alone("--compile", row)
-        known.add(row.job)
-        out.append(json.loads(alone("--one", row).splitlines()[-1]))
-    return out
-
-
-def alone(what: str, row: Row) -> str:
-    """Do something with a row in a process of its own and return what that printed."""
-    command = [sys.executable, __file__, what, json.dumps(asdict(row))]
-    return subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
-
-
-COLUMNS = {
-    "seconds": ("seconds", "{:.2f}"),
-    "cpu": ("CPU s", "{:.2f}"),
-    "peak_mb": ("peak MB", "{:.0f}"),
-    "triangles": ("triangles", "{:,}"),
-    "file_mb": ("file MB", "{:.1f}"),
-    "over_1": ("% over budget", "{:.3f}"),
-    "over_3": ("% over 3 x", "{:.3f}"),
-    "time_ratio": ("x its time", "{:.2f}"),
-    "triangle_ratio": ("x its triangles", "{:.3f}"),
-}
-
-
-def table_of(rows: list[Row], figures: list[Figures]) -> Table:
-    """Return the figures of the rows."""
-    table = Table("job", "source", "budget", *(title for title, _ in COLUMNS.values()), "beside")
-    for row, found in zip(rows, figures, strict=True):
-        source = f"{row.samples}^2" if row.samples else "/".join(Path(row.source).with_suffix("").parts[-2:])
-        cells = [cell(row, found, key, form) for key, (_, form) in COLUMNS.items()]
-        table.add_row(
-            row.job, source, f"{row.budget:g}" if row.budget else "", *cells, str(found.get("note", ""))
-        )
-    return table
-
-
-def cell(row: Row, found: Figures, key: str, form: str) -> str:
-    """Return a figure with its limit, as text."""
-    if key not in found:
-        return ""
-    text = form.format(found[key])
-    if key not in row.limits:
-        return text
-    over = float(found[key]) > row.limits[key]
-    return f"[{'red' if over else 'green'}]{text}{' > ' if over else ' <= '}{row.limits[key]:g}[/]"
+def warm_alone(row: Row) -> None:
+    """Compile the kernels of a job, which leaves a hundred megabytes behind."""
+    with tempfile.TemporaryDirectory() as folder:
+        warm(row.job, Path(folder) / "warm", row.budget)
 
 
 def main() -> None:
-    """Measure and print."""
-    args = arguments(__doc__, quick=False, only="", data=BESIDE, one=str, compile=str)
-    if args.compile:
-        compiled(Row(**json.loads(args.compile)))
-        return
-    if args.one:
-        print(json.dumps(run_one(Row(**json.loads(args.one)))))
-        return
-    console = Console() if sys.stdout.isatty() else Console(width=170)
-    rows = [row for row in plan(args.quick, args.data) if args.only in row.job]
-    figures = measured(rows, console)
-    console.print(table_of(rows, figures))
-    limits = [(f.get(k), v) for row, f in zip(rows, figures, strict=True) for k, v in row.limits.items()]
-    over = sum(found is not None and float(found) > limit for found, limit in limits)
-    console.print(f"{over} figures over their limits" if over else "every measured figure within its limit")
-    if missing := sum(found is None for found, _ in limits):
-        console.print(f"{missing} limits without a figure: their peer, pydelatin, is not installed")
-    if over:
-        sys.exit(1)
+    """Measure each row in a process of its own, and print."""
+    given = arguments(__doc__, quick=False, only="", data=DATA)
+    rows = [row for row in plan(given.quick, given.data) if given.only in row.job]
+    fresh = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(max_workers=1, mp_context=fresh, max_tasks_per_child=1) as one_by_one:
+        list(one_by_one.map(warm_alone, {row.job: row for row in rows}.values()))
+        figures = list(track(one_by_one.map(run_one, rows), "worlds", len(rows), transient=True))
+    shown, over, missing = [], 0, 0
+    for row, measured in zip(rows, figures, strict=True):
+        source = f"{row.samples}^2" if row.samples else "/".join(Path(row.source).with_suffix("").parts[-2:])
+        cells = {"job": row.job, "source": source, "budget": row.budget}
+        for key, form in FORMS.items():
+            text, limit = form.format(measured[key]) if key in measured else "", row.limits.get(key)
+            if limit is not None and key in measured:
+                broken = float(measured[key]) > limit
+                text += f"{' > ' if broken else ' <= '}{limit:g}"
+                over += broken
+            missing += limit is not None and key not in measured
+            cells[key] = text
+        shown.append(cells | {"beside": measured.get("note", "")})
+    print_rows(shown, width=None if sys.stdout.isatty() else 190)
+    print(f"{over} figures over their limits; {missing} limits without a figure: pydelatin is not installed")
+    sys.exit(over > 0)
 
 
 if __name__ == "__main__":
