@@ -1,6 +1,6 @@
 """Damaged files against the command line and against the readers.
 
-    python benchmarks/fuzz.py inputs [--count 1000] [--seed 1] [--names KIND,...] [--keep FOLDER]
+    python benchmarks/fuzz.py inputs [--count 1000] [--seed 1] [--names KIND,...]
     python benchmarks/fuzz.py readers [--seconds 60] [--names READER,...]
 
 `inputs`: a valid file is mutated, and the command that reads it runs in a forked process. Demanded are exit
@@ -296,19 +296,6 @@ def call(command: str, *, valid: bool = True) -> int:
     return code
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Result of one input: exit status, negative = signal; cost; stderr; the demands that it breaks."""
-
-    kind: str
-    mutation: str
-    code: int
-    seconds: float
-    gigabytes: float
-    said: str
-    problems: list[str]
-
-
 def mutate(data: bytes, rng: np.random.Generator, *, text: bool) -> tuple[str, bytes]:
     """Return the name of a random mutation and the mutated bytes."""
     special = [*["number"] * 3, "drop line", "long"] if text else ["extreme", "extreme", "zero"]
@@ -348,10 +335,13 @@ def mutate(data: bytes, rng: np.random.Generator, *, text: bool) -> tuple[str, b
     return name, bytes(out)
 
 
-def run_input(name: str, seeds: Path, rng: np.random.Generator, keep: Path | None = None) -> Outcome:
-    """Mutate the file of a kind in a copy of the valid files, run a command on it, and check the outcome."""
-    kind, work = KINDS[name], Path(tempfile.mkdtemp(prefix="fuzz-"))
-    try:
+def run_input(kind: Kind, seeds: Path, rng: np.random.Generator) -> tuple[int, str]:
+    """Mutate a file in a copy of the valid files, and run a command on it.
+
+    Return its exit code and the demands that it breaks.
+    """
+    with tempfile.TemporaryDirectory(prefix="fuzz-", ignore_cleanup_errors=True) as folder:
+        work = Path(folder)
         shutil.copytree(seeds, work / "in")
         target = work / "in" / kind.file
         data = target.read_bytes()
@@ -366,27 +356,17 @@ def run_input(name: str, seeds: Path, rng: np.random.Generator, keep: Path | Non
             target.write_bytes(data)
         command = kind.commands[int(rng.integers(len(kind.commands)))]
         command = command.replace("{}", str(target.relative_to(work)))
-        outcome = _run_forked(name, mutation, command, work)
-        if outcome.problems and keep is not None:
-            shutil.copytree(work, keep, dirs_exist_ok=True)
-            (keep / "command.txt").write_text(f"{command}\n{outcome.said}", encoding="utf-8")
-        return outcome
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
-
-
-def _run_forked(kind: str, mutation: str, command: str, work: Path) -> Outcome:
-    before = _listing(work)
-    if not (child := os.fork()):
-        _run_in_child(command, work)
-    _, status, usage = os.wait4(child, 0)
-    seconds, gigabytes = usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20
-    said = (work / "stderr").read_text(encoding="utf-8", errors="replace")
-    code = os.waitstatus_to_exitcode(status)
-    problems = list(_problems(code, said, before, _listing(work) - before - {"stderr", "stdout"}))
-    problems += [f"{seconds:.1f} s"] if seconds > LIMIT_S else []
-    problems += [f"{gigabytes:.2f} GB"] if gigabytes > LIMIT_GB else []
-    return Outcome(kind, mutation, code, seconds, gigabytes, said, problems)
+        before = _listing(work)
+        if not (child := os.fork()):
+            _run_in_child(command, work)
+        _, status, usage = os.wait4(child, 0)
+        seconds, gigabytes = usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 2**20
+        said = (work / "stderr").read_text(encoding="utf-8", errors="replace")
+        code = os.waitstatus_to_exitcode(status)  # negative = signal
+        problems = list(_problems(code, said, before, _listing(work) - before - {"stderr", "stdout"}))
+        problems += [f"{seconds:.1f} s"] if seconds > LIMIT_S else []
+        problems += [f"{gigabytes:.2f} GB"] if gigabytes > LIMIT_GB else []
+    return code, f"{mutation}, {command}: {'; '.join(problems)}\n{said[-1500:]}" if problems else ""
 
 
 def _run_in_child(command: str, work: Path) -> None:
@@ -449,10 +429,10 @@ def _quiet() -> Iterator[None]:
             os.dup2(handle, number)
 
 
-def fuzz_inputs(count: int, seed: int, names: Sequence[str], keep: Path | None) -> bool:
-    """Run mutated inputs of the kinds in turn, print the figures; return whether a demand was broken."""
+def fuzz_inputs(count: int, seed: int, names: Sequence[str]) -> bool:
+    """Run mutated inputs of the kinds in turn; return whether a demand was broken."""
     cv2.setNumThreads(1)
-    outcomes = []
+    codes, broken = Counter[int](), 0
     with tempfile.TemporaryDirectory() as folder:
         seeds = Path(folder) / "in"
         with _quiet():
@@ -464,18 +444,12 @@ def fuzz_inputs(count: int, seed: int, names: Sequence[str], keep: Path | None) 
                         call(command.replace("{}", f"in/{kind.file}"))
         for number in range(count):
             name = names[number % len(names)]
-            where = None if keep is None else keep / f"{number}-{name}"
-            outcome = run_input(name, seeds, np.random.default_rng((seed, number)), where)
-            outcomes.append(outcome)
-            if outcome.problems:
-                print(f"{number} {name} {outcome.mutation}: {'; '.join(outcome.problems)}")
-                print("    " + outcome.said[-1500:].strip().replace("\n", "\n    "), flush=True)
-    slowest, largest = max(outcomes, key=lambda o: o.seconds), max(outcomes, key=lambda o: o.gigabytes)
-    print("exit codes:", dict(Counter(o.code for o in outcomes)))
-    print(f"slowest: {slowest.seconds:.1f} s ({slowest.kind}, {slowest.mutation})")
-    print(f"largest memory: {largest.gigabytes:.2f} GB ({largest.kind}, {largest.mutation})")
-    broken = sum(bool(o.problems) for o in outcomes)
-    print(f"inputs: {len(outcomes)}, broken demands: {broken}")
+            code, problems = run_input(KINDS[name], seeds, np.random.default_rng((seed, number)))
+            codes[code] += 1
+            broken += bool(problems)
+            if problems:
+                print(f"{number} {name}: {problems}", flush=True)
+    print(f"exit codes: {dict(codes)}\ninputs: {count}, broken demands: {broken}")
     return bool(broken)
 
 
@@ -562,10 +536,10 @@ def fuzz_readers(seconds: int, names: Sequence[str]) -> bool:
 
 def main() -> None:
     """Fuzz inputs or readers."""
-    given = arguments(__doc__, "part", part="inputs", count=1000, seed=1, seconds=60, names="", keep=Path)
+    given = arguments(__doc__, "part", part="inputs", count=1000, seed=1, seconds=60, names="")
     names = [name for name in given.names.split(",") if name]
     if given.part == "inputs":
-        sys.exit(fuzz_inputs(given.count, given.seed, names or list(KINDS), given.keep))
+        sys.exit(fuzz_inputs(given.count, given.seed, names or list(KINDS)))
     crashed = fuzz_readers(given.seconds, names or list(READERS))
     sys.stdout.flush()
     os._exit(crashed)  # the usual end prints hundreds of errors of instrumented finalizers

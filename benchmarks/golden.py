@@ -6,9 +6,8 @@
 Parts: builds, runs, options, originals, clouds, logs, score, collide, bench, envs. `record` stores the
 SHA-256 of trajectories, maps, meshes, models, scans and tables, every value of the JSON files except
 `EXCLUDED`, and each step of the environments. `compare` repeats the parts in FILE, or those named, and exits
-1 with the first values that differ, by file. Digests hold on one machine: compilers round differently on
-another. The script uses the command line and Gymnasium only, so that internals may move; it also runs on
-version 1.0.0, whose records lack the keys in `NEWER`.
+1 with the first values that differ, by file. Digests hold on one machine: compilers round differently.
+The script uses the command line and Gymnasium only; it also runs on version 1.0.0.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -65,32 +64,27 @@ def environment_outcomes(steps: int) -> Iterator[tuple[str, dict[str, Any]]]:
 def single(task: str, steps: int, **options: Any) -> dict[str, Any]:
     """Return the steps of one environment, which is reset where an episode ends."""
     env = gym.make(f"lirs_envs:{task}", disable_env_checker=True, **options)
-    observation, info = env.reset(seed=SEED)
-    found = {"step 000": outcome(observation, info)}
-    for step in range(1, steps + 1):
-        action = actions(step, 1, *(env.action_space.shape or ()))[0]
-        observation, reward, terminated, truncated, info = env.step(action)
-        ends = {"reward": reward, "terminated": terminated, "truncated": truncated}
-        found[f"step {step:03d}"] = outcome(observation, info, **ends)
-        if terminated or truncated:
-            found[f"step {step:03d}, reset"] = outcome(*env.reset())
-    env.close()
-    return found
+    return steps_of(env, steps, lambda step: actions(step, 1, *(env.action_space.shape or ()))[0])
 
 
 def vector(task: str, steps: int, **options: Any) -> dict[str, Any]:
-    """Return the steps of a vector of environments."""
-    envs = gym.make_vec(
-        f"lirs_envs:{task}", num_envs=COUNT, vectorization_mode="vector_entry_point", **options
-    )
-    shape = envs.action_space.shape or ()
-    found = {"step 000": outcome(*envs.reset(seed=SEED))}
+    """Return the steps of a vector of environments, which resets itself."""
+    options |= {"num_envs": COUNT, "vectorization_mode": "vector_entry_point"}
+    envs = gym.make_vec(f"lirs_envs:{task}", **options)
+    return steps_of(envs, steps, lambda step: actions(step, *(envs.action_space.shape or ())))
+
+
+def steps_of(env: Any, steps: int, action: Callable[[int], np.ndarray]) -> dict[str, Any]:
+    """Return the outcomes of a number of steps."""
+    outcomes = {"step 000": outcome(*env.reset(seed=SEED))}
     for step in range(1, steps + 1):
-        observation, reward, terminated, truncated, info = envs.step(actions(step, *shape))
+        observation, reward, terminated, truncated, info = env.step(action(step))
         ends = {"reward": reward, "terminated": terminated, "truncated": truncated}
-        found[f"step {step:03d}"] = outcome(observation, info, **ends)
-    envs.close()
-    return found
+        outcomes[f"step {step:03d}"] = outcome(observation, info, **ends)
+        if not isinstance(env, gym.vector.VectorEnv) and (terminated or truncated):
+            outcomes[f"step {step:03d}, reset"] = outcome(*env.reset())
+    env.close()
+    return outcomes
 
 
 def actions(step: int, count: int, size: int) -> np.ndarray:
@@ -127,10 +121,7 @@ DIGESTED = (
     *("scans.clf.gz", "imu.csv.gz", "commands.csv", "collisions.csv"),
 )
 MAPPERS = "hector,gmapping,cartographer"
-PARTS = (
-    *("builds", "runs", "options", "originals", "clouds"),
-    *("logs", "score", "collide", "bench", "envs"),
-)
+ORIGINALS = "hector_original,gmapping_original,cartographer_original"
 EXCLUDED = (
     "versions*",
     "machine*",
@@ -151,63 +142,62 @@ NEWER = (
     *("step *.info.is_success", "step *.info._is_success"),
 )
 """Patterns of keys that records of 1.0.0 lack: they may be absent before, as no other key may."""
+COMMANDS = {
+    "builds": (
+        "build medium",
+        "build DATA/height/mujoco__hfield.png --grayscale",
+        "build DATA/height/gz-common__dem_squared.tif",
+        "build DATA/height/pydelatin__fuji.png --grayscale",
+        "build DEPOT",
+        "build DATA/stl/unitree_mujoco__terrain.STL",
+    ),
+    "runs": (
+        f"validate simple medium advanced --mapper {MAPPERS} --seconds SECONDS --seed SEEDS",
+        f"validate DEPOT --mapper {MAPPERS} --seconds SECONDS --seed 1",
+    ),
+    "options": (
+        "validate simple --robot jackal,turtlebot3_burger,quadrotor SHORT",
+        "validate DEPOT --actors 3 --attitude none --driver frontier SHORT",
+        "validate medium --window 0,0,16 --lidar lds01 --rays mujoco SHORT",
+        "validate medium --terrain mesh SHORT",
+    ),
+    "originals": (
+        f"validate medium --mapper {ORIGINALS} SHORT",
+        f"validate DEPOT --mapper {ORIGINALS} SHORT",
+    ),
+    "clouds": ("validate medium DEPOT --mapper kiss-icp --lidar vlp16 SHORT",),
+    "logs": (
+        *(f"map DATA/logs/csail/mit-csail.clf.gz --mapper {mapper}" for mapper in MAPPERS.split(",")),
+        "map DATA/logs/orebro/orebro.clf.gz --mapper hector "
+        "--reference DATA/logs/orebro/reference_poses.tum.gz",
+    ),
+    "score": (
+        "validate DEPOT --mapper hector SHORT",
+        "score RUN --trajectory RUN/odometry.tum --map RUN/map.yaml",
+    ),
+    "collide": ("collide advanced --robot husky,jackal SHORT",),
+    "bench": tuple(
+        f"bench straight go_to_goal --set generated --split validation --task {task}"
+        for task in ("navigation", "traverse")
+    ),
+}
+"""Commands of each part; RUN stands for the folder of the part's first run, `bench` is shorter if quick."""
 SHOWN = 3
 """Differing values that are printed for each file."""
+PARTS = (*COMMANDS, "envs")
 ABSENT = "absent"
 Outcomes = dict[str, Any]
 
 
 def commands(part: str, data: Path, quick: bool) -> list[list[str]]:
-    """Return the arguments of every command of a part; RUN stands for the folder of the part's first run."""
-    seconds, seeds = ("10", "1") if quick else ("30", "1-2")
-    depot = str(next((data / "maps").glob("navigation2/*depot*.yaml")))
-    originals = ",".join(f"{name}_original" for name in MAPPERS.split(","))
-    generated = ["--set", "generated", "--split", "validation"]
-    logs, height = data / "logs", data / "height"
-    run = ["--mapper", MAPPERS, "--seconds", seconds]
-    short = ["--seconds", "5" if quick else "10"]
-    table = {
-        "builds": [
-            ["build", "medium"],
-            ["build", str(height / "mujoco__hfield.png"), "--grayscale"],
-            ["build", str(height / "gz-common__dem_squared.tif")],
-            ["build", str(height / "pydelatin__fuji.png"), "--grayscale"],
-            ["build", depot],
-            ["build", str(data / "stl" / "unitree_mujoco__terrain.STL")],
-        ],
-        "runs": [
-            ["validate", "simple", "medium", "advanced", *run, "--seed", seeds],
-            ["validate", depot, *run, "--seed", "1"],
-        ],
-        "options": [
-            ["validate", "simple", "--robot", "jackal,turtlebot3_burger,quadrotor", *short],
-            ["validate", depot, "--actors", "3", "--attitude", "none", "--driver", "frontier", *short],
-            ["validate", "medium", "--window", "0,0,16", "--lidar", "lds01", "--rays", "mujoco", *short],
-            ["validate", "medium", "--terrain", "mesh", *short],
-        ],
-        "originals": [["validate", source, "--mapper", originals, *short] for source in ("medium", depot)],
-        "clouds": [["validate", "medium", depot, "--mapper", "kiss-icp", "--lidar", "vlp16", *short]],
-        "logs": [
-            *(
-                ["map", str(logs / "csail" / "mit-csail.clf.gz"), "--mapper", mapper]
-                for mapper in MAPPERS.split(",")
-            ),
-            [
-                *("map", str(logs / "orebro" / "orebro.clf.gz"), "--mapper", "hector"),
-                *("--reference", str(logs / "orebro" / "reference_poses.tum.gz")),
-            ],
-        ],
-        "score": [
-            ["validate", depot, "--mapper", "hector", *short],
-            ["score", "RUN", "--trajectory", "RUN/odometry.tum", "--map", "RUN/map.yaml"],
-        ],
-        "collide": [["collide", "advanced", "--robot", "husky,jackal", "--seconds", short[1]]],
-        "bench": [
-            ["bench", "straight", "go_to_goal", *generated, "--task", task]
-            for task in (["navigation"] if quick else ["navigation", "traverse"])
-        ],
-    }
-    return table[part]
+    """Return the arguments of every command of a part."""
+    values = {"DATA": str(data), "DEPOT": str(next((data / "maps").glob("navigation2/*depot*.yaml")))}
+    values |= {"SECONDS": "10" if quick else "30", "SEEDS": "1" if quick else "1-2"}
+    values |= {"SHORT": f"--seconds {5 if quick else 10}"}
+    lines = COMMANDS[part][: 1 if quick and part == "bench" else None]
+    for name, value in values.items():
+        lines = tuple(line.replace(name, value) for line in lines)
+    return [line.split() for line in lines]
 
 
 def outcomes_of_part(part: str, data: Path, quick: bool) -> Outcomes:
@@ -307,11 +297,7 @@ def compare(before: Outcomes, now: Outcomes) -> int:
 
 
 def read_parts(text: str) -> list[str]:
-    """Return the named parts in their order.
-
-    Raises:
-        argparse.ArgumentTypeError: there is no such part.
-    """
+    """Return the named parts in their order."""
     for name in text.split(","):
         if name not in PARTS:
             raise argparse.ArgumentTypeError(f"no part {name!r}; parts: {', '.join(PARTS)}")
