@@ -26,7 +26,8 @@ from lirs_wct.world import World
 def write_mesh(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None) -> None:
     """Write a mesh, with its texture where the format has one, in the format of the file's suffix.
 
-    A GLB has y up. COLLADA and OBJ store the texture next to the file.
+    A GLB has y up. COLLADA and OBJ store the texture next to the file. COLLADA has texture coordinates;
+    missing ones are made by cube projection.
     """
     suffix = path.suffix.lower()
     if suffix == ".stl":
@@ -41,20 +42,12 @@ def write_mesh(path: Path, mesh: TriangleMesh, picture: Image.Image | None = Non
     elif suffix in (".dae", ".obj"):
         texture = None if picture is None else _write_beside(path, picture)
         if suffix == ".dae":
-            write_collada(path, mesh, texture)
+            whole = mesh if mesh.uv is not None and mesh.normals is not None else cube_uv(mesh)
+            write_parts(path, (MeshPart("ground", whole, texture),))
         else:
             write_obj(path, [("ground", mesh, texture)])
     else:
         raise ConfigError(f"{path}: not a mesh that is written; legal: {', '.join(MESHES)}")
-
-
-def write_collada(path: Path, mesh: TriangleMesh, texture: str | None = None) -> None:
-    """Write a mesh with texture coordinates; missing ones are made by cube projection.
-
-    The texture is a path relative to the file, or None for a plain color.
-    """
-    whole = mesh if mesh.uv is not None and mesh.normals is not None else cube_uv(mesh)
-    write_parts(path, (MeshPart("ground", whole, texture),))
 
 
 def convert_mesh(source: Path, target: Path, rotate_x: float = 0.0) -> TriangleMesh:

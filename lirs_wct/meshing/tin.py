@@ -67,11 +67,7 @@ class Tin(NamedTuple):
 
 @kernel
 def insert_point(tin: Tin, t: int) -> tuple[int, int]:
-    """Insert the newest point, which lies inside triangle t or on one of its edges.
-
-    Returns:
-        Numbers of triangles of `fan` before and after.
-    """
+    """Insert the newest point, inside triangle t or on its edge; return triangles of `fan` before, after."""
     k = _border_edge(tin, t)
     old, new = _dig(tin, t, k)
     for i in range(new - old):
@@ -103,11 +99,7 @@ def _border_edge(tin: Tin, t: int) -> int:
 
 @kernel
 def _dig(tin: Tin, t: int, k: int) -> tuple[int, int]:
-    """Find the hole around the newest point, and its rim without edge k of t.
-
-    Returns:
-        Numbers of triangles of the hole and of edges of the rim.
-    """
+    """Find the hole around the newest point and its rim without edge k of t; return their sizes."""
     link, fan, rim, stack = tin.link, tin.fan, tin.rim, tin.stack
     p = tin.used[POINTS] - 1
     row, col = np.int64(tin.point[p, 0]), np.int64(tin.point[p, 1])
@@ -172,12 +164,8 @@ def _in_circle(point: Int32Array, a: int, b: int, c: int, row: int, col: int) ->
 def refine(tin: Tin, z: Float32Array, cols: int, max_error: float, max_faces: int) -> int:
     """Insert pixels until the budget or the limit of the solid's faces is reached.
 
-    Args:
-        tin: triangulation, changed in place; a new one has two triangles on four points.
-        z: (rows * cols,) heights, row by row.
-        cols: pixels of a row.
-        max_error: in the unit of z.
-        max_faces: limit of faces of surface, skirt (2 per border edge) and base (1 per border edge).
+    A new triangulation has two triangles on four points. The heights z (rows * cols,) run row by row. The
+    faces are those of surface, skirt (2 per border edge) and base (1 per border edge).
     """
     used, budget = tin.used, order(max_error)
     if used[POINTS] == 4:
@@ -263,10 +251,8 @@ def crossed_pixel(
     """Return the pixel next to the largest error along an edge of the triangulation.
 
     The difference of two triangulated surfaces is largest at a corner of one of them or where their edges
-    cross: here rows, columns, and diagonals from south-west to north-east.
-
-    Returns:
-        The nearer end of the crossed segment that is not a point yet, -1 where no error exceeds the budget.
+    cross: here rows, columns, and diagonals from south-west to north-east. The result is the nearer end of
+    the crossed segment that is not a point yet, or -1 where no error exceeds the budget.
     """
     down, right = br - ar, bc - ac
     largest, pixel = budget, -1
@@ -298,10 +284,8 @@ def worst_pixel(
     """Return the largest vertical error of the plane through three nodes, and its pixel.
 
     Each row lies between the long edge, from the top corner to the bottom corner, and one of the two short
-    edges. Corners are rows and columns; errors are results of `order`.
-
-    Returns:
-        The error and row * columns + column, or the budget and -1 where no error exceeds it.
+    edges. Corners are rows and columns; errors are results of `order`. The pixel is row * columns + column;
+    where no error exceeds the budget, the result is the budget and -1.
     """
     if br < ar:
         ar, ac, br, bc = br, bc, ar, ac

@@ -50,17 +50,17 @@ def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
     open mesh without overhangs, or one cut by a window, becomes its heights from above.
     """
     path = source.path
-    mesh, (sx, sy, _) = _scale(_outward(read_upright(path, options.up)), options)
+    mesh = read_upright(path, options.up)
+    if mesh.is_watertight and mesh.volume < 0:  # some programs write solids inside out
+        mesh = TriangleMesh(mesh.vertices, np.ascontiguousarray(mesh.faces[:, ::-1]))
+    mesh, (sx, sy, _) = _scale(mesh, options)
     low, high = mesh.bounds
     if not (high[:2] - low[:2] > 0).all():
         hint = "; is y up? --up y" if options.up is None and high[2] > low[2] else ""
         raise SourceError(
             f"{path}: a terrain needs an extent along x and y, this is {_size(low, high)} m{hint}"
         )
-    if not (options.size or options.scale):
-        _warn_millimeters(path, low, high)
-    if options.up is None:
-        _warn_of_y_up(path, mesh)
+    _warn_of_units(path, mesh, options)
     place = None
     x, y = local_origin(path, low[:2], high[:2])
     if (x, y) != (0.0, 0.0):
@@ -91,34 +91,30 @@ def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
     return ground, "as given" if scaled else "the file's own", place
 
 
-def _warn_of_y_up(path: Path, mesh: TriangleMesh) -> None:
-    """Warn of a low and wide relief along y, which is upright with y up."""
+def _warn_of_units(path: Path, mesh: TriangleMesh, options: BuildOptions) -> None:
+    """Warn of a mesh as large as one in millimeters, and of a low, wide relief along y, upright with y up."""
     width, depth, height = np.ptp(mesh.bounds, axis=0).tolist()
+    side, unitless = max(width, depth), path.suffix.lower() in UNITLESS
+    is_large = side >= MAX_METERS and (unitless or height > max(MAX_METERS, TALL_SHARE * side))
+    if is_large and not (options.size or options.scale):
+        with path.open("rb") as file:
+            named = b"meters" in file.read(HEAD_BYTES)
+        if not named:
+            warnings.warn(
+                f"{path}: is {_size(*mesh.bounds)} m, as its unit counts as the meter; "
+                "if it is the millimeter, give --scale 0.001",
+                stacklevel=4,
+            )
     area, along = mesh.face_areas, np.abs(mesh.face_normals[:, 1])
     sloped = area[(along > SLOPE_COSINE) & (along < LEVEL_COSINE)].sum()
-    if depth < LOW_SHARE * min(width, height) and sloped > RELIEF_SHARE * area.sum():
+    is_upright = depth < LOW_SHARE * min(width, height) and sloped > RELIEF_SHARE * area.sum()
+    if options.up is None and is_upright:
         up = "z" if path.suffix.lower() == ".glb" else "y"  # y is up in a GLB
         warnings.warn(
             f"{path}: is {_size(*mesh.bounds)} m and most of its faces look along y: "
             f"{up.upper()} up? --up {up}",
             stacklevel=4,
         )
-
-
-def _warn_millimeters(path: Path, low: FloatArray, high: FloatArray) -> None:
-    """Warn of a mesh that is large or high enough for millimeters."""
-    side, height = float((high - low)[:2].max()), float((high - low)[2])
-    unitless = path.suffix.lower() in UNITLESS
-    if side < MAX_METERS or not (unitless or height > max(MAX_METERS, TALL_SHARE * side)):
-        return
-    with path.open("rb") as file:
-        if b"meters" in file.read(HEAD_BYTES):
-            return
-    warnings.warn(
-        f"{path}: is {_size(low, high)} m, as its unit counts as the meter; "
-        "if it is the millimeter, give --scale 0.001",
-        stacklevel=4,
-    )
 
 
 def _surface(path: Path, mesh: TriangleMesh, options: BuildOptions) -> tuple[HeightField, bool, BoolArray]:
@@ -208,13 +204,6 @@ def _scale(mesh: TriangleMesh, options: BuildOptions) -> tuple[TriangleMesh, Flo
     factor *= options.scale or (1.0, 1.0, 1.0)
     factor[2] *= options.z_scale or 1.0
     return TriangleMesh(mesh.vertices * factor, mesh.faces), factor
-
-
-def _outward(mesh: TriangleMesh) -> TriangleMesh:
-    """Return a closed mesh with outward faces; some programs write solids inside out."""
-    if not mesh.is_watertight or mesh.volume >= 0:
-        return mesh
-    return TriangleMesh(mesh.vertices, np.ascontiguousarray(mesh.faces[:, ::-1]))
 
 
 def _size(low: FloatArray, high: FloatArray) -> str:

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from lirs_wct.export.appearance import cube_uv
-from lirs_wct.export.mesh_writer import write_collada
+from lirs_wct.export.mesh_writer import write_mesh
 from lirs_wct.formats.gazebo import heightmap_sdf, model_config, model_sdf, world_sdf, write_heightmap
+from lirs_wct.formats.meshes.writers import MeshPart, write_parts
 from lirs_wct.geometry import HeightField
 from lirs_wct.meshing.solid import solid_mesh
 
@@ -41,7 +42,7 @@ def package(tmp_path: Path) -> Path:
     (model / "materials/textures").mkdir(parents=True)
     cv2.imwrite(str(model / "materials/textures/sand.png"), np.full((4, 4, 3), 99, np.uint8))
     dae = model / "meshes/dune.dae"
-    write_collada(dae, solid_mesh(hills()), "../materials/textures/sand.png")
+    write_parts(dae, [MeshPart("ground", cube_uv(solid_mesh(hills())), "../materials/textures/sand.png")])
     (model / "model.config").write_text(model_config("dune"))
     (model / "model.sdf").write_text(model_sdf("dune", "meshes/dune.dae"))
     (model / "dune.world").write_text(world_sdf("dune"))
@@ -81,7 +82,7 @@ def check_counts(said: str, vertices: int, corners: int) -> None:
 def test_steep_ground_is_counted_right_too(gazebo: Callable[..., str], tmp_path: Path) -> None:
     """Where the projection changes from triangle to triangle, a place has several texture coordinates."""
     mesh = solid_mesh(HeightField.centered(hills().z * 4, (0.25, 0.25)))
-    write_collada(tmp_path / "a.dae", mesh)
+    write_mesh(tmp_path / "a.dae", mesh)
     (shape,) = collada.Collada(str(tmp_path / "a.dae")).geometries
     n = len(shape.primitives[0].vertex)
     assert n > 1.05 * len(mesh.vertices)

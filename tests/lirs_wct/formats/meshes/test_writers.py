@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from lirs_wct.errors import ConfigError
 from lirs_wct.export.appearance import cube_uv
-from lirs_wct.export.mesh_writer import write_collada
+from lirs_wct.export.mesh_writer import write_mesh
 from lirs_wct.formats.meshes.writers import MeshPart, write_obj, write_parts
 from lirs_wct.geometry import HeightField
 from lirs_wct.geometry.mesh import TriangleMesh
@@ -46,7 +46,7 @@ def writer(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
 
 def test_closed_and_unmoved(tmp_path: Path) -> None:
     mesh = hills()
-    write_collada(tmp_path / "a.dae", mesh)
+    write_mesh(tmp_path / "a.dae", mesh)
     again = trimesh.load(tmp_path / "a.dae", force="mesh")
     assert len(again.faces) == len(mesh.faces)
     joined = trimesh.Trimesh(again.vertices, again.faces)
@@ -57,7 +57,7 @@ def test_closed_and_unmoved(tmp_path: Path) -> None:
 
 
 def test_axis_unit_material_and_inputs(tmp_path: Path) -> None:
-    write_collada(tmp_path / "a.dae", hills(), "../materials/textures/a.png")
+    write_parts(tmp_path / "a.dae", [MeshPart("ground", cube_uv(hills()), "../materials/textures/a.png")])
     document = collada.Collada(str(tmp_path / "a.dae"), ignore=[collada.common.DaeUnsupportedError])
     assert document.errors == []
     assert document.assetInfo.upaxis == "Z_UP"
@@ -93,7 +93,7 @@ def test_parts_of_two_materials_are_one_object_with_one_layer(tmp_path: Path) ->
 
 def test_attributes_belong_to_their_corners(tmp_path: Path) -> None:
     mesh = cube_uv(hills())
-    write_collada(tmp_path / "a.dae", mesh)
+    write_mesh(tmp_path / "a.dae", mesh)
     document = collada.Collada(str(tmp_path / "a.dae"))
     (shape,) = document.geometries
     check_corners(corners_of(triangles_of(shape)[0]), mesh)
@@ -117,9 +117,9 @@ def test_bytes_count_in_large_files(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         HeightField.centered((np.sin(rows / 9) + np.cos(cols / 9)).astype(np.float32), (1, 1))
     )
     monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", len(smooth.faces))
-    write_collada(tmp_path / "a.dae", smooth)
+    write_mesh(tmp_path / "a.dae", smooth)
     monkeypatch.setattr("lirs_wct.formats.meshes.writers.BULK", 0)
-    write_collada(tmp_path / "b.dae", smooth)
+    write_mesh(tmp_path / "b.dae", smooth)
     (shape,) = collada.Collada(str(tmp_path / "b.dae")).geometries
     (polygons,) = shape.primitives
     assert (polygons.vcounts == 4).sum() == 89 * 119
@@ -132,7 +132,7 @@ def test_positions_are_exact_as_float32(tmp_path: Path) -> None:
     z = np.random.default_rng(2).random((40, 50)).astype(np.float32)
     for scale in (0.001, 1.0, 3000.0):
         mesh = solid_mesh(HeightField.centered(np.float32(scale) * z, (0.7 * scale, 0.3 * scale)))
-        write_collada(tmp_path / "a.dae", mesh)
+        write_mesh(tmp_path / "a.dae", mesh)
         (shape,) = collada.Collada(str(tmp_path / "a.dae")).geometries
         step = np.spacing(np.abs(mesh.bounds).max(axis=0).astype(np.float32))
         apart, _ = cKDTree(mesh.vertices / step).query(shape.primitives[0].vertex / step, p=np.inf)
@@ -141,7 +141,7 @@ def test_positions_are_exact_as_float32(tmp_path: Path) -> None:
 
 def test_spaces_in_a_texture_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="must not hold spaces"):
-        write_collada(tmp_path / "a.dae", hills(), "../my texture.png")
+        write_parts(tmp_path / "a.dae", [MeshPart("ground", cube_uv(hills()), "../my texture.png")])
     assert list(tmp_path.iterdir()) == []
 
 
