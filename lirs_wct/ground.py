@@ -1,4 +1,4 @@
-"""Ground of a world: terrain, laser map or mesh; its closed solid and its cut-out square."""
+"""Ground of a world: terrain, laser map or mesh; its solid, its cut-out square."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ def _node_rows_cols(surface: HeightField, grid: OccupancyGrid) -> tuple[IntArray
 
 
 def _without_ground(surface: HeightField, no_ground: BoolArray, grid: OccupancyGrid) -> BoolArray:
-    """Mark the cells whose nearest node has no ground; nodes may be farther apart than cells."""
+    """Mark cells whose nearest node has no ground; nodes may lie farther apart."""
     col, row = (
         np.rint((start + (np.arange(n) + 0.5) * grid.resolution - first) / step).astype(np.int64)
         for start, n, first, step in zip(
@@ -246,7 +246,7 @@ def distance_to(blocked: BoolArray, resolution: float) -> FloatArray:
 def cause_of_refusal(
     ground: Ground, grid: OccupancyGrid, place: tuple[float, float], *, clearance: float, max_slope: float
 ) -> str:
-    """Return the cause why a robot cannot stand at x, y of the world, with amount and limit.
+    """Return the cause why a robot cannot stand at a place, with amount and limit.
 
     The grid gives the geometry of the cells; for clearance and slope see `World.traversable`.
     """

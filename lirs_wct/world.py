@@ -120,7 +120,7 @@ class World(ShownAsPicture):
 
     @property
     def no_ground(self) -> BoolArray | None:
-        """(rows, cols) whether a node of the surface has no ground; None = every node has."""
+        """(rows, cols) whether a node has no ground; None = every node has."""
         return self.ground.no_ground
 
     @property
@@ -317,7 +317,7 @@ def recorded_source(folder: Path) -> str | None:
 
 
 def texture_path(name: str, role: str, texture: Path | None) -> Path:
-    """Return the path of a texture in a world's folder, of the user's file or of a generated one.
+    """Return the path of a texture, user's or drawn, in a world's folder.
 
     The role is `texture` for the ground, or `wall_texture`.
     """

@@ -299,7 +299,7 @@ def shaded_heights(world: World, canvas: Canvas) -> FloatArray:
 
 
 def shaded_surface(surface: HeightField, canvas: Canvas) -> FloatArray:
-    """Return a (rows, cols, 3) hillshade in [0, 1] tinted by height; row 0 = north.
+    """Return a (rows, cols, 3) hillshade, 0 to 1, tinted by height; row 0 = north.
 
     Heights are exaggerated until the ground's typical slope is visible.
     """

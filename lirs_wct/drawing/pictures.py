@@ -145,7 +145,7 @@ def _starts(axes: Axes, world: World, width: float) -> None:
 
 
 def _exaggeration(world: World) -> float:
-    """Return the factor of heights, 1 to 3, for a relief of a tenth of the width."""
+    """Return a factor of heights, 1 to 3, for a relief near a tenth of the width."""
     relief = world.surface.relief
     if world.walls is not None or world.solid is not None or relief <= 0:
         return 1.0

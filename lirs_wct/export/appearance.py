@@ -1,4 +1,4 @@
-"""Appearance of a world: its mesh in parts of one texture each, texture coordinates, and drawn textures.
+"""Appearance of a world: parts of one texture each, texture coordinates, drawn textures.
 
 The paper's tool maps one texture onto each face of a cube around the model (section III-B). Here the
 faces of the cube are unfolded around the upper one, so that the texture continues without a seam from
@@ -84,7 +84,7 @@ class Part(NamedTuple):
 
 
 def ground_wear(world: World) -> Wear:
-    """Return the texture of the ground; a drawn one is draped, unless it is a floor."""
+    """Return the ground's texture; a drawn one is draped, unless it is a floor."""
     options = world.export_options
     if options.texture is not None:
         return Wear(GROUND, options.texture, options.drape, options.texture_size)
@@ -179,10 +179,10 @@ def cube_uv(mesh: TriangleMesh, size: float | None = None) -> TriangleMesh:
 def draped_uv(
     mesh: TriangleMesh, bounds: tuple[float, float, float, float], margin: float = 0.0
 ) -> TriangleMesh:
-    """Project a picture of west, south, east, north from above, once; a skirt shows the picture's border.
+    """Project a picture from above, once; a skirt shows the picture's border.
 
-    The margin is the share of the picture omitted along its border: half a pixel for renderers that would mix
-    in the opposite border.
+    The bounds are the picture's west, south, east, north. The margin is the share of the picture omitted
+    along its border: half a pixel for renderers that would mix in the opposite border.
     """
     split = _split(mesh, draped=True)
     west, south, east, north = bounds

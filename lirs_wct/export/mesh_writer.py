@@ -24,7 +24,7 @@ from lirs_wct.world import World
 
 
 def write_mesh(path: Path, mesh: TriangleMesh, picture: Image.Image | None = None) -> None:
-    """Write a mesh, with its texture where the format has one, in the format of the file's suffix.
+    """Write a mesh, with its texture if possible, in the format of the suffix.
 
     A GLB has y up. COLLADA and OBJ store the texture next to the file. COLLADA has texture coordinates;
     missing ones are made by cube projection.

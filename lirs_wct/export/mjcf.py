@@ -1,4 +1,4 @@
-"""MJCF file of a world, with exact heights and the ground's texture, for MuJoCo 3.0 and later."""
+"""MJCF file of a world for MuJoCo 3.0 and later: exact heights, textures."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def _add_cameras(body: Element, world: World, low: FloatArray, high: FloatArray)
 
 
 def _picture(world: World, wear: Wear, folder: Path, *, laid: bool = False) -> Path:
-    """Return the picture of a part as a PNG, MuJoCo's only format, within OpenGL's size limit.
+    """Return a part's picture as a PNG, MuJoCo's only format, within OpenGL's limit.
 
     MuJoCo repeats a picture from the center of a height field; such a picture is laid out beforehand: it
     covers the whole field, row 0 = north.

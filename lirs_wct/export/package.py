@@ -88,7 +88,7 @@ def write_package(
 
 
 def _check(world: World, folder: Path, formats: Collection[str], terrain: str, overwrite: bool) -> None:
-    """Refuse formats that do not fit, and a folder of other files or, unless allowed, of another source."""
+    """Refuse formats that do not fit, and a folder of other files or of another source."""
     for name in formats:
         if name not in FORMATS:
             raise unknown_name("format", name, FORMATS)

@@ -1,4 +1,4 @@
-"""Grids: heights of the ground at nodes, occupancy of cells as log-odds, walls of a laser map."""
+"""Grids: heights of the ground, occupancy as log-odds, walls of a laser map."""
 
 from __future__ import annotations
 

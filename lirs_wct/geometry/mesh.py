@@ -193,9 +193,9 @@ MUJOCO_FACES = 200_000
 
 
 def split_tiles(mesh: TriangleMesh, *, aim: int, most: int = MUJOCO_FACES) -> Iterator[TriangleMesh]:
-    """Yield tiles of a mesh: squares of the ground plan with about `aim` and at most `most` triangles.
+    """Yield tiles of a mesh: squares of the ground plan.
 
-    A triangle belongs to the square of its first vertex.
+    Each has about `aim` and at most `most` triangles. A triangle belongs to the square of its first vertex.
     """
     seen = np.full(len(mesh.vertices), -1, dtype=np.int32)
     side = max(1, round((len(mesh.faces) / aim) ** 0.5))

@@ -67,7 +67,7 @@ class Tin(NamedTuple):
 
 @kernel
 def insert_point(tin: Tin, t: int) -> tuple[int, int]:
-    """Insert the newest point, inside triangle t or on its edge; return triangles of `fan` before, after."""
+    """Insert the newest point in or on triangle t; return old and new triangles of `fan`."""
     k = _border_edge(tin, t)
     old, new = _dig(tin, t, k)
     for i in range(new - old):
@@ -99,7 +99,10 @@ def _border_edge(tin: Tin, t: int) -> int:
 
 @kernel
 def _dig(tin: Tin, t: int, k: int) -> tuple[int, int]:
-    """Find the hole around the newest point and its rim without edge k of t; return their sizes."""
+    """Find the hole around the newest point; return its size and its rim's.
+
+    The rim leaves out edge k of t.
+    """
     link, fan, rim, stack = tin.link, tin.fan, tin.rim, tin.stack
     p = tin.used[POINTS] - 1
     row, col = np.int64(tin.point[p, 0]), np.int64(tin.point[p, 1])

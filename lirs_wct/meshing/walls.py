@@ -150,7 +150,7 @@ def _code(point: IntArray, level: int, cols: int) -> Any:
 
 @njit
 def _beside(p: IntArray, q: IntArray, kind: CellKinds) -> Any:
-    """Return the kind of cell right of p -> q; `kind` is padded by a cell."""
+    """Return the kind of the cell right of p -> q; `kind` is padded."""
     if q[1] != p[1]:
         return kind[p[0], p[1] + 1] if q[1] > p[1] else kind[p[0] + 1, p[1]]
     return kind[p[0] + 1, p[1] + 1] if q[0] > p[0] else kind[p[0], p[1]]

@@ -76,7 +76,7 @@ READERS: dict[SourceKind, Callable[[Source, BuildOptions], Reading]] = {
 
 
 def preview_world(source: str | Path, options: BuildOptions, nodes: int) -> World:
-    """Return a world to look at: no start poses, and of a picture so many nodes along its longer side."""
+    """Return a world to look at: no start poses, few nodes of a picture."""
     site = find_source(source, options)
     if site.kind is SourceKind.FOLDER:
         return World.load(site.path).with_export(options)

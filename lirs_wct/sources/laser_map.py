@@ -50,7 +50,7 @@ def cut_map(grid: OccupancyGrid, window: Window) -> OccupancyGrid:
 
 
 def walls_of(grid: OccupancyGrid, height: float, unknown: Unknown = "floor") -> WallGrid:
-    """Return the occupied cells of a map as walls; unknown cells are `floor`, `wall` or `hole` (no floor)."""
+    """Return the occupied cells of a map as walls, the unknown ones as asked."""
     if unknown not in UNKNOWN:
         raise unknown_name("kind of unknown cell", unknown, UNKNOWN)
     solid = grid.occupied | ~grid.known if unknown == "wall" else grid.occupied

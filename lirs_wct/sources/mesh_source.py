@@ -92,7 +92,7 @@ def read_mesh_source(source: Source, options: BuildOptions) -> Reading:
 
 
 def _warn_of_units(path: Path, mesh: TriangleMesh, options: BuildOptions) -> None:
-    """Warn of a mesh as large as one in millimeters, and of a low, wide relief along y, upright with y up."""
+    """Warn of a mesh as large as in millimeters, and of one that lies."""
     width, depth, height = np.ptp(mesh.bounds, axis=0).tolist()
     side, unitless = max(width, depth), path.suffix.lower() in UNITLESS
     is_large = side >= MAX_METERS and (unitless or height > max(MAX_METERS, TALL_SHARE * side))

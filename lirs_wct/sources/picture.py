@@ -257,7 +257,7 @@ def _gray(path: Path, pixels: NDArray[Any], grayscale: bool) -> NDArray[np.float
 
 
 def warn_nodata_border(path: Path, values: NDArray[np.floating[Any]], unit: float) -> None:
-    """Warn of a border of the lowest value next to a cliff, likely no data; the unit is meters."""
+    """Warn of a border of the lowest value next to a cliff, likely no data."""
     lowest = values.min()
     low = values == lowest
     border = np.concatenate((low[0], low[-1], low[1:-1, 0], low[1:-1, -1]))
