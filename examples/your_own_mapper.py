@@ -6,7 +6,7 @@ lirs-wct validate examples/data/office.yaml --mapper hector,examples.your_own_ma
 from __future__ import annotations
 
 from lirs_wct import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory
-from slam_baselines.map_builder import KnownPoseMapper
+from slam_baselines.front_end import KnownPoseMapper
 from slam_baselines.mapper import MapperStats
 
 

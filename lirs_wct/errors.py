@@ -86,6 +86,10 @@ _REASONS: dict[type[BaseException], str] = {
 }
 
 
+MAX_NAMES = 40
+"""Longest list of legal names in a message; of more, the most similar ones are named."""
+
+
 def unknown_name(kind: str, name: str, legal: Iterable[str]) -> ConfigError:
     """Return the error for an unknown name, with the legal and a similar one.
 
@@ -93,7 +97,10 @@ def unknown_name(kind: str, name: str, legal: Iterable[str]) -> ConfigError:
     "unknown robot 'huksy'; legal: husky, jackal; did you mean husky?"
     """
     names = sorted(legal)
-    return ConfigError(f"unknown {kind} {name!r}; legal: {', '.join(names)}{did_you_mean(name, names)}")
+    shown = names if len(names) <= MAX_NAMES else get_close_matches(str(name), names, n=5, cutoff=0.0)
+    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
+    listed = ", ".join(shown) + more
+    return ConfigError(f"unknown {kind} {name!r}; legal: {listed}{did_you_mean(name, names)}")
 
 
 def did_you_mean(name: str, legal: Iterable[str]) -> str:

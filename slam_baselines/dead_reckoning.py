@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import FloatArray, Imu, Pose2, Pose3, njit, wrap_angle
-from slam_baselines.linalg import moved_covariance
+from lirs_wct.geometry import FloatArray, Imu, Pose2, Pose3, njit
 
 Slope = tuple[float, float]
 """Descent of the ground per meter ahead and per meter to the left."""
@@ -86,20 +85,25 @@ class Calibration:
         return Pose2(
             d + xx * d + xt * a + slide * down[0],
             step.y + yx * d + yt * a + slide * down[1],
-            wrap_angle(a + tx * d + tt * a),
+            math.remainder(a + tx * d + tt * a, math.tau),
         )
 
     def learn(self, step: Pose2, true: Pose2, down: Slope = LEVEL) -> None:
         """Learn from a true step, its odometry `step` and the slope `down` of the ground."""
         d, a = step.x, step.yaw
         c = self.correct(step, down)
-        x, y, t = error = true.x - c.x, true.y - c.y, wrap_angle(true.yaw - c.yaw)
+        x, y, t = true.x - c.x, true.y - c.y, math.remainder(true.yaw - c.yaw, math.tau)
         self._observe(d, a)
         p, q, r = self.covariance
         u, v = (p * d + q * a) / self._noise, (q * d + r * a) / self._noise
         xx, xt, yx, yt, tx, tt = self.gain
         self.gain = xx + x * u, xt + x * v, yx + y * u, yt + y * v, tx + t * u, tt + t * v
-        self._learn_slide(abs(a) * down[0], abs(a) * down[1], error)
+        # The slide learns from the error that a slide of (u, v) per gain left.
+        u, v = abs(a) * down[0], abs(a) * down[1]
+        variance, total = self._slide_variance, u * u + v * v
+        scale = variance / (self._slide_noise + variance * total)
+        self.slide += scale * (u * x + v * y)
+        self._slide_variance = min((variance - scale * total * variance) / self._keep, self._slide_start)
 
     def _observe(self, d: float, a: float) -> None:
         """Add a step's information in place of older information about such steps.
@@ -115,13 +119,6 @@ class Calibration:
             q - forget * u * v + d * a / self._noise,
             r - forget * v * v + a * a / self._noise,
         )
-
-    def _learn_slide(self, u: float, v: float, error: tuple[float, float, float]) -> None:
-        """Learn the slide from the error left by a slide of (u, v) per gain."""
-        p, total = self._slide_variance, u * u + v * v
-        scale = p / (self._slide_noise + p * total)
-        self.slide += scale * (u * error[0] + v * error[1])
-        self._slide_variance = min((p - scale * total * p) / self._keep, self._slide_start)
 
 
 STANDSTILL = 1e-3
@@ -145,6 +142,13 @@ class PoseEstimate:
 
     pose: Pose2
     covariance: FloatArray
+
+
+def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:
+    """Rotate a covariance or information (3, 3) of a pose into a frame's axes."""
+    c, s = math.cos(frame.yaw), math.sin(frame.yaw)
+    R = np.array(((c, s, 0.0), (-s, c, 0.0), (0.0, 0.0, 1.0)))
+    return np.asarray(R @ matrix @ R.T, dtype=np.float64)
 
 
 class MotionStep(NamedTuple):
@@ -217,7 +221,8 @@ class MotionConfig(Checked):
         else:
             shift, turn = self._variances(delta, seconds, tilt)
         if turned is not None:
-            turn = min(turn, self.gyro_per_second**2 * seconds + wrap_angle(turned - delta.yaw) ** 2)
+            off = math.remainder(turned - delta.yaw, math.tau)
+            turn = min(turn, self.gyro_per_second**2 * seconds + off**2)
         return MotionStep(delta, shift, turn)
 
     def predict_all(
@@ -283,6 +288,24 @@ def propagate_steps(pose: Any, covariance: Any, steps: Any) -> Any:
             yaw += math.tau
         pose[0], pose[1], pose[2] = x, y, yaw
     return pose, covariance
+
+
+@njit
+def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) -> Any:
+    """Return the covariance of x, y, yaw after a step (dx, dy) in the map frame.
+
+    That is G P G' + Q with G = [[1, 0, -dy], [0, 1, dx], [0, 0, 1]] and the step's own variances
+    Q = diag(shift, shift, turn).
+    """
+    a, b, c = P[0, 2], P[1, 2], P[2, 2]
+    R = np.empty((3, 3))
+    R[0, 0] = P[0, 0] - 2 * dy * a + dy * dy * c + shift
+    R[1, 1] = P[1, 1] + 2 * dx * b + dx * dx * c + shift
+    R[0, 1] = R[1, 0] = P[0, 1] + dx * a - dy * b - dx * dy * c
+    R[0, 2] = R[2, 0] = a - dy * c
+    R[1, 2] = R[2, 1] = b + dx * c
+    R[2, 2] = c + turn
+    return R
 
 
 class OdometryStep(NamedTuple):
@@ -362,7 +385,7 @@ class DeadReckoning:
 def _between(a: Pose2, b: Pose2) -> Pose2:
     """Return `T_ab` of two poses in one frame."""
     c, s, x, y = math.cos(a.yaw), math.sin(a.yaw), b.x - a.x, b.y - a.y
-    return Pose2(c * x + s * y, c * y - s * x, wrap_angle(b.yaw - a.yaw))
+    return Pose2(c * x + s * y, c * y - s * x, math.remainder(b.yaw - a.yaw, math.tau))
 
 
 def climb(dx: float, dy: float, up: FloatArray) -> float:

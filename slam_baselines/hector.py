@@ -21,9 +21,8 @@ from slam_baselines.dead_reckoning import (
     OdometryStep,
     PoseEstimate,
 )
-from slam_baselines.front_end import FrontEnd, FrontEndConfig, Keyframe, StartUp
+from slam_baselines.front_end import BuilderConfig, FrontEnd, FrontEndConfig, Keyframe, MapBuilder, StartUp
 from slam_baselines.leveling import LeveledScan
-from slam_baselines.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.monitors import LocalizabilityMonitor
 from slam_baselines.registration import Match, Registration, RegistrationConfig, ScanMatcher
@@ -109,14 +108,20 @@ class HectorMapper(PlanarMapper):
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Level a scan, predict, register and monitor it; insert it if due."""
-        front, builder, before = self.front, self._builder, self.front.estimate.pose
+        front, builder, before, match = self.front, self._builder, self.front.estimate.pose, None
         level = front.leveler.level(scan, imu)
-        prior = self._predict(level, odometry, imu)
-        estimate, match = self._register(level, prior)
+        estimate = prior = self.reckoning.predict(front.estimate, odometry, imu, scan.stamp)
+        if level.leveled and not self._start.over:
+            self._motion.append(self.reckoning.increment)
+        if front.path:  # the first scan has no map
+            weights = builder.match_weights(level, prior.pose)
+            estimate, match = self._registration.register(
+                builder.pyramid, level.hits, weights, prior, before, self._earlier
+            )
+            self._earlier = before
         fits = front.monitor(level, prior, estimate, match)
-        self.lost = front.monitors.tracking.lost
+        self.lost, pose = front.monitors.tracking.lost, front.estimate.pose
         registered = self._calibrate(level, match, before)
-        pose = front.estimate.pose
         builder.move_base(level, before.inverse() @ pose, registered=registered)
         if fits and builder.motion_filter.due(level, pose):
             self._insert(level, pose)
@@ -145,24 +150,8 @@ class HectorMapper(PlanarMapper):
             },
         )
 
-    def _predict(self, scan: LeveledScan, odometry: Pose2 | None, imu: Imu | None) -> PoseEstimate:
-        """Return the estimate by dead reckoning; keep its steps for the start-up refinement."""
-        prior = self.reckoning.predict(self.front.estimate, odometry, imu, scan.stamp)
-        if scan.leveled and not self._start.over:
-            self._motion.append(self.reckoning.increment)
-        return prior
-
-    def _register(self, scan: LeveledScan, prior: PoseEstimate) -> tuple[PoseEstimate, Match | None]:
-        """Match a scan to the map from coarse to fine; the first has no map."""
-        if not self.front.path:
-            return prior, None
-        before, earlier = self.front.estimate.pose, self._earlier
-        self._earlier = before
-        weights = self._builder.match_weights(scan, prior.pose)
-        return self._registration.register(self._builder.pyramid, scan.hits, weights, prior, before, earlier)
-
     def _calibrate(self, scan: LeveledScan, match: Match | None, before: Pose2) -> bool:
-        """Switch the odometry's calibration, let it learn from a good match."""
+        """Calibrate the odometry by a good match; return whether it is good."""
         c, reckoning, localizability = self.config, self.reckoning, self.front.monitors.localizability
         if scan.leveled and self.front.path:
             reckoning.calibrated = localizability.steady or reckoning.learned >= c.learning_steps

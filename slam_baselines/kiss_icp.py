@@ -104,9 +104,8 @@ class CloudOdometry:
         """Sweeps and times."""
         received = len(self._poses)
         skipped = {"empty": self._empty} if self._empty else {}
-        return MapperStats(
-            received=received, used=received - self._empty, skipped=skipped, **self._watch.summary()
-        )
+        stats = MapperStats(received=received, used=received - self._empty, skipped=skipped)
+        return self._watch.add_to(stats)
 
 
 def sweep_times(cloud: PointCloud) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Protocols of mappers and localizers, their statistics, and their construction by name."""
+"""Protocols of mappers and localizers, their statistics, their construction by name, and their warm-up."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from importlib.util import find_spec
 from numbers import Integral, Real
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol, TypedDict, TypeGuard
+from typing import Any, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 
@@ -25,15 +25,12 @@ class Method(NamedTuple):
     """SLAM method by name, so that one method does not import the others.
 
     Attributes:
-        module: Module of the mapper.
-        config: name of the class of its configuration.
-        factory: name of the callable that makes a mapper of a configuration.
-        resolution: field of the configuration that is the edge of the map's cell, meters; empty = none.
-        package: import name of a needed package that is none of our dependencies.
+        factory: Name of the callable that makes a mapper of a configuration.
+        resolution: Field of the configuration that is the edge of the map's cell, meters; empty = none.
+        package: Import name of a needed package that is none of our dependencies.
         extra: Our extra that installs it; empty = none does.
-        license: License of the package.
         needs: Sensors' data besides point clouds.
-        options: fixed fields of its configuration.
+        options: Fixed fields of its configuration.
     """
 
     module: str
@@ -156,16 +153,16 @@ class MapperStats:
     """Counts, times and memory of a mapper so far.
 
     Attributes:
-        received: scans given to it.
-        used: scans that moved its estimate.
-        skipped: scans left out, by reason.
-        lost: scans during which it did not know where it was.
-        ms_p50: median wall time of an update, milliseconds; 0 before the first.
-        ms_p95: 95th percentile of an update's wall time.
-        ms_max: the longest.
-        memory: bytes of its maps.
-        counts: other counts of the method (searches, map updates, particles, constraints).
-        weak_directions: a digit per scan, 0 to 6: directions of motion that it did not constrain, and that
+        received: Scans given to it.
+        used: Scans that moved its estimate.
+        skipped: Scans left out, by reason.
+        lost: Scans during which it did not know where it was.
+        ms_p50: Median wall time of an update, milliseconds; 0 before the first.
+        ms_p95: 95th percentile of it.
+        ms_max: Longest wall time of an update.
+        memory: Bytes of its maps.
+        counts: Other counts of the method (searches, map updates, particles, constraints).
+        weak_directions: A digit per scan, 0 to 6: directions of motion that it did not constrain, and that
             other sensors decided. Empty = the method does not tell.
     """
 
@@ -199,8 +196,8 @@ class Estimator(Protocol):
         ...
 
 
-class PoseEstimator(Estimator, Protocol):
-    """Estimator of a robot's pose, one scan after the other.
+class Mapper(Estimator, Protocol):
+    """Simultaneous localization and mapping; the map frame is the first base pose.
 
     Attitude and odometry are used where they are given. The optional attribute `requires_odometry` says that
     scans without odometry are refused.
@@ -216,16 +213,12 @@ class PoseEstimator(Estimator, Protocol):
         """
         ...
 
-
-class Mapper(PoseEstimator, Protocol):
-    """Simultaneous localization and mapping; the map frame is the first base pose."""
-
     def map(self) -> OccupancyGrid:
         """Return the map in the map frame."""
         ...
 
 
-class Localizer(PoseEstimator, Protocol):
+class Localizer(Mapper, Protocol):
     """Localization in a known map; the map frame is the known map's."""
 
     @property
@@ -255,29 +248,19 @@ class CloudMapper(Estimator, Protocol):
 
         Args:
             cloud: Cloud in the sensor's frame.
-            imu: inertial reading at the cloud's stamp, if there is one.
+            imu: Inertial reading at the cloud's stamp, if there is one.
         """
         ...
 
 
+def asks_for(mapper: object, attribute: str) -> bool:
+    """Return whether an optional attribute such as `requires_odometry` is true; False without it."""
+    return bool(getattr(mapper, attribute, False))
+
+
 def reads_clouds(mapper: object) -> TypeGuard[CloudMapper]:
-    """Return whether a mapper takes point clouds; False without the attribute."""
-    return bool(getattr(mapper, "reads_clouds", False))
-
-
-def reads_inertial(mapper: object) -> bool:
-    """Return whether a cloud mapper takes all inertial readings; False without the attribute."""
-    return reads_clouds(mapper) and bool(getattr(mapper, "reads_inertial", False))
-
-
-def reads_odometry(mapper: object) -> bool:
-    """Return whether a cloud mapper takes the odometry; False without the attribute."""
-    return reads_clouds(mapper) and bool(getattr(mapper, "reads_odometry", False))
-
-
-def requires_odometry(mapper: object) -> bool:
-    """Return whether a mapper refuses scans without odometry; False without the attribute."""
-    return bool(getattr(mapper, "requires_odometry", False))
+    """Return whether a mapper takes point clouds."""
+    return asks_for(mapper, "reads_clouds")
 
 
 def required_odometry(mapper: str, odometry: Pose2 | None, stamp: float) -> Pose2:
@@ -291,25 +274,9 @@ def required_odometry(mapper: str, odometry: Pose2 | None, stamp: float) -> Pose
     return odometry
 
 
-def check_motion(odometry: Pose2 | None, imu: Imu | None) -> None:
-    """Check that odometry and attitude are finite, before a compiled loop computes cells of them.
-
-    Raises:
-        ConfigError: they are not.
-    """
-    o, i = odometry or Pose2(), imu or Imu()
-    total = i.stamp + i.roll + i.pitch + sum(i.angular_velocity) + sum(i.linear_acceleration)
-    if not math.isfinite(o.x + o.y + o.yaw + total):
-        raise ConfigError(f"odometry and inertial readings must be finite, got {odometry}, {imu}")
-
-
 def parameters(name: str) -> tuple[str, ...]:
-    """Return the names of a method's parameters, those of its configuration.
-
-    Raises:
-        ConfigError: no mapper has that name.
-    """
-    return tuple(each.name for each in fields(_config_class(name)))
+    """Return the names of a method's parameters, those of its configuration."""
+    return tuple(each.name for each in fields(_default_config(name)))
 
 
 def make_mapper(
@@ -345,8 +312,8 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
         **config: Fields of the method's configuration.
 
     Raises:
-        ConfigError: no such mapper has that name, its package is not installed, or its configuration has no
-            such field or not that value.
+        ConfigError: no mapper has that name, its package is missing, or its configuration has no such field
+            or not that value.
     """
     if name not in ALL_CLOUD_MAPPERS:
         raise unknown_name("mapper of point clouds", name, ALL_CLOUD_MAPPERS)
@@ -358,42 +325,36 @@ def make_cloud_mapper(name: str, *, seed: int | None = None, **config: Any) -> C
 
 
 _METHODS = {**MAPPERS, **ALL_CLOUD_MAPPERS}
+NUMBERS = ((bool, bool, "true or false"), (int, Integral, "a whole number"), (float, Real, "a number"))
+"""Kinds of a parameter's default, what is legal for each, and its words; a bool is an int too."""
 
 
-def _config_class(name: str) -> Any:
-    """Return the class of a method's configuration."""
+def _default_config(name: str) -> Any:
+    """Return the default configuration of a method."""
     if name not in _METHODS:
         raise unknown_name("mapper", name, _METHODS)
     method = _METHODS[name]
-    return getattr(importlib.import_module(method.module), method.config)
+    return getattr(importlib.import_module(method.module), method.config)(**method.options)
 
 
 def _make(name: str, seed: int | None, values: dict[str, Any]) -> Any:
     """Return a new mapper whose configuration has some values other than the defaults."""
-    config_class, legal = _config_class(name), parameters(name)
-    method = _METHODS[name]
+    defaults, legal, method = _default_config(name), parameters(name), _METHODS[name]
     if seed is not None and "seed" in legal:
         values["seed"] = seed
-    defaults = config_class(**method.options)
     for key, value in values.items():
         if key not in legal:
             raise unknown_name(f"parameter of {name}", key, legal)
-        _check_kind(getattr(defaults, key), value, f"{key} of {name}")
+        for kind, number, words in NUMBERS:
+            if isinstance(getattr(defaults, key), kind):
+                if not isinstance(value, number) or (isinstance(value, bool) and kind is not bool):
+                    raise ConfigError(f"{key} of {name} must be {words}, got {value!r}")
+                break
     try:
         config = replace(defaults, **values)
         return getattr(importlib.import_module(method.module), method.factory)(config)
     except TypeError as error:
         raise ConfigError(f"configuration of {name}: {error}") from error
-
-
-def _check_kind(default: Any, value: Any, label: str) -> None:
-    """Check that a value is of the default's kind of number."""
-    kinds = ((bool, bool, "true or false"), (int, Integral, "a whole number"), (float, Real, "a number"))
-    for kind, legal, words in kinds:
-        if isinstance(default, kind):
-            if not isinstance(value, legal) or (isinstance(value, bool) and kind is not bool):
-                raise ConfigError(f"{label} must be {words}, got {value!r}")
-            return
 
 
 def read_parameters(text: str, label: str = "--parameters") -> dict[str, Any]:
@@ -407,23 +368,11 @@ def read_parameters(text: str, label: str = "--parameters") -> dict[str, Any]:
         name, _, value = (word.strip() for word in part.partition("="))
         if not name or not value or name in values:
             raise ConfigError(f"{label} must be NAME=VALUE,NAME=VALUE,... with different names, got {text!r}")
-        values[name] = _read_value(value)
+        values[name] = {"true": True, "false": False}.get(value, value)
+        for kind in (float, int):
+            with suppress(ValueError):
+                values[name] = kind(value)
     return values
-
-
-def _read_value(text: str) -> Any:
-    for kind in (int, float):
-        with suppress(ValueError):
-            return kind(text)
-    return {"true": True, "false": False}.get(text, text)
-
-
-class Times(TypedDict, total=False):
-    """Times of MapperStats; empty before the first update."""
-
-    ms_p50: float
-    ms_p95: float
-    ms_max: float
 
 
 class Stopwatch:
@@ -440,12 +389,12 @@ class Stopwatch:
         """Record the time since `started`."""
         self._ms.append((time.perf_counter_ns() - started) * 1e-6)
 
-    def summary(self) -> Times:
-        """Return the times of MapperStats."""
+    def add_to(self, stats: MapperStats) -> MapperStats:
+        """Return statistics with the times of the updates."""
         if not self._ms:
-            return {}
-        p50, p95, most = np.percentile(self._ms, (50, 95, 100))
-        return {"ms_p50": float(p50), "ms_p95": float(p95), "ms_max": float(most)}
+            return stats
+        p50, p95, most = np.percentile(self._ms, (50, 95, 100)).tolist()
+        return replace(stats, ms_p50=p50, ms_p95=p95, ms_max=most)
 
 
 class PlanarMapper(ABC):
@@ -473,7 +422,10 @@ class PlanarMapper(ABC):
         Raises:
             ConfigError: there is no odometry, and the method requires it; or odometry or IMU are not finite.
         """
-        check_motion(odometry, imu)
+        o, i = odometry or Pose2(), imu or Imu()
+        total = i.stamp + i.roll + i.pitch + sum(i.angular_velocity) + sum(i.linear_acceleration)
+        if not math.isfinite(o.x + o.y + o.yaw + total):  # a compiled loop computes cells of them
+            raise ConfigError(f"odometry and inertial readings must be finite, got {odometry}, {imu}")
         if self.requires_odometry:
             odometry = required_odometry(self.name, odometry, scan.stamp)
         started = self._stopwatch.start()
@@ -494,5 +446,55 @@ class PlanarMapper(ABC):
     @property
     def stats(self) -> MapperStats:
         """Counts, times and memory so far."""
-        times = self._stopwatch.summary()
-        return replace(self.counts(), received=self.received, lost=self.lost_scans, **times)
+        stats = replace(self.counts(), received=self.received, lost=self.lost_scans)
+        return self._stopwatch.add_to(stats)
+
+
+BEAMS, FOV, RANGE = 541, math.radians(270), 20.0
+CORNERS = np.array((-6 - 4j, 6 - 4j, 6 + 4j, 1 + 4j, 1 + 2.5j, 2.5j, 4j, -6 + 4j, -6 - 4j))
+"""Corners x + y i of the room, with a pillar in its northern wall, meters."""
+MOUNT = Pose3(0.2, 0.0, 0.3)
+RADIUS, STEP = 2.2, 0.12
+"""Radius of the circle that is driven, and distance between scans, meters."""
+
+
+def warm_up(name: str, **config: Any) -> None:
+    """Run a new mapper through a short synthetic drive that compiles its kernels.
+
+    The robot circles a room, on a floor and on uneven ground, until it is back in a known place. Then it is
+    displaced, so that the rarely used parts (wider search, loop closure) are compiled too. A method's module
+    may name in `WARM_UP` the configuration with which this drive reaches all kernels; `config` shortens it.
+    """
+    config = {**getattr(importlib.import_module(MAPPERS[name].module), "WARM_UP", {}), **config}
+    for uneven in (False, True):
+        mapper = make_mapper(name, **config)
+        start = room_pose(0.0)
+        laps = np.arange(0.0, 2.6 * math.pi, STEP / RADIUS)
+        for k, angle in enumerate(laps):
+            pose = room_pose(angle)
+            jump = Pose2(0.4, 0.3, 0.5) if k == len(laps) - 3 else Pose2()
+            tilt = 0.03 * math.sin(3 * angle) if uneven else 0.0
+            stamp = 0.2 * k
+            imu = Imu(pitch=tilt, stamp=stamp) if uneven else None
+            mapper.update(room_scan(pose @ jump, stamp), start.inverse() @ pose, imu)
+        mapper.map()
+        mapper.trajectory()
+
+
+def room_pose(angle: float) -> Pose2:
+    """Return a pose on the circle that is driven, at an angle in radians."""
+    return Pose2(RADIUS * math.cos(angle) - 1, RADIUS * math.sin(angle) - 1, angle + math.pi / 2)
+
+
+def room_scan(T_room_base: Pose2, stamp: float) -> LaserScan:
+    """Return the scan of the room's outline by a scanner on the base."""
+    T_room_laser = T_room_base @ Pose2(MOUNT.x, MOUNT.y)
+    angles = T_room_laser.yaw - FOV / 2 + FOV / (BEAMS - 1) * np.arange(BEAMS)
+    beams, edges = np.exp(1j * angles)[:, None], np.diff(CORNERS)
+    corners = CORNERS[:-1] - complex(T_room_laser.x, T_room_laser.y)
+    across = (beams.conj() * edges).imag
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance, along = (corners.conj() * edges).imag / across, (corners.conj() * beams).imag / across
+    hit = (distance > 0) & (along >= 0) & (along <= 1)
+    ranges = np.where(hit, distance, np.inf).min(axis=1).astype(np.float32)
+    return LaserScan(ranges, -FOV / 2, FOV / (BEAMS - 1), 0.1, RANGE, stamp, MOUNT)

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 from lirs_wct.errors import Checked, limited, require_within
-from lirs_wct.geometry import wrap_angle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +122,7 @@ class LocalizabilityMonitor:
         if score is not None:
             self._matched += 1
             self._share += (fits - self._share) / min(self._matched, c.localizable_memory)
-            self._turned += 0.0 if self._off is None else wrap_angle(off - self._off)
+            self._turned += 0.0 if self._off is None else math.remainder(off - self._off, math.tau)
             self._off = off
         enough = c.least_localizable_share if self.localizable else c.localizable_share
         self.localizable = self._share >= enough and abs(self._turned) <= c.localizable_turn
@@ -165,7 +164,7 @@ class Monitors:
 
     def observe_match(self, score: float | None, yaw: float, seconds: float) -> None:
         """Update the localizability by a match; without one, the score is None."""
-        off = 0.0 if score is None else wrap_angle(yaw - self.reckoned_yaw)
+        off = 0.0 if score is None else math.remainder(yaw - self.reckoned_yaw, math.tau)
         self.localizability.observe(score, off, seconds)
 
     def observe_fit(self, score: float | None, known: float) -> bool:

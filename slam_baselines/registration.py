@@ -12,6 +12,7 @@ flexible and scalable SLAM system with full 3D motion estimation", eqs. 4-14). T
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
@@ -20,9 +21,8 @@ import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, IntArray, njit
 from lirs_wct.errors import limited, require_within
-from lirs_wct.geometry import Pose2, wrap_angle
+from lirs_wct.geometry import Pose2
 from slam_baselines.dead_reckoning import PoseEstimate
-from slam_baselines.linalg import invert3, solve3
 from slam_baselines.monitors import MonitorConfig
 from slam_baselines.occupancy_map import FULL, UNSEEN, GrowingGrid, Levels, MapPyramid
 
@@ -128,18 +128,6 @@ class Match(NamedTuple):
     known: float
 
 
-class Prior(NamedTuple):
-    """Expected pose.
-
-    Attributes:
-        pose: (3,) x, y, yaw.
-        covariance: (3, 3).
-    """
-
-    pose: FloatArray
-    covariance: FloatArray
-
-
 class Matchable(Protocol):
     """Map that scans can be matched to: a MapPyramid or a Submap."""
 
@@ -165,7 +153,7 @@ class ScanMatcher:
         self._ones: FloatArray = np.ones(0)
 
     def match(
-        self, pyramid: Matchable, points: FloatArray, weights: FloatArray | None, prior: Prior, *,
+        self, pyramid: Matchable, points: FloatArray, weights: FloatArray | None, prior: PoseEstimate, *,
         start: FloatArray | None = None, levels: int = 0, information_share: float = 1.0,
     ) -> Match:  # fmt: skip
         """Match the scan to the map.
@@ -174,7 +162,7 @@ class ScanMatcher:
             pyramid: the map.
             points: (n, 2 or more) ends of beams in the leveled base frame, meters.
             weights: (n,) of the beams; None: all the same.
-            prior: expected pose.
+            prior: Expected pose.
             start: (3,) first pose; None: the prior's.
             levels: number of levels, of which the finest comes last; 0: enough to correct an error of two
                 standard deviations of the prior.
@@ -184,10 +172,10 @@ class ScanMatcher:
             if len(self._ones) < len(points):
                 self._ones = np.ones(len(points))
             weights = self._ones[: len(points)]
-        out = np.empty(23)
+        out, expected = np.empty(23), prior.pose.as_array()
         _match(
-            pyramid.levels, points, weights, prior, prior.pose if start is None else start, levels,
-            self._iterations, self._exact, BEAM_DEVIATION**2 / information_share, out,
+            pyramid.levels, points, weights, expected, prior.covariance, expected if start is None else start,
+            levels, self._iterations, self._exact, BEAM_DEVIATION**2 / information_share, out,
         )  # fmt: skip
         score, known = out[21:].tolist()
         return Match(out[:3], out[3:12].reshape(3, 3), out[12:21].reshape(3, 3), score, known)
@@ -209,19 +197,19 @@ def levels_for(frames: Any, covariance: Any) -> int:
 
 @njit
 def _match(
-    pyramid: Levels, points: Any, weights: Any, prior: Prior, start: Any, levels: int, iterations: Any,
-    exact: bool, variance: float, out: Any,
+    pyramid: Levels, points: Any, weights: Any, expected: Any, prior: Any, start: Any, levels: int,
+    iterations: Any, exact: bool, variance: float, out: Any,
 ) -> None:  # fmt: skip
-    """Match with beams of a `variance`; fill `out` (23,).
+    """Match beams of a `variance` with a covariance as prior (3, 3); fill `out` (23,).
 
     `out` holds pose, covariance with the prior, information, score, share of beams on known cells.
     """
-    information = invert3(prior.covariance)
+    information = invert3(prior)
     if levels == 0:
-        levels = levels_for(pyramid.frames, prior.covariance)
+        levels = levels_for(pyramid.frames, prior)
     pose, H, total = start.copy(), np.empty((3, 3)), 0.0
     score, known = _iterate(
-        pyramid, points, weights, prior.pose, information, levels, iterations, exact, variance, pose, H
+        pyramid, points, weights, expected, information, levels, iterations, exact, variance, pose, H
     )
     # Number by number: operations of whole arrays take Numba several times as long to compile.
     for i in range(3):
@@ -334,6 +322,35 @@ def linearize(
     return score / FULL, seen
 
 
+@njit
+def solve3(A: Any, b: Any) -> Any:
+    """Solve a symmetric positive definite 3x3 system by Cramer's rule; zero where it is singular."""
+    inverse = invert3(A)
+    x = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            x[i] += inverse[i, j] * b[j]
+    return x
+
+
+@njit
+def invert3(A: Any) -> Any:
+    """Return the inverse of a symmetric positive definite matrix; zeros where it is singular."""
+    c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    c01 = A[1, 2] * A[2, 0] - A[1, 0] * A[2, 2]
+    c02 = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    det = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
+    B = np.zeros((3, 3))
+    if not det > 0:
+        return B
+    B[0, 0], B[1, 1] = c00 / det, (A[0, 0] * A[2, 2] - A[0, 2] * A[2, 0]) / det
+    B[2, 2] = (A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]) / det
+    B[0, 1] = B[1, 0] = c01 / det
+    B[0, 2] = B[2, 0] = c02 / det
+    B[1, 2] = B[2, 1] = (A[0, 1] * A[2, 0] - A[0, 0] * A[2, 1]) / det
+    return B
+
+
 @dataclass(frozen=True, kw_only=True)
 class RegistrationConfig(MonitorConfig):
     """Acceptance of matches, and the wider search where they are poor.
@@ -414,21 +431,22 @@ class Registration:
         uneven, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
         if walls < (c.min_walls if uneven else c.min_beams):
             return expected, None
-        moved = expected.pose.distance(before) + 0.5 * abs(wrap_angle(expected.pose.yaw - before.yaw))
+        x, y, yaw = expected.pose.x, expected.pose.y, expected.pose.yaw
+        turn = math.remainder(yaw - before.yaw, math.tau)
+        moved = math.hypot(x - before.x, y - before.y) + 0.5 * abs(turn)
         share = min(1.0, max(c.min_information_share, moved / c.decorrelation_distance))
-        prior = Prior(expected.pose.as_array(), expected.covariance)
-        match = self._matcher.match(pyramid, hits, weights, prior, information_share=share)
+        match = self._matcher.match(pyramid, hits, weights, expected, information_share=share)
         if match.known < c.min_beams / walls:
             return expected, None
         if match.known >= c.known_ratio and match.score < c.search_threshold:
             coasting = before if earlier is None else before @ (earlier.inverse() @ before)
-            wider = self._search(pyramid, hits, weights, share, prior, coasting.as_array())
-            if uneven and self._is_rejected(match, wider, prior):
+            wider = self._search(pyramid, hits, weights, share, expected, coasting)
+            if uneven and self._is_rejected(match, wider, expected):
                 return expected, match
             if wider.score > match.score + c.min_gain:
                 match = wider
         x, y, yaw = match.pose.tolist()
-        return PoseEstimate(Pose2(x, y, wrap_angle(yaw)), match.covariance), match
+        return PoseEstimate(Pose2(x, y, math.remainder(yaw, math.tau)), match.covariance), match
 
     def _search(
         self,
@@ -436,30 +454,32 @@ class Registration:
         hits: FloatArray,
         weights: FloatArray | None,
         share: float,
-        prior: Prior,
-        coasting: FloatArray,
+        prior: PoseEstimate,
+        coasting: Pose2,
     ) -> Match:
         """Match from the best pose of the wider window, and from that after repeating the last step."""
         self.searches += 1
         c = self.config
         linear, angular = c.linear_search_window, c.angular_search_window
         points_weights = np.ones(len(hits)) if weights is None else weights
-        start = correlative_search(pyramid.maps[-1].grid, hits, points_weights, prior.pose, linear, angular)
+        start = correlative_search(
+            pyramid.maps[-1].grid, hits, points_weights, prior.pose.as_array(), linear, angular
+        )
         if not c.search_prior:
-            prior = Prior(prior.pose, np.diag((linear**2, linear**2, angular**2)))
+            prior = PoseEstimate(prior.pose, np.diag((linear**2, linear**2, angular**2)))
         matches = [
             self._matcher.match(
                 pyramid, hits, weights, prior, start=first, levels=len(pyramid.maps), information_share=share
             )
-            for first in ((start, coasting) if c.coasting else (start,))
+            for first in ((start, coasting.as_array()) if c.coasting else (start,))
         ]
         return max(matches, key=lambda match: match.score)
 
-    def _is_rejected(self, match: Match, wider: Match, prior: Prior) -> bool:
+    def _is_rejected(self, match: Match, wider: Match, prior: PoseEstimate) -> bool:
         """Return whether no pose fits, or only one that dead reckoning excludes."""
         c = self.config
         if c.reject_poor and max(match.score, wider.score) < c.search_threshold:
             return True
-        off = wider.pose - prior.pose
-        off[2] = wrap_angle(off[2])
+        off = wider.pose - prior.pose.as_array()
+        off[2] = math.remainder(off[2], math.tau)
         return not off @ invert3(prior.covariance) @ off <= c.mahalanobis_gate**2

@@ -15,8 +15,7 @@ HILL = """<mujoco><asset><hfield name="h" nrow="9" ncol="9" size="8 8 1 .1"/></a
 
 
 def compile_mappers() -> None:
-    from slam_baselines.mapper import MAPPERS
-    from slam_baselines.warm_up import warm_up
+    from slam_baselines.mapper import MAPPERS, warm_up
 
     for name in MAPPERS:
         warm_up(name)

@@ -89,7 +89,7 @@ class TimedOdometry:
         reasons = {"empty": self._empty, "after the last reading": waiting}
         skipped = {reason: count for reason, count in reasons.items() if count}
         used = received - self._empty - waiting
-        return MapperStats(received=received, used=used, skipped=skipped, **self._watch.summary())
+        return self._watch.add_to(MapperStats(received=received, used=used, skipped=skipped))
 
     def _complete(self, cloud: PointCloud) -> bool:
         end = cloud.stamp + (float(cloud.time.max()) if len(cloud) else 0.0)

@@ -16,8 +16,8 @@ import numpy as np
 from lirs_wct.arrays import BoolArray, FloatArray, njit
 from lirs_wct.errors import Checked, ConfigError, limited
 from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
-from slam_baselines.linalg import solve3
 from slam_baselines.mapper import MapperStats, PlanarMapper
+from slam_baselines.registration import solve3
 
 ITERATIONS = (6, 4, 4)
 """Gauss-Newton steps on the finest level, and on each coarser one."""

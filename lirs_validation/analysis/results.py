@@ -23,7 +23,7 @@ from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.formats.laser_log import LaserLog
 from lirs_wct.sources.source import BuildOptions
 from lirs_wct.world import TEXTURE_OPTIONS
-from slam_baselines.map_builder import KnownPoseMapper
+from slam_baselines.front_end import KnownPoseMapper
 
 SHOWN_DIGITS = 12
 """Hex digits of a digest that a message shows."""

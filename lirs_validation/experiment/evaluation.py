@@ -26,7 +26,7 @@ from lirs_validation.metrics.trajectory import (
 from lirs_validation.record.run_record import SUCCEEDED, RunRecord, versions
 from lirs_validation.record.verdict import incompleteness
 from lirs_wct import FloatArray, OccupancyGrid, SimulationError, World
-from slam_baselines.map_builder import KnownPoseMapper
+from slam_baselines.front_end import KnownPoseMapper
 
 REPLAYED = 10.0
 """Simulated seconds of a drive whose physics is replayed."""

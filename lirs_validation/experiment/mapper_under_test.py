@@ -35,16 +35,7 @@ from lirs_wct import (
     Trajectory,
     WctError,
 )
-from slam_baselines.mapper import (
-    CLOUD_MAPPERS,
-    CloudMapper,
-    Mapper,
-    MapperStats,
-    reads_clouds,
-    reads_inertial,
-    reads_odometry,
-    requires_odometry,
-)
+from slam_baselines.mapper import CLOUD_MAPPERS, CloudMapper, Mapper, MapperStats, asks_for, reads_clouds
 
 if TYPE_CHECKING:  # mapping a log does not load the simulator
     from lirs_envs.sensing.sensors import Observation
@@ -155,9 +146,9 @@ class LocalMapper:
         self.name, self._attitude = name, attitude
         self._mapper: Any = mapper
         self.reads_clouds = reads_clouds(mapper)
-        self.requires_odometry = requires_odometry(mapper)
-        self.reads_inertial = reads_inertial(mapper)
-        self._reads_odometry = reads_odometry(mapper)
+        self.requires_odometry = asks_for(mapper, "requires_odometry")
+        self.reads_inertial = asks_for(mapper, "reads_inertial")
+        self._reads_odometry = asks_for(mapper, "reads_odometry")
 
     def observe(self, observation: Observation | SensorReadings) -> Estimate:
         """Give the mapper copies of an observation; return its estimate."""

@@ -31,8 +31,7 @@ from lirs_wct.files import atomic_folder, check_writable
 from lirs_wct.formats import drive_files, map_server
 from lirs_wct.option import check_names
 from lirs_wct.progress import Progress, no_progress
-from slam_baselines.mapper import MAPPERS
-from slam_baselines.warm_up import warm_up as warm_up_mapper
+from slam_baselines.mapper import MAPPERS, warm_up as warm_up_mapper
 
 _WARM: set[str] = set()
 """Mappers whose kernels this process has compiled."""

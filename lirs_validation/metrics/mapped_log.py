@@ -35,10 +35,9 @@ from lirs_validation.metrics.trajectory import (
     planar,
     rigid_alignment,
     rms,
-    wrap_angles,
 )
 from lirs_wct.arrays import FloatArray, IntArray, njit
-from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory, wrap_angle
+from lirs_wct.geometry import Imu, LaserScan, Pose2, Pose3, Trajectory, wrap_angle, wrap_angles
 
 PROPAGATION_GAP = 0.1
 """A pose farther than this from a constraint's stamp is propagated there by odometry, seconds."""

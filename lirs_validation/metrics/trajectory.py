@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from lirs_wct import ConfigError, FloatArray, IntArray, Pose2, Pose3, Trajectory
+from lirs_wct.geometry import wrap_angles
 
 MAX_GAP = 0.02
 """Poses whose stamps differ by more than this (seconds) are not the same moment."""
@@ -305,12 +306,6 @@ def planar(trajectory: Trajectory) -> FloatArray:
 def move_poses(poses: FloatArray, T_new_frame: Pose2) -> FloatArray:
     """Return planar poses (n, 3) expressed in another frame."""
     return np.column_stack((T_new_frame.apply(poses[:, :2]), wrap_angles(poses[:, 2] + T_new_frame.yaw)))
-
-
-def wrap_angles(angles: FloatArray) -> FloatArray:
-    """Return angles in [-pi, pi]."""
-    result: FloatArray = np.remainder(angles + math.pi, math.tau) - math.pi
-    return result
 
 
 def motion(a: FloatArray, b: FloatArray) -> FloatArray:

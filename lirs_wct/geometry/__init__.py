@@ -6,7 +6,16 @@ are imported from here.
 
 from lirs_wct.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.geometry.grid import FREE, OCCUPIED, HeightField, OccupancyGrid, WallGrid, mask_at, resample
-from lirs_wct.geometry.pose import Pose2, Pose3, Trajectory, Viewpoint, wrap_angle
+from lirs_wct.geometry.pose import (
+    Pose2,
+    Pose3,
+    Trajectory,
+    Viewpoint,
+    compose_poses,
+    relative_poses,
+    wrap_angle,
+    wrap_angles,
+)
 from lirs_wct.geometry.scan import FARTHEST, POINT, Imu, ImuReadings, LaserScan, PointCloud
 
 __all__ = [
@@ -31,8 +40,11 @@ __all__ = [
     "Trajectory",
     "Viewpoint",
     "WallGrid",
+    "compose_poses",
     "mask_at",
     "njit",
+    "relative_poses",
     "resample",
     "wrap_angle",
+    "wrap_angles",
 ]

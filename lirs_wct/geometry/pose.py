@@ -64,6 +64,27 @@ class Pose2:
         return np.array((self.x, self.y, self.yaw))
 
 
+def wrap_angles(angle: FloatArray) -> FloatArray:
+    """Return angles in [-pi, pi)."""
+    wrapped: FloatArray = np.mod(angle + math.pi, math.tau) - math.pi
+    return wrapped
+
+
+def compose_poses(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return `T_a @ T_b` for each pair of planar poses (n, 3): x, y, yaw."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
+    y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
+    return np.stack((x, y, wrap_angles(a[..., 2] + b[..., 2])), axis=-1)
+
+
+def relative_poses(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return `T_a^-1 @ T_b` for each pair of planar poses (n, 3): x, y, yaw."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
+    return np.stack((c * dx + s * dy, -s * dx + c * dy, wrap_angles(b[..., 2] - a[..., 2])), axis=-1)
+
+
 @dataclass(frozen=True, slots=True)
 class Pose3:
     """A rigid pose in space: translation in meters and a unit quaternion (wxyz)."""

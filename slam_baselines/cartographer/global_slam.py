@@ -33,7 +33,7 @@ from slam_baselines.cartographer.pose_graph import (
     start_optimization,
 )
 from slam_baselines.cartographer.submap import Submap
-from slam_baselines.linalg import in_axes_of, invert
+from slam_baselines.dead_reckoning import in_axes_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +181,8 @@ class GlobalSlam:
         self._drift.append((self._drift[-1] if index > 0 else 0.0) + step**3)
         for i in node.submaps:
             drift = self._drift_covariance * (self._drift[index] - self._drift[submaps[i].nodes[0]])
-            information = invert(self._matcher_covariance + drift + node.covariance)
+            covariance = self._matcher_covariance + drift + node.covariance
+            information = np.asarray(np.linalg.inv(covariance), np.float64)
             z = (submaps[i].pose.inverse() @ node.pose).as_array()
             in_submap = in_axes_of(submaps[i].pose, information)
             self._to_nodes.append(PoseConstraint(i, index, z, in_submap, robust=False))
@@ -191,8 +192,8 @@ class GlobalSlam:
             odometry, self._since_submap = self._since_submap, NOWHERE
             submap, z = node.submaps[-1], odometry.pose.as_array()
             if submap > 0:
-                tie = PoseConstraint(submap - 1, submap, z, invert(odometry.covariance), robust=True)
-                self._to_submaps.append(tie)
+                known = np.asarray(np.linalg.inv(odometry.covariance), np.float64)
+                self._to_submaps.append(PoseConstraint(submap - 1, submap, z, known, robust=True))
         if node.localizable:
             self._add_candidates(index, node)
 

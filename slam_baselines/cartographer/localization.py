@@ -24,7 +24,7 @@ from slam_baselines.leveling import LeveledScan, ScanLeveler, voxel_filter
 from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.monitors import TrackingMonitor
 from slam_baselines.occupancy_map import MapPyramid, OccupancyMap, UpdateConfig
-from slam_baselines.registration import Match, Prior, Registration, ScanMatcher
+from slam_baselines.registration import Match, Registration, ScanMatcher
 
 DEPTH = 6
 """Number of times that four cells become one in the search."""
@@ -143,7 +143,12 @@ class CartographerLocalizer(PlanarMapper):
         if self.lost and self._search_due(scan.stamp):
             self._search_map(level)
         if not self.lost:
-            self._register(level, before)
+            self._estimate, match = self._registration.register(
+                self._known.pyramid, level.hits, None, self._estimate, before
+            )
+            self._matched += match is not None
+            self._tracking.observe(*((None, 1.0) if match is None else (match.score, match.known)))
+            self.lost = self._tracking.lost
         self._distance_traveled += before.distance(self._estimate.pose)
         self._track[scan.stamp] = self._estimate.pose
         return self._estimate.pose
@@ -169,14 +174,6 @@ class CartographerLocalizer(PlanarMapper):
                 "searches": self._registration.searches,
             },
         )
-
-    def _register(self, scan: LeveledScan, before: Pose2) -> None:
-        self._estimate, match = self._registration.register(
-            self._known.pyramid, scan.hits, None, self._estimate, before
-        )
-        self._matched += match is not None
-        self._tracking.observe(*((None, 1.0) if match is None else (match.score, match.known)))
-        self.lost = self._tracking.lost
 
     def _search_due(self, stamp: float) -> bool:
         """Whether the robot has moved, or time has passed, enough since the last search."""
@@ -209,18 +206,15 @@ class CartographerLocalizer(PlanarMapper):
         if alike or not (found.complete and other.complete):
             self._ambiguous += 1
             return
-        self._locate(Pose2(*best.pose.tolist()))
-
-    def _refine(self, scan: LeveledScan, pose: FloatArray) -> Match:
-        """Match the scan on the finest level from a pose of the search."""
-        return self._refiner.match(
-            self._known.pyramid, scan.hits, None, Prior(pose, self._start_covariance), levels=3
-        )
-
-    def _locate(self, pose: Pose2) -> None:
+        pose = Pose2(*best.pose.tolist())
         if not self._anchored:
             T_map_before = pose @ self._estimate.pose.inverse()
             self._track = {stamp: T_map_before @ before for stamp, before in self._track.items()}
             self._anchored = True
         self._estimate, self.lost = PoseEstimate(pose, self._start_covariance), False
-        self._tracking = TrackingMonitor(self.config, map_given=True)
+        self._tracking = TrackingMonitor(c, map_given=True)
+
+    def _refine(self, scan: LeveledScan, pose: FloatArray) -> Match:
+        """Match the scan on the finest level from a pose of the search."""
+        prior = PoseEstimate(Pose2(*pose.tolist()), self._start_covariance)
+        return self._refiner.match(self._known.pyramid, scan.hits, None, prior, levels=3)

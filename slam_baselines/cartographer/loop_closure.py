@@ -18,9 +18,9 @@ from lirs_wct.geometry import FloatArray, Pose2, wrap_angle
 from slam_baselines.cartographer.branch_and_bound import Exclusion, SearchWindow, branch_and_bound
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.submap import Submap
+from slam_baselines.dead_reckoning import PoseEstimate
 from slam_baselines.leveling import voxel_filter
-from slam_baselines.linalg import invert
-from slam_baselines.registration import Match, Prior, ScanMatcher
+from slam_baselines.registration import Match, ScanMatcher
 
 LOOP_ITERATIONS = (8, 5, 5)
 """Largest numbers of Gauss-Newton steps in the refinement of a loop on each level."""
@@ -174,7 +174,9 @@ class ConstraintBuilder:
             return None
         self.counts.found += 1
         x, y, yaw = match.pose.tolist()
-        information = invert(invert(match.information + 1e-3 * np.eye(3)) + self._min_covariance)
+        information = np.linalg.inv(
+            np.linalg.inv(match.information + 1e-3 * np.eye(3)) + self._min_covariance
+        )
         return SubmapMatch(Pose2(x, y, wrap_angle(yaw)), information, match.score * match.known)
 
     def _match_scan(
@@ -194,7 +196,7 @@ class ConstraintBuilder:
             if found is None:
                 return None
             start, linear, angular = found, *SEARCH_DEVIATION
-        prior = Prior(start, np.diag((linear**2, linear**2, angular**2)))
+        prior = PoseEstimate(Pose2(*start.tolist()), np.diag((linear**2, linear**2, angular**2)))
         match = self._matcher.match(submap, points, None, prior, levels=len(LOOP_ITERATIONS))
         if match.score < c.min_refined_score or match.known < c.min_known_ratio:
             self.counts.poor += 1

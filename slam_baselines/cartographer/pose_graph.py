@@ -25,9 +25,10 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
+from lirs_wct.arrays import njit
+from lirs_wct.geometry import BoolArray, FloatArray, IntArray, relative_poses, wrap_angles
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.linalg import invert3, relative_poses, wrap
+from slam_baselines.registration import invert3
 
 
 class PoseConstraint(NamedTuple):
@@ -109,7 +110,7 @@ class OptimizationProblem:
         total: float = robust_cost(self.to_nodes, submaps, nodes, scale)
         total += robust_cost(self.to_submaps, submaps, submaps, scale)
         gauge = nodes[0] - self.origin
-        gauge[2] = wrap(gauge[2])
+        gauge[2] = wrap_angles(gauge[2])
         return 0.5 * (total + self.config.gauge_information * float(gauge @ gauge))
 
     def initial_width(self, submaps: FloatArray, nodes: FloatArray, since: int) -> float:
@@ -135,7 +136,7 @@ class OptimizationProblem:
         linearize(to_nodes, submaps, nodes, scale, (Hs, gs), (Hn, gn), cross)
         linearize(to_submaps, submaps, submaps, scale, (Hs, gs), (Hs, gs), odometry)
         gauge = nodes[0] - self.origin
-        gauge[2] = wrap(gauge[2])
+        gauge[2] = wrap_angles(gauge[2])
         Hn[0] += self.config.gauge_information * np.eye(3)
         gn[0] += self.config.gauge_information * gauge
         damped = 1 + damping * np.eye(3)
@@ -214,14 +215,14 @@ def optimize(problem: OptimizationProblem, start: Solution) -> Solution:
 
 def _apply_steps(poses: FloatArray, step: FloatArray) -> FloatArray:
     moved = poses + step
-    moved[:, 2] = wrap(moved[:, 2])
+    moved[:, 2] = wrap_angles(moved[:, 2])
     return moved
 
 
 def errors(a: FloatArray, b: FloatArray, z: FloatArray) -> FloatArray:
     """Return (m, 3) errors: estimated minus measured pose of b in the frame of a (eq. 6)."""
     e = relative_poses(a, b) - z
-    e[:, 2] = wrap(e[:, 2])
+    e[:, 2] = wrap_angles(e[:, 2])
     return e
 
 

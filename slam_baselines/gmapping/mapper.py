@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lirs_wct.geometry import ByteArray, Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
-from slam_baselines.dead_reckoning import PoseEstimate
+from slam_baselines.dead_reckoning import PoseEstimate, in_axes_of
 from slam_baselines.front_end import Keyframe, StartUp
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.gmapping.copy_on_write_map import PatchMaps
@@ -24,7 +24,6 @@ from slam_baselines.gmapping.proposal import First, Proposal, Proposer
 from slam_baselines.gmapping.scan_matching import ScanBeams
 from slam_baselines.ground_filter import IN_FULL, GroundFilter, Limits
 from slam_baselines.leveling import LeveledScan, ScanLeveler, ScanPoints, interpolate_hits
-from slam_baselines.linalg import in_axes_of
 from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.monitors import Monitors
 from slam_baselines.occupancy_map import NO_WALL

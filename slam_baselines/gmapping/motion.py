@@ -11,7 +11,7 @@ import numpy as np
 from lirs_wct.errors import Checked, limited
 from lirs_wct.geometry import FloatArray, Imu, Pose2
 from slam_baselines.dead_reckoning import DeadReckoning, MotionConfig, PoseEstimate, yaw_rate
-from slam_baselines.linalg import solve3
+from slam_baselines.registration import solve3
 
 ALIKE = np.array((1.0, 0.0))
 """Observation model: the disagreement is observed, the bias is not."""

@@ -34,7 +34,6 @@ from slam_baselines.gmapping.scan_matching import (
     near_beams,
     score,
 )
-from slam_baselines.linalg import between, compose
 
 
 class Proposal(NamedTuple):
@@ -188,6 +187,21 @@ def _better_start(view: Any, near: Any, expected: Any, correction: Any, tuning: 
     """Return the better start (3,): the expected pose, or that pose corrected."""
     other = compose(expected, correction)
     return other if score(view, near, other, tuning)[0] > score(view, near, expected, tuning)[0] else expected
+
+
+@njit
+def compose(pose: Any, by: Any) -> Any:
+    """Return pose @ by, all (3,)."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.array((pose[0] + c * by[0] - s * by[1], pose[1] + s * by[0] + c * by[1], pose[2] + by[2]))
+
+
+@njit
+def between(a: Any, b: Any) -> Any:
+    """Return a^-1 @ b, all (3,)."""
+    c, s = np.cos(a[2]), np.sin(a[2])
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    return np.array((c * dx + s * dy, c * dy - s * dx, b[2] - a[2]))
 
 
 @njit

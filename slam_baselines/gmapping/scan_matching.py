@@ -12,8 +12,8 @@ import numpy as np
 
 from lirs_wct.arrays import BoolArray, FloatArray, IntArray, njit
 from slam_baselines.gmapping.patches import ABSENT, BITS, MASK, MEAN_STEPS
-from slam_baselines.linalg import pose_difference, solve3
 from slam_baselines.occupancy_map import UNKNOWN
+from slam_baselines.registration import solve3
 
 SAME_PEAK = 0.05
 """Meters, and radians: peaks closer together are one.
@@ -59,6 +59,16 @@ class Tuning(NamedTuple):
 def score(view: Any, near: Any, pose: Any, tuning: Any) -> Any:
     """Return the log-likelihood of a scan at a pose, and the weights as of log_likelihood."""
     return log_likelihood(view, near.fine, pose, tuning.lsigma, tuning.sigma / view.resolution)
+
+
+@njit
+def pose_difference(pose: Any, other: Any) -> Any:
+    """Return a pose (3,) less another, the heading in [-pi, pi)."""
+    d = np.empty(3)
+    for i in range(3):
+        d[i] = pose[i] - other[i]
+    d[2] = (d[2] + np.pi) % (2 * np.pi) - np.pi
+    return d
 
 
 @njit

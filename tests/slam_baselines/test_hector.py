@@ -11,8 +11,8 @@ from lirs_validation.logs.read_log import read_constraints, read_reference
 from lirs_validation.metrics.map import agreement, false_occupied
 from lirs_validation.metrics.mapped_log import constraint_errors, reference_errors
 from lirs_wct.formats.carmen_log import read_carmen
+from slam_baselines.front_end import KnownPoseMapper
 from slam_baselines.hector import HectorMapper
-from slam_baselines.map_builder import KnownPoseMapper
 from tests.slam_baselines.synthetic import Drive, drive_room, loop, room_scan, wavy
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from lirs_validation.metrics.mapped_log import contradicted_share, scan_consiste
 from lirs_wct.errors import ConfigError
 from lirs_wct.geometry.pose import Pose2, Trajectory
 from lirs_wct.geometry.scan import Imu, LaserScan
-from slam_baselines.map_builder import KnownPoseMapper
+from slam_baselines.front_end import KnownPoseMapper
 from slam_baselines.mapper import MAPPERS, make_mapper
 
 HOSTILE = np.array([math.inf, math.nan, 0.0, -1.0, -math.inf, 3e3, 1e6, 3e38, 1e-30], np.float32)

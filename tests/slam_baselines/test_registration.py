@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 
 from lirs_wct.geometry.pose import Pose2
 from slam_baselines.cartographer.config import CartographerConfig
-from slam_baselines.dead_reckoning import PoseEstimate
+from slam_baselines.dead_reckoning import PoseEstimate, moved_covariance
+from slam_baselines.front_end import BuilderConfig, MapBuilder
 from slam_baselines.leveling import ScanLeveler
-from slam_baselines.map_builder import BuilderConfig, MapBuilder
 from slam_baselines.registration import (
-    Prior,
     Registration,
     RegistrationConfig,
     ScanMatcher,
     correlative_search,
+    invert3,
     linearize,
+    solve3,
 )
 from tests.slam_baselines.synthetic import ranges_to, room_scan
 
@@ -73,7 +74,9 @@ def test_known_offsets_are_found(offset: tuple[float, float, float]) -> None:
     true = Pose2(0.5, -0.3, 0.4)
     builder, points = room_map(true)
     start = true.as_array() + offset
-    match = ScanMatcher((10, 6, 6)).match(builder.pyramid, points, None, Prior(start, LOOSE), levels=3)
+    match = ScanMatcher((10, 6, 6)).match(
+        builder.pyramid, points, None, PoseEstimate(Pose2(*start), LOOSE), levels=3
+    )
     np.testing.assert_allclose(match.pose, true.as_array(), atol=0.02)
     assert match.score > 0.5
 
@@ -91,9 +94,8 @@ def test_in_a_corridor_the_odometry_holds_the_direction_along_it() -> None:
             level.origin, points + np.array((shift, 0, 0)), level.free, (0.0, 0.0), False, 0.0
         )
         builder.enter(moved, Pose2())
-    prior = np.array((0.2, 0.05, 0.02))
-    covariance = np.diag((0.05**2, 0.05**2, 0.02**2))
-    match = ScanMatcher().match(builder.pyramid, points, None, Prior(prior, covariance), levels=3)
+    prior = PoseEstimate(Pose2(0.2, 0.05, 0.02), np.diag((0.05**2, 0.05**2, 0.02**2)))
+    match = ScanMatcher().match(builder.pyramid, points, None, prior, levels=3)
     # Cells are ragged, so even a straight wall seems to say something: less than across it, though.
     assert match.pose[0] == pytest.approx(0.2, abs=0.1)
     np.testing.assert_allclose(match.pose[1:], 0, atol=0.025)
@@ -104,7 +106,9 @@ def test_open_ground_follows_the_odometry() -> None:
     builder, _ = room_map(Pose2())
     nothing = np.zeros((0, 3))
     prior = np.array((0.2, 0.05, 0.02))
-    match = ScanMatcher().match(builder.pyramid, nothing, np.zeros(0), Prior(prior, np.eye(3)), levels=3)
+    match = ScanMatcher().match(
+        builder.pyramid, nothing, np.zeros(0), PoseEstimate(Pose2(*prior), np.eye(3)), levels=3
+    )
     np.testing.assert_array_equal(match.pose, prior)
     assert not match.information.any()
 
@@ -114,7 +118,7 @@ def test_a_share_of_information_is_as_good_as_small_weights() -> None:
     true = Pose2(0.5, -0.3, 0.4)
     builder, points = room_map(true)
     share, covariance = 0.3, np.diag((0.05**2, 0.05**2, 0.02**2))
-    prior = Prior(true.as_array() + np.array((0.05, -0.04, 0.02)), covariance)
+    prior = PoseEstimate(Pose2(0.55, -0.34, 0.42), covariance)
     exact = ScanMatcher((10, 6, 6), exact=True)
     whole = exact.match(builder.pyramid, points, np.full(len(points), share), prior)
     same = exact.match(builder.pyramid, points, None, prior, information_share=share)
@@ -133,7 +137,7 @@ def test_a_share_of_information_is_as_good_as_small_weights() -> None:
 def test_nothing_known_says_nothing() -> None:
     builder, points = room_map(Pose2())
     far = np.array((500.0, 500.0, 0.0))
-    match = ScanMatcher().match(builder.pyramid, points, None, Prior(far, np.eye(3)), levels=3)
+    match = ScanMatcher().match(builder.pyramid, points, None, PoseEstimate(Pose2(*far), np.eye(3)), levels=3)
     assert (match.score, match.known) == (0.0, 0.0)
     np.testing.assert_allclose(match.pose, far)
 
@@ -226,3 +230,18 @@ def test_the_wider_search_survives_a_sharp_turn() -> None:
     found = correlative_search(builder.pyramid.maps[2].grid, points, np.ones(len(points)), start, 0.7, 0.5)
     np.testing.assert_allclose(found[:2], true.as_array()[:2], atol=0.2)
     assert found[2] == pytest.approx(0.4, abs=0.04)
+
+
+def test_small_matrices_equal_numpy() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        B = rng.standard_normal((3, 3))
+        A, b = B @ B.T + 0.1 * np.eye(3), rng.standard_normal(3)
+        np.testing.assert_allclose(invert3(A), np.linalg.inv(A), rtol=1e-9)
+        np.testing.assert_allclose(solve3(A, b), np.linalg.solve(A, b), rtol=1e-9)
+        dx, dy, shift, turn = rng.random(4).tolist()
+        G = np.array(((1, 0, -dy), (0, 1, dx), (0, 0, 1)))
+        np.testing.assert_allclose(
+            moved_covariance(A, dx, dy, shift, turn), G @ A @ G.T + np.diag((shift, shift, turn)), rtol=1e-9
+        )
+    assert not invert3(np.zeros((3, 3))).any()

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from slam_baselines import warm_up
-from slam_baselines.mapper import MAPPERS, make_mapper
+from slam_baselines.mapper import MAPPERS, make_mapper, room_pose, room_scan, warm_up
 
 SLOW = ("cartographer_original", "gmapping", "gmapping_original", "hector_original")
 DRIVE = """
@@ -16,8 +15,7 @@ import sys
 import numpy as np
 from lirs_wct.geometry.pose import Pose2
 from lirs_wct.geometry.scan import Imu
-from slam_baselines.mapper import make_mapper
-from slam_baselines.warm_up import warm_up
+from slam_baselines.mapper import make_mapper, warm_up
 from tests.slam_baselines.cartographer.corridor import corridor_scan, ring
 from tests.slam_baselines.synthetic import loop, room_scan
 
@@ -65,10 +63,10 @@ def test_no_update_compiles_after_the_warm_up(name: str) -> None:
 )
 def test_every_mapper_keeps_its_place_in_the_warm_up_room(name: str) -> None:
     mapper = make_mapper(name)
-    start = warm_up._on_circle(0.0)
+    start = room_pose(0.0)
     for k in range(40):
-        pose = warm_up._on_circle(k * warm_up.STEP / warm_up.RADIUS)
-        found = mapper.update(warm_up._scan(pose, 0.2 * k), start.inverse() @ pose, None)
+        pose = room_pose(0.055 * k)
+        found = mapper.update(room_scan(pose, 0.2 * k), start.inverse() @ pose, None)
     # The original drops the first odometry and turns one scan late: a start at full speed displaces it.
     assert found.distance(start.inverse() @ pose) < (0.4 if name == "cartographer_original" else 0.1)
-    warm_up.warm_up(name)
+    warm_up(name)

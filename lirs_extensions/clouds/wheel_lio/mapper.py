@@ -295,10 +295,10 @@ class WheelLioMapper:
     def stats(self) -> MapperStats:
         """Sweeps, times, memory, and the number of weak directions of each sweep."""
         n, weak = len(self._stamps), [len(directions) for directions in self.weak_directions]
-        return MapperStats(
+        stats = MapperStats(
             received=n,
             used=sum(count < 6 for count in weak),
             memory=self._map.planes.memory + self._map.lines.memory,
             weak_directions="".join(map(str, weak)),
-            **self._watch.summary(),
         )
+        return self._watch.add_to(stats)

@@ -19,10 +19,9 @@ from lirs_extensions.originals.gmapping.hit_maps import HitMaps, MatchingParamet
 from lirs_extensions.originals.hector import line_cells
 from lirs_wct.arrays import BoolArray, FloatArray, njit
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, wrap_angle
+from lirs_wct.geometry import Imu, LaserScan, OccupancyGrid, Pose2, Trajectory, compose_poses, wrap_angle
 from slam_baselines.front_end import KeyframeTrajectory
 from slam_baselines.gmapping.particles import Particles, normalize
-from slam_baselines.linalg import compose_poses
 from slam_baselines.mapper import MapperStats, PlanarMapper
 from slam_baselines.occupancy_map import GrowingGrid
 

@@ -17,7 +17,7 @@ from lirs_envs.lidar.ray_casting import RayCaster
 from lirs_wct.arrays import BoolArray, Float32Array, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.geometry import LaserScan, OccupancyGrid, Pose2, Trajectory
 from lirs_wct.sources.laser_map import level_floor, walls_of
-from slam_baselines.map_builder import KnownPoseMapper
+from slam_baselines.front_end import KnownPoseMapper
 
 CELL = 0.05
 """Edge of a cell of the map and of the surfaces, meters."""

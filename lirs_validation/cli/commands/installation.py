@@ -86,18 +86,12 @@ def list_names(options: ListOptions) -> None:
 
 def _mappers() -> dict[str, Data]:
     from lirs_envs.lidar.presets import RING_LIDARS
-    from slam_baselines.mapper import (
-        ALL_CLOUD_MAPPERS,
-        MAPPERS,
-        OWN_CLOUD_MAPPERS,
-        make_mapper,
-        requires_odometry,
-    )
+    from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, OWN_CLOUD_MAPPERS, asks_for, make_mapper
 
     headings = ("estimates", "reads", "needs", "license", "installed")
     rows: dict[str, tuple[str, ...]] = {}
     for name in MAPPERS:
-        needs = "any lidar, odometry" if requires_odometry(make_mapper(name)) else "any lidar"
+        needs = "any lidar, odometry" if asks_for(make_mapper(name), "requires_odometry") else "any lidar"
         rows[name] = ("planar", "scans, odometry, IMU", needs, "ours", "yes")
     clouds = f"clouds of {' or '.join(RING_LIDARS)}"
     for name, method in ALL_CLOUD_MAPPERS.items():

@@ -36,8 +36,8 @@ from lirs_extensions.originals.cartographer.scan_matching import (
     search_online,
 )
 from lirs_wct import Pose2
+from lirs_wct.geometry import relative_poses
 from slam_baselines.cartographer.pose_graph import PoseConstraints
-from slam_baselines.linalg import relative_poses
 
 HIT, MISS = update_table(0.55), update_table(0.49)
 

@@ -20,9 +20,8 @@ from lirs_extensions.originals.gmapping.mapper import (
 from lirs_wct import Imu, Pose2
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.drive_files import write_scans
-from lirs_wct.geometry.scan import LaserScan
+from lirs_wct.geometry import LaserScan, wrap_angles
 from slam_baselines.gmapping.config import GmappingConfig
-from slam_baselines.linalg import wrap
 from slam_baselines.mapper import make_mapper
 from tests.lirs_extensions.originals.recorded import unpacked
 from tests.slam_baselines.synthetic import drive_room, loop, room_scan
@@ -41,7 +40,7 @@ def test_the_trajectory_is_the_original_s(shared_data: Path, tmp_path: Path, run
         mapper.update(scan, odometry, None)
     original, ours = unpacked(folder / f"original_gmapping_s{seed}.tum.gz", tmp_path), mapper.trajectory()
     np.testing.assert_allclose(ours.positions, original.positions, atol=1e-5)
-    np.testing.assert_allclose(wrap(ours.yaw - original.yaw), 0.0, atol=1e-5)
+    np.testing.assert_allclose(wrap_angles(ours.yaw - original.yaw), 0.0, atol=1e-5)
     assert mapper.stats.used >= 40
 
 

@@ -75,7 +75,7 @@ NOTING = """
 import json
 from lirs_wct.geometry.pose import Trajectory
 from slam_baselines.mapper import MapperStats
-from slam_baselines.map_builder import KnownPoseMapper
+from slam_baselines.front_end import KnownPoseMapper
 
 class Noting(KnownPoseMapper):
     lost, stats = False, MapperStats()

@@ -18,10 +18,9 @@ from lirs_validation.metrics.trajectory import (
     rigid_alignment,
     scan_coverage,
     start_alignment,
-    wrap_angles,
 )
 from lirs_wct.geometry import HeightField, OccupancyGrid, WallGrid
-from lirs_wct.geometry.pose import Pose2, Trajectory, wrap_angle
+from lirs_wct.geometry.pose import Pose2, Trajectory, wrap_angle, wrap_angles
 
 # Whole eighths: many stamps coincide and lie halfway, and nothing is rounded.
 stamps = st.lists(st.integers(-40, 40), unique=True, max_size=12).map(lambda k: np.array(sorted(k)) / 8)

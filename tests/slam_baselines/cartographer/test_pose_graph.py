@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lirs_wct.geometry import compose_poses, relative_poses, wrap_angles
 from slam_baselines.cartographer.config import CartographerConfig
 from slam_baselines.cartographer.pose_graph import (
     OptimizationProblem,
@@ -14,7 +15,6 @@ from slam_baselines.cartographer.pose_graph import (
     robust_cost,
     start_optimization,
 )
-from slam_baselines.linalg import compose_poses, relative_poses, wrap
 
 TIGHT = np.diag((0.02**-2, 0.02**-2, 0.004**-2))
 LOCAL = np.diag((0.03**-2, 0.03**-2, 0.01**-2))
@@ -106,7 +106,7 @@ def test_the_kernels_linearize_the_errors():
 
 
 def wrap_yaw(difference):
-    difference[:, 2] = wrap(difference[:, 2])
+    difference[:, 2] = wrap_angles(difference[:, 2])
     return difference
 
 
@@ -180,8 +180,8 @@ def test_the_step_solves_the_whole_system():
     )
     step = -np.linalg.solve(J.T @ J + 1e-9 * np.diag(np.diag(J.T @ J)), J.T @ stacked(x))
     got_s, got_n = wide.solve_normal_equations(s0, n0, 1e-9, 1.0)
-    np.testing.assert_allclose(wrap(got_s - s0).ravel(), step[: 3 * s], atol=1e-5)
-    np.testing.assert_allclose(wrap(got_n - n0).ravel(), step[3 * s :], atol=1e-5)
+    np.testing.assert_allclose(wrap_angles(got_s - s0).ravel(), step[: 3 * s], atol=1e-5)
+    np.testing.assert_allclose(wrap_angles(got_n - n0).ravel(), step[3 * s :], atol=1e-5)
 
 
 def test_the_scale_is_that_of_cauchys_loss():
