@@ -133,12 +133,7 @@ def yaw_rate(imu: Imu) -> float:
 
 @dataclass(frozen=True, slots=True)
 class PoseEstimate:
-    """A pose and its covariance.
-
-    Attributes:
-        pose: `T_map_base`.
-        covariance: (3, 3) of x, y, yaw in the map frame.
-    """
+    """Pose `T_map_base` and its covariance (3, 3) of x, y, yaw in the map frame."""
 
     pose: Pose2
     covariance: FloatArray
@@ -152,12 +147,9 @@ def in_axes_of(frame: Pose2, matrix: FloatArray) -> FloatArray:
 
 
 class MotionStep(NamedTuple):
-    """Step by dead reckoning, independent of its start.
+    """Step `T_before_now` by dead reckoning, independent of its start.
 
-    Attributes:
-        delta: `T_before_now`.
-        shift: variance of the translation along each axis, square meters.
-        turn: variance of the yaw, square radians.
+    It has the variances of the translation along each axis, square meters, and of the turn, square radians.
     """
 
     delta: Pose2
@@ -228,12 +220,9 @@ class MotionConfig(Checked):
     def predict_all(
         self, before: PoseEstimate, steps: Sequence[tuple[Pose2, float]], seconds: float
     ) -> PoseEstimate:
-        """Return the expected estimate after some steps whose yaw a gyro confirms.
+        """Return the expected estimate after steps of equal duration whose yaw a gyro confirms.
 
-        Args:
-            before: Estimate before the first step.
-            steps: `T_before_now` and the robot's tilt, radians, of each step.
-            seconds: Duration of one step.
+        Each step is a `T_before_now` and the robot's tilt, radians.
         """
         seconds = max(seconds, 1e-3)
         gyro, rows = self.gyro_per_second**2 * seconds, []
@@ -269,12 +258,10 @@ class MotionConfig(Checked):
 
 @njit
 def propagate_steps(pose: Any, covariance: Any, steps: Any) -> Any:
-    """Return pose (3,) and covariance (3, 3) after steps.
+    """Return pose (3,) and covariance (3, 3) after steps (n, 5).
 
-    Args:
-        pose: (3,) x, y, yaw before the first.
-        covariance: (3, 3).
-        steps: (n, 5) x, y, yaw of `T_before_now`, variance of the translation along each axis and of the yaw.
+    A step is x, y, yaw of `T_before_now`, and the variances of the translation along each axis and of the
+    yaw.
     """
     pose = pose.copy()
     for dx, dy, dyaw, shift, turn in steps:
@@ -309,13 +296,7 @@ def moved_covariance(P: Any, dx: float, dy: float, shift: float, turn: float) ->
 
 
 class OdometryStep(NamedTuple):
-    """Step by odometry, and the slope of the ground.
-
-    Attributes:
-        step: `T_before_now` by odometry.
-        down: Descent of the ground per meter ahead and to the left.
-        tilt: Angle of the robot's z to gravity, radians.
-    """
+    """Step `T_before_now` by odometry, descent of the ground, and tilt, radians."""
 
     step: Pose2
     down: Slope
@@ -326,7 +307,6 @@ class DeadReckoning:
     """Expected estimate at the next scan by absolute odometry and rates.
 
     Attributes:
-        calibration: Systematic odometry errors.
         increment: Last step by odometry; None without odometry.
         calibrated: Whether steps are corrected by the calibration.
         learned: Number of steps that the calibration has learned from.
@@ -350,13 +330,7 @@ class DeadReckoning:
         return last if step is None else step.after(last)
 
     def step(self, odometry: Pose2 | None, imu: Imu | None, stamp: float) -> MotionStep | None:
-        """Return the step since the last call, None at the first.
-
-        Args:
-            odometry: `T_odom_base` at `stamp`.
-            imu: Reading at `stamp`.
-            stamp: Seconds.
-        """
+        """Return the step since the last call, None at the first."""
         before, self._odometry = self._odometry, odometry
         rate, self._rate = self._rate, None if imu is None else yaw_rate(imu)
         then, self._stamp = self._stamp, stamp
@@ -389,14 +363,10 @@ def _between(a: Pose2, b: Pose2) -> Pose2:
 
 
 def climb(dx: float, dy: float, up: FloatArray) -> float:
-    """Return the rise of a step on an inclined plane, meters.
+    """Return the rise of a horizontal step (dx, dy) on an inclined plane, meters.
 
-    A robot on wheels moves in the plane of its x and y axes, so that up . (dx, dy, rise) = 0.
-
-    Args:
-        dx: horizontal step along x of a level frame, meters.
-        dy: along y.
-        up: (3,) z axis of the robot in that frame, of any length; upward.
+    A robot on wheels moves in the plane of its x and y axes, so that up . (dx, dy, rise) = 0 with `up` (3,)
+    its z axis, of any length, in the step's level frame.
     """
     return float(-(up[0] * dx + up[1] * dy) / max(up[2], 0.1))
 
@@ -404,12 +374,9 @@ def climb(dx: float, dy: float, up: FloatArray) -> float:
 def spatial_odometry(odometry: Sequence[Pose2], readings: Sequence[Imu | None]) -> list[Pose3]:
     """Return poses in space by planar odometry and attitude.
 
-    Position and yaw in the plane are the odometry's. Roll and pitch are those of the inertial readings, 0
-    without one. The height adds up the climbs, with the mean attitude of a step's two ends.
-
-    Args:
-        odometry: `T_odom_base` in the plane.
-        readings: inertial readings at the same stamps.
+    Position and yaw in the plane are those of the odometry `T_odom_base`. Roll and pitch are those of the
+    inertial readings at the same stamps, 0 without one. The height adds up the climbs, with the mean attitude
+    of a step's two ends.
     """
     poses: list[Pose3] = []
     for planar, imu in zip(odometry, readings, strict=True):

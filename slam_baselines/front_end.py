@@ -94,8 +94,6 @@ class FrontEnd:
     """Pose of the latest scan by dead reckoning and by believed matches.
 
     Attributes:
-        leveler: Leveling of the scans.
-        monitors: Monitors of the matches.
         estimate: `T_map_base` and its covariance.
         matched: Scans with a match.
         unmatched: Scans with too few walls in view.
@@ -118,11 +116,7 @@ class FrontEnd:
     ) -> bool:
         """Take over a believed registration; return whether the scan may enter the map.
 
-        Args:
-            scan: Leveled scan.
-            prior: Estimate by dead reckoning.
-            estimate: Estimate by the registration, `prior` without a match.
-            match: Match to the map; None with too few walls in view.
+        The estimate is `prior`, that by dead reckoning, and the match None with too few walls in view.
         """
         seconds, self.stamp = scan.stamp - self.stamp, scan.stamp
         turn = math.remainder(prior.pose.yaw - self.estimate.pose.yaw, math.tau)
@@ -183,11 +177,7 @@ class MotionFilter:
 class MapBuilder:
     """Pyramid of occupancy maps, with a ground filter where the attitude is known.
 
-    Attributes:
-        ground_filter: Separation of ground and walls.
-        motion_filter: Selection of the scans that enter the map.
-        pyramid: Occupancy maps.
-        updates: Number of updates.
+    The motion filter selects the scans that enter the map.
     """
 
     def __init__(self, config: BuilderConfig) -> None:
@@ -354,12 +344,9 @@ class KeyframeTrajectory:
         self._keyframes, self._numbers = array("i"), array("d")
 
     def add(self, stamp: float, keyframe: int, T_keyframe_scan: Pose2) -> None:
-        """Add a scan; a later scan of the same stamp replaces the earlier one.
+        """Add a scan since the keyframe of an index; -1: since the start.
 
-        Args:
-            stamp: Seconds.
-            keyframe: Index of the last keyframe; -1 before the first, when the pose is in the start frame.
-            T_keyframe_scan: Pose of the base at the scan.
+        A later scan of the same stamp, seconds, replaces the earlier one.
         """
         pose = T_keyframe_scan
         self._keyframes.append(keyframe)

@@ -70,12 +70,7 @@ class UpperBound(NamedTuple):
 
 
 class DrawnSlopes(NamedTuple):
-    """Minimum slopes of a map's cells.
-
-    Attributes:
-        layer: (rows, cols) SLOPE_STEP.
-        frame: (3,) lattice row and column of cell (0, 0), resolution in meters.
-    """
+    """Minimum slopes (rows, cols) of a map's cells, SLOPE_STEP, and the map's frame as of UpperBound."""
 
     layer: ByteArray
     frame: FloatArray
@@ -86,12 +81,10 @@ NOT_DRAWN = DrawnSlopes(np.zeros((0, 0), np.uint8), np.array((0.0, 0.0, 1.0)))
 
 
 class Margins(NamedTuple):
-    """Largest errors of heights.
+    """Largest errors of heights, meters.
 
-    Attributes:
-        old: drift of the robot's height since the start, meters.
-        near: Error of a hit close to the laser, meters.
-        far: growth of a hit's error per meter of range.
+    Drift of the robot's height since the start, error of a hit close to the laser, and growth of a hit's
+    error per meter of range.
     """
 
     old: float
@@ -170,12 +163,9 @@ class GroundFilter:
         self._weights: tuple[int, FloatArray] = -1, np.empty(0)
 
     def move(self, delta: Pose2, scan: LeveledScan, *, registered: bool = True) -> None:
-        """Update height, tilt and drift by a step on ground as steep as the tilt.
+        """Update height, tilt and drift by a step `T_before_now` on ground as steep as the tilt.
 
-        Args:
-            delta: `T_before_now`.
-            scan: with the tilt.
-            registered: whether scans fitted at both ends; else wheels may have slipped on the slope.
+        Unless scans fitted at both ends (`registered`), wheels may have slipped on the slope.
         """
         c, step = self.config, math.hypot(delta.x, delta.y)
         self.height += scan.ground_slope[0] * delta.x + scan.ground_slope[1] * delta.y
@@ -216,12 +206,7 @@ class GroundFilter:
         return placed, self.observe(placed, pose) if scan.leveled else np.zeros(len(placed.hits), np.uint8)
 
     def observe(self, scan: ScanPoints, base: Pose2) -> ByteArray:
-        """Lower the upper bound by a scan; return the (n,) minimum slopes of its hits.
-
-        Args:
-            scan: in the map frame.
-            base: `T_map_base`.
-        """
+        """Lower the upper bound by a scan in the map frame; return its hits' (n,) minimum slopes."""
         bound = bounding_box(scan)
         if self.grid.ensure(bound[0] - 2.0, bound[1] - 2.0, bound[2] + 2.0, bound[3] + 2.0):
             self._take_over()
@@ -245,13 +230,12 @@ class GroundFilter:
         """Return the present (n,) minimum slopes of a scan's hits, SLOPE_STEP; 0 on a floor.
 
         Args:
-            scan: leveled.
+            scan: Leveled scan.
             pose: `T_map_base`.
             height: Height of the base in the map frame, meters; None: the present one.
             known: (n,) minimum slopes of the hits known before.
-            drawn: the map whose cells' minimum slopes count as well.
-            limits: slopes below the first, and those from the second on, may be returned as equal, which is
-                faster.
+            drawn: Map whose cells' minimum slopes count as well.
+            limits: Range in which slopes are exact (see Limits).
         """
         slopes = np.zeros(len(scan.hits), np.uint8) if known is None else known.copy()
         if self.match_wall_slope == 0:
@@ -270,10 +254,7 @@ class GroundFilter:
         known: ByteArray | None = None,
         drawn: OccupancyMap | None = None,
     ) -> FloatArray:
-        """Return (n,) 1 for hits on walls, 0 for possible ground.
-
-        On a floor every hit is a wall. Arguments are those of min_slopes.
-        """
+        """Return (n,) 1 for hits on walls, 0 for possible ground; arguments as of min_slopes."""
         wall = self.match_wall_slope
         limits = float(wall), float(wall)
         slopes = self.min_slopes(scan, pose, height, known=known, drawn=drawn, limits=limits)
@@ -392,8 +373,8 @@ def raise_min_slopes(
         pose: x, y, yaw, z of this frame in that of the map.
         ground: x, y and largest height of the ground under the robot.
         margins: Errors of the heights.
-        limits: slopes below the first, and those from the second on, may be returned as equal, SLOPE_STEP.
-        drawn: minimum slopes of a map's cells.
+        limits: Range in which slopes are exact (see Limits).
+        drawn: Minimum slopes of a map's cells.
         slopes: (n,) minimum slopes of the hits known before; raised in place, SLOPE_STEP.
     """
     layer, known = drawn
@@ -424,10 +405,7 @@ def raise_min_slopes(
 
 @njit(forceinline=True)
 def _steepest(upper_bound: Any, x: float, y: float, z: float, best: float, most: float) -> float:
-    """Return the largest rise over run from cells around (x, y) to z.
-
-    It is at least `best`, and exact up to `most`.
-    """
+    """Return the largest rise over run from cells around (x, y) to z, at least `best`, exact up to `most`."""
     cells, blocks, frame, neighbors = upper_bound
     rows, cols = cells.shape
     cell, distance, close, close_reach, reach = neighbors

@@ -70,23 +70,13 @@ class HectorConfig(
 
 @dataclass(frozen=True, slots=True)
 class HectorKeyframe(Keyframe):
-    """Keyframe with the motion since the one before.
-
-    Attributes:
-        motion: Steps by odometry, scan by scan; None without odometry.
-    """
+    """Keyframe with the steps by odometry since the one before, scan by scan; None without odometry."""
 
     motion: tuple[OdometryStep | None, ...]
 
 
 class HectorMapper(PlanarMapper):
-    """Scan-to-map matching in one map, without loop closure.
-
-    Attributes:
-        config: Parameters.
-        front: Front end, with the present estimate.
-        reckoning: Dead reckoning.
-    """
+    """Scan-to-map matching in one map, without loop closure."""
 
     name = "hector"
 

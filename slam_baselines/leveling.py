@@ -31,12 +31,9 @@ class ScanPoints(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LeveledScan:
-    """A scan in the leveled base frame, meters.
+    """Scan in the leveled base frame, meters; its points are those of ScanPoints.
 
     Attributes:
-        origin: (3,) the laser.
-        hits: (n, 3) ends of beams with return.
-        free: (m, 3) ends of the free part of beams without return.
         ground_slope: (2,) rise of the ground under the robot per meter forward and to the left.
         leveled: Whether an attitude was given.
         stamp: Seconds.
@@ -169,15 +166,11 @@ MAX_BEND = 0.35
 
 
 def interpolate_hits(scan: ScanPoints, min_slopes: ByteArray, spacing: float) -> tuple[ScanPoints, ByteArray]:
-    """Return the scan with hits `spacing` apart along surfaces, and their minimum slopes.
+    """Return the scan with hits `spacing` meters apart along surfaces, and their minimum slopes.
 
-    A single scan draws a far wall as dots, since its beams are farther apart than cells. Dense scans fill
-    the gaps. If the robot travels a meter between two scans, the next scan's dots are attracted by dots.
-
-    Args:
-        scan: in any frame; its hits in the order of the beams.
-        min_slopes: (n,) of each hit; a hit between two others has the smaller of theirs.
-        spacing: Distance of the new hits, meters.
+    A single scan draws a far wall as dots, since its beams are farther apart than cells. Dense scans fill the
+    gaps. If the robot travels a meter between two scans, the next scan's dots are attracted by dots. Hits
+    come in the order of the beams; one between two others has the smaller of their minimum slopes (n,).
     """
     count = np.zeros(len(scan.hits), np.int64)
     _count_between(scan.origin, scan.hits, spacing, math.cos(MAX_BEND), count)

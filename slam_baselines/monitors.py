@@ -71,8 +71,8 @@ class TrackingMonitor:
         """Count a scan; return whether it fits, so that it may enter the map.
 
         Args:
-            score: Agreement of the ends of its beams on known cells with the map, 0 to 1; None where the scan
-                cannot be judged, which counts as fitting.
+            score: Agreement of its beams on known cells with the map, 0 to 1; None, and fitting, where it
+                cannot be judged.
             known: Share of its beams that end on known cells.
         """
         informative = score is not None and known >= self._config.known_ratio
@@ -149,13 +149,7 @@ class LocalizabilityMonitor:
 
 
 class Monitors:
-    """Both monitors of a mapper.
-
-    Attributes:
-        tracking: Count of the scans that contradict the map.
-        localizability: Decision about matches to walls; observes scans whose attitude is known.
-        reckoned_yaw: Yaw by dead reckoning since the start, radians.
-    """
+    """Both monitors of a mapper, and its yaw by dead reckoning since the start, radians."""
 
     def __init__(self, config: MonitorConfig) -> None:
         self.tracking = TrackingMonitor(config)

@@ -49,11 +49,7 @@ class Trace(NamedTuple):
 
 
 class RayTracer:
-    """Traces scans, one after the other, over a lattice.
-
-    Attributes:
-        resolution: edge of a cell, meters.
-    """
+    """Tracer of scans, one after the other, over a lattice of cells of an edge `resolution`, meters."""
 
     def __init__(self, resolution: float) -> None:
         self.resolution = resolution
@@ -63,12 +59,7 @@ class RayTracer:
         self._steps: Int32Array = np.empty(0, np.int32)
 
     def trace(self, scan: ScanPoints, box: FloatArray) -> Trace:
-        """Return the cells that a scan meets.
-
-        Args:
-            scan: in the lattice's frame.
-            box: (4,) west, south, east, north of the scan, meters.
-        """
+        """Return the cells that a scan with its bounding box (4,) meets, both in the lattice's frame."""
         west, south, east, north = (math.floor(v / self.resolution) for v in box.tolist())
         touched = self._blank(north - south + 3, east - west + 3)
         hits, beams = len(scan.hits), len(scan.hits) + len(scan.free)
@@ -240,16 +231,15 @@ class UpdateConfig(Checked):
 
 
 class OccupancyMap:
-    """An occupancy map of one resolution that grows.
+    """Occupancy map of one resolution that grows.
 
     Layers: `log_odds` (steps), `value` (for the matcher, without hits that may be ground), `min_slope`
-        (largest
-    minimum slope of the hits in a cell), `top` (largest height of these hits).
+    (largest minimum slope of the hits in a cell), `top` (largest height of these hits).
 
     Attributes:
-        grid: the layers.
+        grid: Growing layers.
         frame: (3,) lattice row and column of the arrays' cell (0, 0), resolution in meters.
-        layers: the grid's arrays.
+        layers: The grid's arrays.
     """
 
     def __init__(
@@ -273,13 +263,9 @@ class OccupancyMap:
         return self.grid.resolution
 
     def update(self, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int, box: FloatArray) -> bool:
-        """Enter a scan; return whether the arrays were replaced because the map grew.
+        """Enter a scan in the map frame; return whether the arrays were replaced because the map grew.
 
-        Args:
-            scan: in the map frame.
-            min_slopes: (n,) of each hit, SLOPE_STEP.
-            wall_slope: minimum slope from which on a cell is a wall, SLOPE_STEP.
-            box: (4,) west, south, east, north of the scan, meters.
+        Cells with (n,) minimum slopes of at least `wall_slope` are walls; the scan lies in the box (4,).
         """
         return self.enter(self._tracer.trace(scan, box), scan, min_slopes, wall_slope, box)
 
@@ -369,10 +355,7 @@ class Layers(NamedTuple):
 def enter_trace(
     layers: Any, corner: Any, trace: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any
 ) -> None:
-    """Raise the cells where beams end, then lower those that beams pass.
-
-    A beam that passes above the hits of a wall does not lower it.
-    """
+    """Raise the cells where beams end, then lower those that beams pass, except below a wall's top."""
     hits, hit_cells, cells = scan.hits, trace.hit_cells, trace.cells
     log_odds, value, min_slope, top = layers
     down, right = np.uintp(corner[0]), np.uintp(corner[1])
@@ -453,12 +436,7 @@ class Levels(NamedTuple):
 
 
 class MapPyramid:
-    """Occupancy maps of growing cell size, finest first.
-
-    Attributes:
-        maps: the levels.
-        levels: their arrays.
-    """
+    """Occupancy maps of growing cell size, finest first, and their arrays as Levels."""
 
     def __init__(self, maps: tuple[OccupancyMap, ...]) -> None:
         self.maps = maps

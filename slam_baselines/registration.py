@@ -51,18 +51,12 @@ def correlative_search(
     linear: float,
     angular: float,
 ) -> FloatArray:
-    """Return the pose (3,) of the best score in a window, by brute force.
+    """Return the pose (3,) of the best score in a window around `start` (3,), by brute force.
 
     Olson 2009, "Real-time correlative scan matching": rotate the scan once for each yaw, then shift it by
-    whole cells. Used where Gauss-Newton does not converge to the right pose, as after a sharp turn.
-
-    Args:
-        grid: Level of the map, with the layer `value`.
-        points: (n, 2 or more) ends of beams in the leveled base frame, meters.
-        weights: (n,) weights of the beams.
-        start: (3,) x, y, yaw.
-        linear: Largest shift in x and in y, meters.
-        angular: Largest turn, radians.
+    whole cells. Used where Gauss-Newton does not converge to the right pose, as after a sharp turn. Points
+    (n, 2 or more) are ends of beams in the leveled base frame; `linear` and `angular` are the largest shift
+    in x and in y, meters, and the largest turn, radians.
     """
     stride = max(1, -(-len(points) // SEARCH_BEAMS))
     cells = _Cells(grid.layers["value"], grid.row0, grid.col0, grid.resolution)
@@ -141,12 +135,10 @@ class ScanMatcher:
     """Gauss-Newton matching against a pyramid."""
 
     def __init__(self, iterations: Sequence[int] = (5, 3, 3), *, exact: bool = False) -> None:
-        """Set the effort.
+        """Set the largest numbers of Gauss-Newton steps on each level, finest first.
 
-        Args:
-            iterations: Largest numbers of Gauss-Newton steps on each level, finest first.
-            exact: Whether score and information are those of the final pose; else of a pose one last, tiny
-                step away, which saves a pass over the scan.
+        With `exact`, score and information are those of the final pose; else of a pose one last, tiny step
+        away, which saves a pass over the scan.
         """
         self._iterations: IntArray = np.array(iterations)
         self._exact = exact
@@ -159,14 +151,13 @@ class ScanMatcher:
         """Match the scan to the map.
 
         Args:
-            pyramid: the map.
+            pyramid: Map to match to.
             points: (n, 2 or more) ends of beams in the leveled base frame, meters.
             weights: (n,) of the beams; None: all the same.
             prior: Expected pose.
             start: (3,) first pose; None: the prior's.
-            levels: number of levels, of which the finest comes last; 0: enough to correct an error of two
-                standard deviations of the prior.
-            information_share: share of its information that the scan adds.
+            levels: Levels to use, the finest last; 0: enough for an error of two of the prior's deviations.
+            information_share: Share of its information that the scan adds.
         """
         if weights is None:
             if len(self._ones) < len(points):
@@ -396,11 +387,7 @@ class RegistrationConfig(MonitorConfig):
 
 
 class Registration:
-    """Registers scans in a map.
-
-    Attributes:
-        searches: number of wider searches.
-    """
+    """Registration of scans in a map; counts its wider searches."""
 
     def __init__(self, config: RegistrationConfig, matcher: ScanMatcher) -> None:
         self.config = config
@@ -419,13 +406,12 @@ class Registration:
         """Return the estimate and its match; `expected` and None without enough walls.
 
         Args:
-            pyramid: the map.
+            pyramid: Map to match to.
             hits: (n, 2 or more) ends of beams in the leveled base frame, meters.
-            weights: (n,) 1 for walls, less for slopes, 0 for possible ground; None on flat ground, where
-                every hit is a wall.
-            expected: the estimate by dead reckoning.
-            before: pose of the last registration.
-            earlier: pose of the registration before that one, for coasting.
+            weights: (n,) 1 for walls, less for slopes, 0 for possible ground; None on flat ground.
+            expected: Estimate by dead reckoning.
+            before: Pose of the last registration.
+            earlier: Pose of the one before that, for coasting.
         """
         c = self.config
         uneven, walls = weights is not None, len(hits) if weights is None else np.count_nonzero(weights)
