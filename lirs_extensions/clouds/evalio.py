@@ -30,12 +30,11 @@ class Pipeline(NamedTuple):
     """Properties of a pipeline.
 
     Attributes:
-        type: name of its class.
-        pose_at: share of the sweep at which its poses lie: 0 = start, .5 = middle, as without deskewing.
-        delay: sweeps by which its poses are late.
-        inertial: whether it takes inertial readings.
-        organized: whether it needs the beams without return, too.
-        rolling: whether it needs times in the sweep.
+        pose_at: Share of the sweep at which its poses lie: 0 = start, .5 = middle, as without deskewing.
+        delay: Sweeps by which its poses are late.
+        inertial: Whether it takes inertial readings.
+        organized: Whether it needs the beams without return, too.
+        rolling: Whether it needs times in the sweep.
     """
 
     type: str

@@ -25,11 +25,7 @@ SLACK = 1e-3
 
 
 class TimedSystem(ABC):
-    """System behind a `TimedOdometry`.
-
-    Attributes:
-        inertial: whether it takes inertial readings.
-    """
+    """System behind a `TimedOdometry`, which may take inertial readings."""
 
     inertial = False
 
@@ -118,13 +114,7 @@ class TimedOdometry:
 
 
 def poses_at(times: Sequence[float], poses: Sequence[Pose3], stamps: Sequence[float]) -> list[Pose3]:
-    """Return poses interpolated linearly between two or more, or extrapolated from the nearest two.
-
-    Args:
-        times: increasing, seconds.
-        poses: at these times.
-        stamps: Times of the wanted poses, seconds.
-    """
+    """Return poses at stamps, interpolated between two or more, or extrapolated from the nearest two."""
     t = np.asarray(times)
     after = np.clip(np.searchsorted(t, stamps), 1, len(t) - 1)
     share = (np.asarray(stamps) - t[after - 1]) / (t[after] - t[after - 1])
@@ -138,16 +128,12 @@ def poses_at(times: Sequence[float], poses: Sequence[Pose3], stamps: Sequence[fl
 
 
 def deskew(points: FloatArray, times: FloatArray, motion: FloatArray) -> FloatArray:
-    """Return points (n, 3) as seen from the sensor in the middle of the sweep.
+    """Return points (n, 3) as seen from the sensor in the middle of the sweep, meters.
 
-    The motion is constant in the sweep: rotation by Rodrigues' formula, translation linear. Seen from the
-    middle, an error of the motion hardly moves the cloud; seen from the start, it would come back as the next
-    motion's error.
-
-    Args:
-        points: (n, 3) in the sensor's frame at the time of each, meters.
-        times: (n,) seconds since the stamp, or none (0,): the points are returned unchanged.
-        motion: (4, 4) pose of the sensor at the sweep's end in its frame at the stamp.
+    The motion (4, 4), from the stamp to the sweep's end, is constant: rotation by Rodrigues' formula,
+    translation linear. Seen from the middle, an error of the motion hardly moves the cloud; seen from the
+    start, it would come back as the next motion's error. Without times (n,) since the stamp, the points are
+    unchanged.
     """
     if not len(times):
         return points

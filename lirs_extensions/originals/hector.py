@@ -171,13 +171,9 @@ class OriginalMap:
     """
 
     def __init__(self, resolution: float, size: int, miss: float, hit: float) -> None:
-        """Start empty.
+        """Start empty, with an even number of cells along an edge of the map.
 
-        Args:
-            resolution: edge of a cell, meters.
-            size: cells along an edge of the map, even.
-            miss: log-odds that a beam adds where it passes.
-            hit: log-odds that a beam adds where it ends.
+        A beam adds the log-odds `miss` where it passes, and `hit` where it ends.
         """
         self._resolution, self._middle = resolution, size // 2
         self._odds = miss, hit
@@ -194,10 +190,7 @@ class OriginalMap:
     def match(self, ends: FloatArray, pose: FloatArray, steps: int) -> FloatArray:
         """Return the (3,) pose after Gauss-Newton steps (Eqs. 7-13); `pose` where no end is inside.
 
-        Args:
-            ends: (n, 2) ends of beams in the base frame, meters.
-            pose: (3,) x, y, yaw to start from.
-            steps: Number of Gauss-Newton steps.
+        The ends of beams (n, 2) are in the base frame, meters.
         """
         matched: FloatArray = _match(self._probability, self._middle, self._resolution, ends, pose, steps)
         return matched
@@ -205,10 +198,7 @@ class OriginalMap:
     def draw(self, pose: Pose2, laser: FloatArray, ends: FloatArray) -> None:
         """Raise the cells where beams end, lower those that they pass.
 
-        Args:
-            pose: `T_map_base`.
-            laser: (2,) in the base frame, meters.
-            ends: (n, 2) of beams in the base frame, meters.
+        The laser (2,) and the ends of beams (n, 2) are in the base frame, meters.
         """
         self._scans += 2
         points = np.vstack((pose.apply(laser[None]), pose.apply(ends)))

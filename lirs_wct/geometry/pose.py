@@ -325,13 +325,10 @@ def camera_axes(yaw: float, pitch: float) -> FloatArray:
 
 
 def overview(low: ArrayLike, high: ArrayLike, fovy: float, aspect: float = 4 / 3) -> Viewpoint:
-    """Return a viewpoint outside a box that shows the whole box.
+    """Return a viewpoint outside a box from its lowest to its highest corner that shows all of it.
 
-    Args:
-        low: (3,) lowest corner, meters.
-        high: (3,) highest corner.
-        fovy: the picture's angle from its lower to its upper edge, radians.
-        aspect: Width of the picture over its height.
+    The picture's angle from its lower to its upper edge is `fovy`, radians, its width over its height
+    `aspect`.
     """
     ends = np.array((low, high), np.float64)
     corners = np.array([ends[list(which), range(3)] for which in product((0, 1), repeat=3)])

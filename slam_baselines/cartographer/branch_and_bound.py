@@ -21,11 +21,11 @@ class BoundGrids(NamedTuple):
     """A map and its upper bounds.
 
     Attributes:
-        levels: (depth + 1, rows, cols) uint8; level h holds at (r, c) the highest value of the map in rows
-            r ... r + 2^h - 1 and columns c ... c + 2^h - 1 (eq. 12).
-        row0: lattice row of the arrays' row 0.
-        col0: lattice column of the arrays' column 0.
-        resolution: edge of a cell, meters.
+        levels: (depth + 1, rows, cols) uint8; level h holds at (r, c) the highest value of the map in rows r
+            ... r + 2^h - 1 and columns c ... c + 2^h - 1 (eq. 12).
+        row0: Lattice row of the arrays' row 0.
+        col0: Lattice column of the arrays' column 0.
+        resolution: Edge of a cell, meters.
     """
 
     levels: ByteArray
@@ -68,24 +68,14 @@ def _pool(level: ByteArray, step: int, out: ByteArray) -> None:
 
 
 class SearchWindow(NamedTuple):
-    """Poses around a start.
-
-    Attributes:
-        linear: largest shift in x and in y, meters.
-        angular: largest turn, radians.
-    """
+    """Largest shift in x and in y from the start, meters, and largest turn, radians."""
 
     linear: float
     angular: float
 
 
 class Exclusion(NamedTuple):
-    """Disc of positions that a search leaves out.
-
-    Attributes:
-        center: (2 or more,) x, y, meters.
-        radius: meters.
-    """
+    """Disc of positions that a search leaves out: center (2 or more,) and radius, meters."""
 
     center: FloatArray
     radius: float
@@ -97,9 +87,9 @@ class SearchResult:
 
     Attributes:
         pose: (3,) x, y, yaw; the start where no pose has the minimum score.
-        score: mean value at the ends of the beams, 0 to 1; -1 where no pose has the minimum score.
-        nodes: number of nodes of the tree that were evaluated.
-        complete: whether the search ended within the limit of nodes.
+        score: Mean value at the ends of the beams, 0 to 1; -1 where no pose has the minimum score.
+        nodes: Number of nodes of the tree that were evaluated.
+        complete: Whether the search ended within the limit of nodes.
     """
 
     pose: FloatArray
@@ -135,16 +125,10 @@ def branch_and_bound(
     grids: BoundGrids, points: FloatArray, start: FloatArray, window: SearchWindow, min_score: float,
     max_nodes: int = 1 << 20, excluded: Exclusion | None = None,
 ) -> SearchResult:  # fmt: skip
-    """Find the pose of the best score around `start`.
+    """Find the pose of the best score in a window around `start` (3,).
 
-    Args:
-        grids: the map and its bounds.
-        points: (n, 2 or more) ends of beams in the leveled base frame, meters; n > 0.
-        start: (3,) x, y, yaw in the middle of the window.
-        window: Window of the search.
-        min_score: poses of a lower score are not returned.
-        max_nodes: number of nodes of the tree after which the search ends.
-        excluded: positions to leave out.
+    Points (n, 2 or more), n > 0, are ends of beams in the leveled base frame, meters. Poses of a lower score
+    than `min_score`, and excluded positions, are not returned; the search ends after `max_nodes` of the tree.
     """
     resolution, step = grids.resolution, angular_step(points, grids.resolution)
     reach, turns = math.ceil(window.linear / resolution), math.ceil(window.angular / step)

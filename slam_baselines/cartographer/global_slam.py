@@ -38,12 +38,9 @@ from slam_baselines.dead_reckoning import in_axes_of
 
 @dataclass(frozen=True, slots=True)
 class _Covered:
-    """Bit mask of the squares that a submap covers, in its own frame.
+    """Squares that a submap covers, in its own frame: bits of rows, packed.
 
-    Attributes:
-        bits: packed rows.
-        cols: number of squares in a row.
-        corner: (2,) column and row of the first square.
+    The corner (2,) is column and row of the first square.
     """
 
     bits: ByteArray
@@ -126,18 +123,15 @@ class GlobalSlam:
     """Pose graph.
 
     Attributes:
-        nodes: all of them, in the local frame.
+        nodes: Nodes in the local frame.
         poses: `T_map_base` of each node.
         submap_poses: `T_map_submap` of each submap.
-        T_map_local: pose of the local frame in the map at present.
-        candidates: queue of the loop search.
-        builder: Search for loop constraints.
-        loops: constraints found and accepted.
-        events: closed loops, for users.
-        trimmer: Trimmer of redundant submaps.
-        trimmed: number of submaps trimmed.
-        optimizations: number of optimizations applied.
-        version: changes whenever poses that were there before have changed.
+        T_map_local: Pose of the local frame in the map at present.
+        loops: Constraints found and accepted.
+        events: Closed loops, for users.
+        trimmed: Number of submaps trimmed.
+        optimizations: Number of optimizations applied.
+        version: Number that changes whenever poses that were there before have changed.
     """
 
     def __init__(self, config: CartographerConfig, local: LocalSlam) -> None:

@@ -78,13 +78,7 @@ def compose_estimates(first: PoseEstimate, then: PoseEstimate) -> PoseEstimate:
 class LocalSlam:
     """Poses and submaps in the local frame.
 
-    Attributes:
-        front: Front end, with the present estimate.
-        ground_filter: Separation of ground and walls.
-        submaps: All submaps.
-        registration: Registration of scans in the matching submap.
-        start: Schedule of the start-up refinement.
-        implausible: Number of matches that no motion of the robot explains.
+    Counts matches that no motion of the robot explains as implausible.
     """
 
     def __init__(self, config: CartographerConfig) -> None:
@@ -105,8 +99,7 @@ class LocalSlam:
     def add_scan(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> tuple[list[Node], bool]:
         """Predict the pose of a scan, register it, and draw it if due.
 
-        Returns:
-            Nodes for the pose graph, and whether they replace all nodes so far, as the start was refined.
+        Returns nodes for the pose graph, and whether they replace all nodes so far, as the start was refined.
         """
         front, before = self.front, self.front.estimate.pose
         level = front.leveler.level(scan, imu)
@@ -128,10 +121,7 @@ class LocalSlam:
     def walls(self, scan: LeveledScan, pose: Pose2, height: float) -> FloatArray:
         """Return (n,) weights of hits: 1 for walls that the matching submap knows, else 0.
 
-        Args:
-            scan: Leveled scan.
-            pose: `T_local_base`.
-            height: Height of the base in the local frame, meters.
+        Pose and height, meters, are those of the base in the local frame.
         """
         return self.ground_filter.match_walls(scan, pose, height, drawn=self.submaps.matching_submap.coarsest)
 
@@ -186,17 +176,12 @@ class LocalSlam:
         return refined, True
 
     def _refine(self, nodes: list[Node]) -> list[Node]:
-        """Draw the submaps again from the start with the present knowledge of ground and walls.
+        """Return the nodes with new poses, drawn again with the present knowledge of ground and walls.
 
         On uneven ground no wall is known at first: the robot starts on odometry alone, and the first scans
         would keep its errors. So the scans are matched from the last to the first, in a map that grows from
-        known walls, and drawn at the registered poses.
-
-        Args:
-            nodes: All nodes so far.
-
-        Returns:
-            The same nodes with new poses; none without known walls, or once a submap is finished.
+        known walls, and drawn at the registered poses. Without known walls, or once a submap is finished,
+        there are none.
         """
         if not self.front.monitors.localizability.believed:
             return []

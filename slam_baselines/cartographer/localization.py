@@ -34,14 +34,9 @@ COARSE = 0.1
 
 @dataclass(frozen=True)
 class KnownMap:
-    """Known map, prepared for matching and for the search over all of it.
+    """Known map on three levels for matching, and its bounds for the search over all of it.
 
-    Attributes:
-        grid: Given map, never changed.
-        pyramid: Map on three levels, for matching.
-        bounds: for branch and bound.
-        center: (2,) middle of the map, meters.
-        reach: half its longer side, meters.
+    The center (2,) is the middle of the map, and the reach half its longer side, meters.
     """
 
     grid: OccupancyGrid
@@ -52,12 +47,7 @@ class KnownMap:
 
     @staticmethod
     def load(source: OccupancyGrid | str | Path) -> KnownMap:
-        """Take a grid, or read a map YAML.
-
-        Raises:
-            SourceError: the file cannot be used.
-            ConfigError: there is no wall in the map.
-        """
+        """Take a grid, or read a map YAML; SourceError: unusable file, ConfigError: no wall in it."""
         grid = source if isinstance(source, OccupancyGrid) else read_map(Path(source))
         if not grid.occupied.any():
             name = "the known map" if isinstance(source, OccupancyGrid) else str(source)

@@ -33,11 +33,7 @@ Candidate = tuple[int, int]
 
 
 class CandidateQueue:
-    """Candidates that wait for their search.
-
-    Attributes:
-        dropped: candidates that were never tried because too many waited.
-    """
+    """Candidates that wait for their search, and the number dropped because too many waited."""
 
     def __init__(self, config: CartographerConfig) -> None:
         self.config = config
@@ -52,13 +48,9 @@ class CandidateQueue:
         return len(self._new_nodes) + len(self._old_nodes)
 
     def add_candidate(self, node: int, home: int, submap: int, *, new_node: bool) -> None:
-        """Put a candidate into the queue.
+        """Put a node into the queue, to be searched for in a submap.
 
-        Args:
-            node: index.
-            home: index of the submap that the node was inserted into.
-            submap: index of the submap in which the node is searched for.
-            new_node: whether the node is new, and not the submap.
+        It was inserted into the submap `home`; it is new, or else the submap is.
         """
         self._home[node] = home
         queue = self._new_nodes if new_node else self._old_nodes
@@ -89,11 +81,8 @@ class LoopConstraint:
     """Pose of a node in the frame of a submap that it did not enter.
 
     Attributes:
-        submap: index.
-        node: index.
-        T_submap_node: measured.
-        information: (3, 3) its inverse covariance, in the submap's axes.
-        score: mean occupancy at the ends of the beams.
+        information: (3, 3) inverse covariance of the pose, in the submap's axes.
+        score: Mean occupancy at the ends of the beams.
     """
 
     submap: int
@@ -104,12 +93,9 @@ class LoopConstraint:
 
 
 class SubmapMatch(NamedTuple):
-    """A scan matched to a submap.
+    """Pose of the base in a submap's local frame, and its inverse covariance (3, 3).
 
-    Attributes:
-        pose: Pose of the base in the submap's local frame.
-        information: (3, 3) inverse covariance of the pose.
-        score: mean occupancy at the ends of the beams; unknown cells count as 0.
+    The score is the mean occupancy at the ends of the beams, where unknown cells count as 0.
     """
 
     pose: Pose2
@@ -119,15 +105,7 @@ class SubmapMatch(NamedTuple):
 
 @dataclass
 class SearchCounts:
-    """Outcomes of the searches.
-
-    Attributes:
-        searched: all of them.
-        found: with a match.
-        poor: without a match that fits well enough.
-        given_up: after max_search_nodes.
-        ambiguous: with two matches that fit equally well.
-    """
+    """Outcomes of the searches; poor ones fit nowhere well, ambiguous ones equally well twice."""
 
     searched: int = 0
     found: int = 0
@@ -137,11 +115,7 @@ class SearchCounts:
 
 
 class ConstraintBuilder:
-    """Search for scans in submaps.
-
-    Attributes:
-        counts: outcomes of the searches.
-    """
+    """Search for scans in submaps; counts the outcomes."""
 
     def __init__(self, config: CartographerConfig) -> None:
         self.config = config
@@ -153,16 +127,14 @@ class ConstraintBuilder:
     def compute_constraint(
         self, submap: Submap, points: FloatArray, start: Pose2, distance_traveled: float
     ) -> SubmapMatch | None:
-        """Match a scan to a submap; the search window grows with the distance traveled.
+        """Match a scan to a finished submap; None where it fits nowhere well.
 
         Args:
-            submap: finished.
+            submap: Finished submap.
             points: (n, 2 or more) hits on walls in the leveled base frame, meters.
-            start: expected pose of the base in the submap's local frame.
-            distance_traveled: distance from the nearest node with a constraint to the submap, meters.
-
-        Returns:
-            The match; None where the scan fits nowhere well.
+            start: Expected pose of the base in the submap's local frame.
+            distance_traveled: Distance from the nearest node with a constraint to the submap, meters, with
+                which the search window grows.
         """
         self.counts.searched += 1
         sparse = voxel_filter(points, self.config.voxel_size, self.config.loop_max_points)
@@ -239,11 +211,8 @@ class LoopVerification:
     ) -> list[LoopConstraint]:
         """Return the loops accepted now: none, the given one, or it with agreeing ones.
 
-        Args:
-            loop: new.
-            distance_traveled: distance traveled until its node, meters.
-            submaps: `T_map_submap` of all submaps at present.
-            nodes: `T_map_base` of all nodes at present.
+        Distance traveled until its node, meters; present poses `T_map_submap` and `T_map_base` of all submaps
+        and nodes.
         """
         c = self._config
         here = nodes[loop.node]

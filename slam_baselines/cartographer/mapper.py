@@ -30,12 +30,7 @@ MAX_KEPT_BYTES = 64_000_000
 
 
 def make_cartographer(config: CartographerConfig) -> Mapper:
-    """Return a mapper; where a map is given, a localizer in it.
-
-    Raises:
-        SourceError: the map's file cannot be used.
-        ConfigError: there is no wall in the map.
-    """
+    """Return a mapper; where a map is given, a localizer in it."""
     c = config
     if c.map is None:
         return CartographerMapper(c)
@@ -43,12 +38,7 @@ def make_cartographer(config: CartographerConfig) -> Mapper:
 
 
 class CartographerMapper(PlanarMapper):
-    """Local SLAM on submaps; a pose graph corrects their drift at loops.
-
-    Attributes:
-        config: Parameters.
-        local: local SLAM.
-    """
+    """Local SLAM on submaps; a pose graph corrects their drift at loops."""
 
     name = "cartographer"
     requires_odometry = True

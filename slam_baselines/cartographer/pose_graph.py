@@ -1,12 +1,9 @@
 """Pose-graph optimization: submaps and nodes, and the constraints between them.
 
-Hess et al. 2016, section V-A (after Konolige et al. 2010): the poses minimize the sum of
-rho(e' Lambda e) over all constraints, e the difference between the measured pose of b in the frame of a
-and the estimated one. Every constraint has a submap at one end, so that nodes are constrained to submaps
-only: the Schur complement eliminates them block by block, and the matrix that is factorized grows with the
-number of submaps alone.
-
-Normal equations of the pose graph: constraint by constraint, then without the nodes.
+Hess et al. 2016, section V-A (after Konolige et al. 2010): the poses minimize the sum of rho(e' Lambda e)
+over all constraints, e the difference between the measured pose of b in the frame of a and the estimated one.
+Every constraint has a submap at one end, so that nodes are constrained to submaps only: the Schur complement
+eliminates them block by block, and the matrix that is factorized grows with the number of submaps alone.
 
 With R the rotation of submap a, d the way from a to b in the map's axes, and W the information, the
 derivatives of the error e are Jb = diag(R', 1) and Ja = -Jb M, with M = [[1, 0, -dy], [0, 1, dx], [0, 0, 1]].
@@ -50,15 +47,7 @@ class PoseConstraint(NamedTuple):
 
 
 class PoseConstraints(NamedTuple):
-    """Constraints as arrays, with a first axis of length m.
-
-    Attributes:
-        a: (m,) index of the submap in whose frame it was measured.
-        b: (m,) index of the node, or of another submap.
-        z: (m, 3) measured x, y, yaw of b in the frame of a.
-        information: (m, 3, 3) inverse covariance of z.
-        robust: (m,) whether it may be an outlier.
-    """
+    """Constraints as arrays (m, ...), with the fields of PoseConstraint."""
 
     a: IntArray
     b: IntArray
@@ -82,11 +71,7 @@ class PoseConstraints(NamedTuple):
 class OptimizationProblem:
     """Nonlinear least-squares problem over the poses of submaps and nodes.
 
-    Attributes:
-        config: parameters of the solver.
-        to_nodes: constraints whose b are nodes.
-        to_submaps: constraints whose b are submaps.
-        origin: (3,) pose at which the first node is held.
+    The first node is held at the origin (3,).
     """
 
     config: CartographerConfig
@@ -102,9 +87,9 @@ class OptimizationProblem:
         return BlockPattern.of(self.to_nodes, self.to_submaps, submaps)
 
     def cost(self, submaps: FloatArray, nodes: FloatArray, width: float) -> float:
-        """Return half the sum of robust squared errors at given poses.
+        """Return half the sum of robust squared errors at poses of submaps (s, 3) and nodes (n, 3).
 
-        Submaps are (s, 3), nodes (n, 3). Cauchy's scale is `width` times the configured one.
+        Cauchy's scale is `width` times the configured one.
         """
         scale = width * self.config.cauchy_scale
         total: float = robust_cost(self.to_nodes, submaps, nodes, scale)
@@ -152,19 +137,11 @@ class OptimizationProblem:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """State of an optimization.
+    """State of an optimization: poses of submaps (s, 3) and nodes (n, 3), and their cost.
 
     The loss starts so wide that every new loop has its full weight, however far the map has drifted, and is
-    narrowed from step to step (graduated non-convexity): outliers lose their weight in the end.
-
-    Attributes:
-        submaps: (s, 3) poses.
-        nodes: (n, 3) poses.
-        cost: Cost of these poses.
-        damping: Levenberg's damping of the next step.
-        width: Width of the loss, times the configured scale.
-        iterations: steps so far.
-        converged: whether no further step is worthwhile.
+    narrowed from step to step (graduated non-convexity): outliers lose their weight in the end. Its width is
+    in configured scales. Converged: no further step is worthwhile.
     """
 
     submaps: FloatArray
@@ -357,10 +334,10 @@ def eliminate_nodes(
     """Eliminate the nodes from the equations of the submaps (Schur complement) by blocks.
 
     Args:
-        pattern: order, node and pair of the `BlockPattern`.
+        pattern: Order, node and pair of the `BlockPattern`.
         submap: (m,) of each constraint to a node.
         cross: (m, 3, 3) Ja'WJb of each.
-        of_nodes: damped blocks (n, 3, 3) and gradients (n, 3).
+        of_nodes: Damped blocks (n, 3, 3) and gradients (n, 3).
         blocks: (k, 3, 3) of the submaps' matrix; updated in place.
         gradient: (s, 3) of the submaps; updated in place.
         inverse: (n, 3, 3) is filled with the inverses of the nodes' blocks.

@@ -55,13 +55,11 @@ class Tracers:
 
 
 class Submap:
-    """A small map in the local frame.
+    """A small map in the local frame, drawn from the scans of the nodes of its indices.
 
     Attributes:
         pose: `T_local_submap`, the pose of its first scan.
-        nodes: indices of the scans in it.
-        finished: whether no more scans will enter it.
-        pyramid: occupancy, finest level first, in the local frame; empty when it is finished.
+        pyramid: Occupancy, finest level first, in the local frame; empty when it is finished.
     """
 
     def __init__(self, config: CartographerConfig, pose: Pose2) -> None:
@@ -264,15 +262,11 @@ ZLIB_LEVEL = 1
 
 @dataclass(frozen=True, slots=True)
 class PackedLevel:
-    """One level, cropped to its known cells with a margin of one cell.
+    """One level, cropped to its known cells with a margin of one cell, compressed by zlib.
 
-    Attributes:
-        known: zlib, one bit a cell.
-        hits: zlib, (n,) uint32 numbers of the cells that are more likely occupied than not.
-        value: zlib, (n,) their layer `value` where every hit is a wall.
-        min_slope: zlib, (n,) their minimum slopes.
-        shape: rows, columns.
-        frame: lattice row and column of cell (0, 0), resolution in meters.
+    It holds one bit a known cell, the (n,) uint32 numbers of the cells that are more likely occupied than
+    not, their layer `value` where every hit is a wall, and their minimum slopes. The frame is lattice row and
+    column of cell (0, 0), and the resolution in meters.
     """
 
     known: bytes

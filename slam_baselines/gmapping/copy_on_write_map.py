@@ -63,13 +63,10 @@ class Scratch(NamedTuple):
 
 
 class ParticleWindow(NamedTuple):
-    """The window in one particle's map.
+    """The window in one particle's map: its part of the table (rows, cols), and all patches.
 
-    Attributes:
-        table: (rows, cols) its part of the table.
-        patches: all patches.
-        corner: row and column of its first patch in the lattice of patches.
-        base: x and y of the base in cells, cosine and sine of its yaw in cells a meter.
+    The corner is row and column of its first patch in the lattice of patches. The base is x and y in cells,
+    cosine and sine of its yaw in cells a meter.
     """
 
     table: Any
@@ -85,8 +82,7 @@ def enter_scans(
 ) -> Any:  # fmt: skip
     """Enter a scan into the maps from `first` on, until patches run out.
 
-    Returns:
-        How many maps are done, and the patches and records that the next one may take.
+    Returns how many maps are done, and the patches and records that the next one may take.
     """
     origin, hits, free = scan
     res, patches = maps.resolution, maps.patches
@@ -247,13 +243,10 @@ class PatchMaps(PatchTables[Patches]):
         self._steps = UpdateConfig().steps
 
     def draw_scan(self, poses: FloatArray, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int) -> None:
-        """Draw one scan into every map, each from its own pose.
+        """Draw one scan into every map, each from its own pose (particles, 3) of `T_map_base`.
 
-        Args:
-            poses: (particles, 3) x, y, yaw of `T_map_base`.
-            scan: x and y in the leveled base frame, heights in the map frame.
-            min_slopes: (n,) of each hit, SLOPE_STEP.
-            wall_slope: minimum slope from which on a cell is a wall, SLOPE_STEP.
+        The scan's x and y are in the leveled base frame, its heights in the map frame. It has (n,) minimum
+        slopes; hits from `wall_slope` on, SLOPE_STEP, are walls.
         """
         ends = np.concatenate((scan.hits, scan.free, scan.origin[None]))[:, :2]
         reach = float(np.sqrt((ends**2).sum(axis=1).max())) + 2 * self.resolution
@@ -302,14 +295,9 @@ class PatchMaps(PatchTables[Patches]):
 
 
 class PatchMapView(NamedTuple):
-    """One particle's map for the kernels.
+    """One particle's map for the kernels: its table (rows, cols), and the corner of PatchTables.
 
-    Attributes:
-        table: (rows, cols) int32, the patch at each place.
-        corner: (2,) row and column of the table's first patch.
-        patches: all patches.
-        resolution: edge of a cell, meters.
-        wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
+    Hits of at least the minimum slope `wall_slope`, SLOPE_STEP, are walls.
     """
 
     table: Int32Array

@@ -32,12 +32,7 @@ __all__ = ["GmappingConfig", "GmappingMapper"]
 
 
 class ParticleFilter(Particles[PatchMaps]):
-    """All particles.
-
-    Attributes:
-        proposer: Source of new poses.
-        turned: by the best particle from the last processed scan but one to the last, radians.
-    """
+    """All particles; `turned` by the best one from the last processed scan but one to the last, radians."""
 
     def __init__(self, config: GmappingConfig) -> None:
         super().__init__(PatchMaps(config.particles, config.delta))
@@ -98,11 +93,9 @@ ROUNDS = 2
 
 @dataclass(frozen=True, slots=True)
 class GmappingKeyframe(Keyframe):
-    """Keyframe with the motion since the one before.
+    """Keyframe with the motion since the one before by odometry and gyro as they are.
 
-    Attributes:
-        reckoned: Motion by odometry and gyro as they are.
-        seconds: Time spent moving.
+    The seconds are those spent moving.
     """
 
     reckoned: PoseEstimate
@@ -113,9 +106,6 @@ class BiasedRegistration:
     """Backward registration of the first keyframes, with the gyro's bias.
 
     The bias follows from the long-run disagreement between walls and gyro; the next round removes it.
-
-    Attributes:
-        bias: Bias of the gyro.
     """
 
     def __init__(self, proposer: Proposer, ground_filter: GroundFilter, gyro: GyroBiasConfig) -> None:

@@ -42,15 +42,9 @@ class GyroBiasConfig(Checked):
 class GyroBias:
     """Bias of a gyro, estimated from its disagreement with registered headings.
 
-    A Kalman filter of two states: the bias, and the disagreement between map and gyro heading by all other
-    causes. The second is a random walk (of the gyro, and of the growing map). Such a walk also shows trends
-    over a few meters, which so do not count as a bias.
-
-    Attributes:
-        config: Parameters of the filter.
-        state: (2,) disagreement between map and gyro in radians, and bias in rad/s.
-        covariance: (2, 2) covariance of the state.
-        observed: Disagreement of the last registered heading, radians.
+    A Kalman filter of two states: the bias, rad/s, and the disagreement between map and gyro heading by all
+    other causes, radians. The second is a random walk (of the gyro, and of the growing map). Such a walk also
+    shows trends over a few meters, which so do not count as a bias.
     """
 
     config: GyroBiasConfig
@@ -75,11 +69,9 @@ class GyroBias:
         return math.sqrt(float(self.covariance[1, 1]))
 
     def learned(self, disagreement: float, seconds: float) -> GyroBias:
-        """Return the state after a step.
+        """Return the state after a step of some seconds.
 
-        Args:
-            disagreement: turn of the map's heading minus that of the raw gyro, radians.
-            seconds: duration of the step.
+        The disagreement is the turn of the map's heading minus that of the raw gyro, radians.
         """
         c = self.config
         F = np.array(((1.0, -seconds), (0.0, 1.0)))
@@ -114,11 +106,11 @@ class MotionIncrement:
     Attributes:
         pose: `T_begin_now`, corrected.
         newest: (3, 3) covariance of the last addition.
-        reckoned: motion since `begin` by raw odometry and gyro, with the sum of the covariances.
+        reckoned: Motion since `begin` by raw odometry and gyro, with the sum of the covariances.
         bias: Bias of the gyro, rad/s; subtracted in `pose`.
-        seconds: time spent moving.
-        distance: traveled, meters.
-        turn: radians turned, either way.
+        seconds: Time spent moving.
+        distance: Traveled, meters.
+        turn: Radians turned, either way.
     """
 
     def __init__(self, motion: MotionConfig) -> None:

@@ -26,12 +26,9 @@ class TrajectoryTree:
         return len(self._poses)
 
     def add_generation(self, poses: FloatArray, parents: IntArray, step: Pose2) -> None:
-        """Add the (n, 3) poses of the particles at a processed scan.
+        """Add the (n, 3) poses of the particles at a processed scan, `step` by odometry after the last.
 
-        Args:
-            poses: x, y, yaw.
-            parents: (n,) indices of their parents in the generation before.
-            step: `T_before_now` by odometry.
+        Their (n,) parents are indices in the generation before.
         """
         self._poses.append(poses.copy())
         self._parents.append(parents.astype(np.int32))
@@ -112,13 +109,7 @@ def systematic_resample(weights: FloatArray, rng: UniformSource) -> IntArray:
 
 
 class Particles(Generic[Maps]):
-    """Poses, maps, weights and paths of all particles.
-
-    Attributes:
-        maps: Maps of the particles.
-        tree: their paths, a generation each processed scan.
-        resamplings: number of resamplings.
-    """
+    """Poses, maps, weights and paths of all particles; the tree has a generation each processed scan."""
 
     def __init__(self, maps: Maps) -> None:
         n = len(maps.tables)

@@ -87,13 +87,12 @@ class Window(NamedTuple):
 
 
 class PatchTables(Generic[Kind]):
-    """Maps of a set of particles over one growing lattice of cells.
+    """Maps of a set of particles over one growing lattice of cells of an edge `resolution`, meters.
 
     Attributes:
-        resolution: edge of a cell, meters.
         tables: (particles, rows, cols) int32, the patch at each place of each map.
         corner: (2,) int64, row and column of the tables' first patch in the lattice of patches.
-        patches: targets of the tables.
+        patches: Targets of the tables.
     """
 
     def __init__(self, particles: int, resolution: float, patches: Kind) -> None:

@@ -64,11 +64,7 @@ class First(NamedTuple):
 
 
 class Proposer:
-    """Scan matching in every particle's map, and draws of new poses.
-
-    Attributes:
-        searches: number of wider searches.
-    """
+    """Scan matching in every particle's map, and draws of new poses; counts the wider searches."""
 
     def __init__(self, config: GmappingConfig) -> None:
         self.config = config
@@ -85,18 +81,10 @@ class Proposer:
         first: First,
         rng: np.random.Generator,
     ) -> Proposal:
-        """Return new poses for all particles.
+        """Return new poses for all particles from their distributions by odometry.
 
         The odometry's error is common to all particles: one is matched first, and the others try its
-        correction as a second start.
-
-        Args:
-            maps: Maps of the particles.
-            beams: Beams of the scan.
-            wall_slope: minimum slope from which on a hit is a wall, SLOPE_STEP.
-            odometry: their poses by it.
-            first: the particle to match first.
-            rng: source of the draws.
+        correction as a second start. Hits of at least the minimum slope `wall_slope`, SLOPE_STEP, are walls.
         """
         n = len(odometry.poses)
         proposal = Proposal(*(np.empty((n, *shape)) for shape in ((3,), (3,), (3, 3), (), (), ())))
@@ -231,13 +219,9 @@ def _same(maps: Any, odometry: Any, a: int, b: int) -> bool:
 
 
 class FitPoints(NamedTuple):
-    """Points to evaluate.
+    """Points to evaluate around a peak (3,), with the scan's log-likelihood there.
 
-    Attributes:
-        peak: (3,) x, y, yaw, the first of them.
-        value: log-likelihood of the scan there.
-        around: (3, 3) covariance.
-        cube: (samples, 3) the points in standard deviations from the peak; the first is 0.
+    The cube (samples, 3) holds them in standard deviations of a covariance `around` (3, 3); the first is 0.
     """
 
     peak: FloatArray

@@ -28,12 +28,7 @@ NEVER, IF_POOR, ALWAYS = 0, 1, 2
 
 
 class OdometryPrior(NamedTuple):
-    """The pose by odometry.
-
-    Attributes:
-        pose: (3,) x, y, yaw of `T_map_base`.
-        information: (3, 3) inverse of its covariance.
-    """
+    """Pose (3,) `T_map_base` by odometry, and its information (3, 3)."""
 
     pose: FloatArray
     information: FloatArray
@@ -115,11 +110,9 @@ def find_peak(
 ) -> Any:
     """Return the best (3,) pose of a scan; fill H with its information.
 
-    The wider window is searched NEVER, IF_POOR the fit near the start is, or ALWAYS, as `wider` says.
-
-    Returns:
-        The pose, the scan's log-likelihood there, weights of beams that end at a wall and on known cells,
-        whether the window was searched.
+    The wider window is searched NEVER, IF_POOR the fit near the start is, or ALWAYS, as `wider` says. Also
+    returns the scan's log-likelihood there, weights of beams that end at a wall and on known cells, and
+    whether the window was searched.
     """
     peak = match(view, near, prior, start, tuning, H)
     value, hit, known = score(view, near, peak, tuning)
@@ -230,12 +223,7 @@ WIDER = 3
 
 
 class ScanBeams(NamedTuple):
-    """A scan for the kernels.
-
-    Attributes:
-        points: (n, 2 or more) ends of beams in the leveled base frame, meters.
-        weights: (n,) how much each counts.
-    """
+    """Ends of beams (n, 2 or more) in the leveled base frame, meters, and their weights (n,)."""
 
     points: FloatArray
     weights: FloatArray
@@ -248,10 +236,10 @@ class NearWalls(NamedTuple):
     each cell of a square, which caches the walls around that cell.
 
     Attributes:
-        reach: cells looked at to each side of a beam's end.
+        reach: Cells looked at to each side of a beam's end.
         side: Edge of the square, cells: 1 or 2.
         points: (n, 2) ends of beams in the leveled base frame, meters.
-        weights: (n,) how much each counts.
+        weights: (n,) of the beams.
         ends: (n, 2) the same from the pose tried last, cells east and north in the lattice.
         slot: (n,) of each beam, with the walls around its end.
         pull: (n, 6) of each beam: strength, offset east and north, matrix; see _attract.

@@ -43,14 +43,9 @@ LATEST = 2
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Expected state at a sweep's stamp.
+    """Expected state at a sweep's stamp, after a planar step by odometry of some seconds.
 
-    Attributes:
-        R: (3, 3) rotation of the base in the level map frame.
-        t: (3,) position, meters.
-        twist: velocity of the base.
-        step: planar step of the odometry since the last sweep.
-        seconds: duration of that step.
+    Rotation R (3, 3) and position t (3,), meters, of the base are in the level map frame.
     """
 
     R: FloatArray
@@ -63,10 +58,8 @@ class Prediction:
 class Motion:
     """Dead reckoning from sweep to sweep, from corrected poses.
 
-    The bias of the gyro is its mean while the robot stands.
-
-    Args:
-        tilt_time: seconds within which the tilt follows the measured one.
+    The bias of the gyro is its mean while the robot stands. The tilt follows the measured one within
+    `tilt_time`, seconds.
     """
 
     def __init__(self, tilt_time: float) -> None:
@@ -83,11 +76,8 @@ class Motion:
     def predict(self, stamp: float, odometry: Pose2, imu: Imu | None, readings: ImuReadings) -> Prediction:
         """Return the expected state at a stamp; the first position is the origin.
 
-        Args:
-            stamp: seconds.
-            odometry: `T_odom_base` at the stamp.
-            imu: roll and pitch at the stamp; without them, the tilt is the gyro's.
-            readings: since the last stamp.
+        Without roll and pitch of the IMU the tilt is the gyro's, whose readings are those since the last
+        stamp.
         """
         before, self._odometry = self._odometry, odometry
         seconds, self._stamp = stamp - self._stamp, stamp
@@ -211,11 +201,8 @@ class WheelLioMapper:
     """Mapper of point clouds with odometry and inertial readings.
 
     Attributes:
-        weak_directions: (n, 6) unit vectors for each sweep: directions that the sweep did not constrain, as
-            a shift in the level map frame and the arc of a turn about the robot.
-
-    Args:
-        config: parameters.
+        weak_directions: (n, 6) unit vectors for each sweep: directions that the sweep did not constrain, as a
+            shift in the level map frame and the arc of a turn about the robot.
     """
 
     reads_clouds = reads_inertial = reads_odometry = requires_odometry = True

@@ -37,24 +37,16 @@ NOISE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class BodyTwist:
-    """Velocity of the base at a sweep's stamp, along and about its own axes.
-
-    Attributes:
-        linear: (3,) m/s.
-        angular: (3,) rad/s.
-    """
+    """Velocity (3,) m/s and rates (3,) rad/s of the base along and about its own axes."""
 
     linear: FloatArray
     angular: FloatArray
 
 
 class SweepPoints(NamedTuple):
-    """Points of a sweep to register, base frame, meters.
+    """Points of a sweep to register, and the origin (3,) of its beams, base frame, meters.
 
-    Attributes:
-        surfaces: (n, 3).
-        edges: (m, 3) vertical ends of surfaces, and others.
-        origin: (3,) of the beams.
+    Edges (m, 3) are vertical ends of surfaces, and others.
     """
 
     surfaces: FloatArray
@@ -131,15 +123,10 @@ def thin(points: Any, cell: float) -> Any:
 
 @njit
 def find_edges(points: Any, ring: Any, origin: Any) -> Any:
-    """Return the ends (m, 3) of surfaces in the rings, meters.
+    """Return the ends (m, 3) of surfaces in the rings of a sweep (n, 3), ring by ring, meters.
 
     There the next beam of the ring has no return, or one far behind. The last beam on a surface misses its
-    end by half the distance of two beams on the mean, which is added.
-
-    Args:
-        points: (n, 3) of a sweep, ring by ring, meters.
-        ring: (n,) of the points.
-        origin: (3,) of the beams.
+    end by half the distance of two beams on the mean, which is added. The beams have one origin (3,).
     """
     n = len(points)
     azimuth, distance = np.empty(n), np.empty(n)
@@ -202,12 +189,10 @@ class MatchRule(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SpatialPrior:
-    """Expected pose of the base in the level map frame, and its standard deviations.
+    """Expected pose of the base in the level map frame, R (3, 3) and t (3,), meters.
 
-    Attributes:
-        R: (3, 3) rotation.
-        t: (3,) position, meters.
-        sigmas: (6,) of the position along the frame's axes, meters, and of the turn about them, radians.
+    Its standard deviations (6,) are those of the position along the frame's axes, meters, and of the turn
+    about them, radians.
     """
 
     R: FloatArray
@@ -240,14 +225,7 @@ class Constraint:
 
 @dataclass(frozen=True, slots=True)
 class PlaneMatch:
-    """Most probable pose of a sweep.
-
-    Attributes:
-        R: (3, 3) rotation.
-        t: (3,) position, meters.
-        points: number of points with a plane.
-        constraint: information of the sweep.
-    """
+    """Most probable pose of a sweep, R (3, 3) and t (3,), meters, by a number of points with a plane."""
 
     R: FloatArray
     t: FloatArray
@@ -265,12 +243,6 @@ def register(seen: SweepPoints, local: LocalMap, prior: SpatialPrior, rule: Matc
     Each Gauss-Newton step solves (A + E + P) x = b + e + P o. A and b are of the surfaces' points in the
     directions that are not weak, E and e of the edges, P is the information of the prior and o the offset of
     the expected pose. Edges count each by itself: there are few of them, and beams miss them at random.
-
-    Args:
-        seen: points in the base frame.
-        local: map.
-        prior: expected pose.
-        rule: errors of the points.
     """
     R, t, P = prior.R, prior.t, prior.sigmas**-2.0
     planes, lines = local
@@ -305,9 +277,8 @@ def find_weak(information: FloatArray, weak: float) -> Constraint:
 def linearize(points: Any, origin: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
     """Linearize the distances of points, seen from `origin` (3,), from the map's planes.
 
-    Returns:
-        Weighted sums over the points with a plane: J'J (6, 6) and J'r (6,) of a shift and a turn about the
-        robot, 1, and the square of the distance from the robot; and the number of these points.
+    Returns weighted sums over the points with a plane: J'J (6, 6) and J'r (6,) of a shift and a turn about
+    the robot, 1, and the square of the distance from the robot; and the number of these points.
     """
     H, g = np.zeros((6, 6)), np.zeros(6)
     total = square = 0.0
@@ -357,8 +328,7 @@ def _smallest(table: Any, x: float, y: float, z: float, cell: float) -> Any:
 def linearize_edges(points: Any, table: Any, cell: float, R: Any, t: Any, rule: Any) -> Any:
     """Linearize the horizontal distances of edges from the map's vertical lines.
 
-    Returns:
-        Weighted sums J'J (6, 6) and J'r (6,), as in `linearize`.
+    Returns weighted sums J'J (6, 6) and J'r (6,), as in `linearize`.
     """
     H, g = np.zeros((6, 6)), np.zeros(6)
     J, r = np.zeros((2, 6)), np.empty(2)

@@ -77,15 +77,10 @@ class LineRule(NamedTuple):
 
 
 class VoxelMap:
-    """Sums of points around the robot; the base of both maps.
+    """Sums of points in voxels around the robot; the base of both maps.
 
-    Attributes:
-        cell: edge of the smallest voxels, meters.
-        table: voxels; a later `insert` may replace it.
-
-    Args:
-        cell: edge of the smallest voxels, meters.
-        radius: voxels farther from the robot are dropped when the table is full, meters.
+    The smallest voxels have the edge `cell`, meters. Those farther from the robot than `radius`, meters, are
+    dropped when the table is full.
     """
 
     _rule: PlaneRule | LineRule

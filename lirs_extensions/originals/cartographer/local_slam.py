@@ -43,11 +43,10 @@ class Velocity(NamedTuple):
 
 
 class PoseExtrapolator:
-    """Predicts poses in the local frame.
+    """Predictor of poses in the local frame.
 
-    Attributes:
-        heading: sum of all predicted turns until the last pose, radians; the axes of the "gravity-aligned"
-            frame in which scans are matched.
+    The heading is the sum of all predicted turns until the last pose, radians; the axes of the "gravity-
+    aligned" frame in which scans are matched.
     """
 
     def __init__(self) -> None:
@@ -122,11 +121,7 @@ class PoseExtrapolator:
 class GridSubmap:
     """Submap with a probability grid in the local frame.
 
-    Attributes:
-        pose: `T_local_submap`: the base at its first scan, with the axes of the local frame.
-        grid: cells.
-        count: number of scans in it.
-        finished: whether no more scans will enter it.
+    Its pose `T_local_submap` is the base at its first scan, with the axes of the local frame.
     """
 
     def __init__(self, resolution: float, pose: Pose2) -> None:
@@ -142,16 +137,15 @@ class GridSubmap:
 
 
 class TrajectoryNode(NamedTuple):
-    """A scan that entered the submaps.
+    """Scan that entered the submaps.
 
     Attributes:
-        stamp: seconds.
         pose: `T_local_node`, in the axes in which the scan was matched.
-        heading: angle of the base in these axes, radians.
+        heading: Angle of the base in these axes, radians.
         odometry: `T_odom_base` at the scan; None without.
         points: (n, 2) that were matched, in the node's frame, meters.
-        submaps: indices of the submaps that it entered, the older first.
-        finished: whether it was the last scan of the older one.
+        submaps: Indices of the submaps that it entered, the older first.
+        finished: Whether it was the last scan of the older one.
     """
 
     stamp: float
@@ -170,12 +164,9 @@ class TrajectoryNode(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LocalResult:
-    """Pose of a scan, and its node if it entered the submaps.
+    """Pose `T_local_base` of a scan, predicted if it was not matched.
 
-    Attributes:
-        pose: `T_local_base`.
-        matched: whether the scan was used; else the pose is predicted.
-        node: None unless the motion filter let it pass.
+    It has a node if the motion filter let it pass.
     """
 
     pose: Pose2
@@ -184,11 +175,7 @@ class LocalResult:
 
 
 class TrajectoryBuilder:
-    """Local SLAM.
-
-    Attributes:
-        submaps: all of them.
-    """
+    """Local SLAM, and all its submaps."""
 
     def __init__(self, config: CartographerOriginalConfig) -> None:
         self._config = config

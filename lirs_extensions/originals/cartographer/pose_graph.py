@@ -36,12 +36,7 @@ MAX_BOUND = 255
 
 
 class FoundLoop(NamedTuple):
-    """A scan matched in a submap.
-
-    Attributes:
-        pose: Pose of the points in the local frame.
-        score: mean probability at the points before refinement.
-    """
+    """Pose of the points in the local frame, and their mean probability before refinement."""
 
     pose: Pose2
     score: float
@@ -206,13 +201,10 @@ def pose_tie(
 
 
 class GraphHessian(NamedTuple):
-    """J'J of the pose graph.
+    """J'J of the pose graph without the first submap: diagonal blocks, and two kinds of others.
 
-    Attributes:
-        submaps: (s, 3, 3) diagonal blocks, without the first.
-        nodes: (n, 3, 3) diagonal blocks.
-        chain: (n - 1, 3, 3) blocks of each node and the next.
-        cross: (3 n, 3 s) of nodes and submaps.
+    The chain (n - 1, 3, 3) holds the blocks of each node and the next, `cross` (3 n, 3 s) those of nodes and
+    submaps.
     """
 
     submaps: FloatArray
@@ -223,14 +215,10 @@ class GraphHessian(NamedTuple):
 
 @dataclass(frozen=True)
 class PoseGraphProblem:
-    """Least-squares problem over the poses of all submaps but the first, and of all nodes.
+    """Least-squares problem over the poses of all submaps but the first (3,), and of all nodes.
 
-    Attributes:
-        first: (3,) pose of the first submap.
-        submaps: number of submaps.
-        to_submaps: ties of nodes to submaps (a).
-        to_nodes: ties of nodes to the node before (a).
-        huber_scale: weighted error from which on a loop counts linearly.
+    Nodes are tied to submaps (a), and to the node before (a). A loop counts linearly from the weighted error
+    `huber_scale` on.
     """
 
     first: FloatArray
@@ -333,14 +321,7 @@ def adjust(
 
 
 class OriginalPoseGraph:
-    """Poses of submaps and nodes in the map frame.
-
-    Attributes:
-        nodes: all of them, in the local frame.
-        events: loops closed so far.
-        loop_searches: number of them.
-        optimizations: number of them.
-    """
+    """Poses of submaps and nodes in the map frame; counts loop searches and optimizations."""
 
     def __init__(self, config: CartographerOriginalConfig, submaps: list[GridSubmap]) -> None:
         """Use the submaps of local SLAM; the list grows there."""

@@ -208,10 +208,7 @@ def update_table(probability: float) -> CellArray:
 class ProbabilityGrid:
     """Square cells that grow around a center.
 
-    Attributes:
-        cells: (rows, cols) values.
-        resolution: edge of a cell, meters.
-        corner: (2,) largest x and y of the grid, meters.
+    The corner (2,) holds the largest x and y of the grid, meters.
     """
 
     def __init__(self, resolution: float, center: FloatArray) -> None:
@@ -222,12 +219,9 @@ class ProbabilityGrid:
         self.cells: CellArray = np.zeros((INITIAL_CELLS, INITIAL_CELLS), np.uint16)
 
     def insert(self, data: RangeData, hit: CellArray, miss: CellArray) -> None:
-        """Update each cell that beams hit or pass once; a hit wins.
+        """Update each cell that beams hit or pass once, by tables of `update_table`; a hit wins.
 
-        Args:
-            data: in the frame of the grid.
-            hit: table of a hit (see `update_table`).
-            miss: table of a miss.
+        The data are in the frame of the grid.
         """
         points = np.concatenate((data.origin[None], data.returns, data.misses))
         self._grow(points)

@@ -25,13 +25,9 @@ MAX_NONMONOTONIC_STEPS = 5
 
 
 class NormalEquations(NamedTuple):
-    """A least-squares problem at one point.
+    """Least-squares problem at one point: half the sum of squared residuals, gradient (n,), J'J.
 
-    Attributes:
-        cost: half the sum of squared residuals.
-        gradient: (n,) of the cost.
-        diagonal: (n,) of J'J.
-        hessian: J'J, in the form that the problem's `solve` takes.
+    The diagonal of J'J is (n,); the hessian is J'J in the form that the problem's `solve` takes.
     """
 
     cost: float
@@ -239,18 +235,10 @@ def _cell_cost(cells: Any, cost: Any, row: int, col: int) -> float:
 def rotated_cells(
     grid: ProbabilityGrid, points: Float32Array, pose: Pose2, linear: float, angular: float
 ) -> tuple[IntArray, FloatArray, int]:
-    """Return the cells of points, turned by each angle of a search window.
+    """Return the cells of points (n, 2), turned by each angle of a search window around a pose.
 
-    Args:
-        grid: Grid to search.
-        points: (n, 2) float32.
-        pose: center of the window, in the frame of the grid.
-        linear: largest shift, meters.
-        angular: largest turn, radians.
-
-    Returns:
-        (angles, n, 2) rows and columns; (angles,) turns, at each of which the farthest point moves by less
-        than a cell; largest shift in cells.
+    These are (angles, n, 2) rows and columns; (angles,) turns, at each of which the farthest point moves by
+    less than a cell; and the largest shift in cells. The window is in meters and radians.
     """
     farthest = max(3 * grid.resolution, float(np.hypot(points[:, 0], points[:, 1]).max()))
     step = (1 - 1e-3) * math.acos(1 - grid.resolution**2 / (2 * farthest**2))

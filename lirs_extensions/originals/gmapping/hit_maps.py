@@ -38,11 +38,7 @@ class HitPatches(NamedTuple):
 class HitMap(NamedTuple):
     """One particle's map for the kernels; void after the next change.
 
-    Attributes:
-        table: (rows, cols) int32, the patch at each place.
-        corner: (2,) int64, row and column of the table's first patch in the lattice of patches.
-        patches: targets of the table.
-        delta: edge of a cell, meters.
+    Its table is (rows, cols), the corner that of PatchTables, and `delta` the edge of a cell, meters.
     """
 
     table: Int32Array
@@ -63,11 +59,9 @@ class HitMaps(PatchTables[HitPatches]):
         return HitMap(self.tables[particle], self.corner, self.patches, self.resolution)
 
     def register_scan(self, poses: FloatArray, ends: FloatArray) -> None:
-        """Add one scan to every map, each from its own pose.
+        """Add one scan to every map, each from its own pose (particles, 3) of `T_map_base`.
 
-        Args:
-            poses: (particles, 3) x, y, yaw of `T_map_base`.
-            ends: (n, 2) of beams in the base frame, meters.
+        The ends of beams (n, 2) are in the base frame, meters.
         """
         reach = float(np.hypot(ends[:, 0], ends[:, 1]).max(initial=0.0)) + 2 * self.resolution
         self.cover(poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach)
@@ -157,12 +151,7 @@ class MatchingParameters(NamedTuple):
 
 
 class HillClimbMatch(NamedTuple):
-    """A matched scan.
-
-    Attributes:
-        pose: (3,) x, y, yaw of `T_map_base`; the expected one if the scan fits nowhere.
-        log_likelihood: Log-likelihood of the scan there.
-    """
+    """Pose (3,) of a matched scan, and its log-likelihood; the expected one if it fits nowhere."""
 
     pose: FloatArray
     log_likelihood: float
@@ -171,13 +160,9 @@ class HillClimbMatch(NamedTuple):
 def match_scan(
     hits: HitMap, expected: FloatArray, ends: FloatArray, parameters: MatchingParameters
 ) -> HillClimbMatch:
-    """Match a scan to a map.
+    """Match a scan to a map, from the expected pose (3,) of `T_map_base`.
 
-    Args:
-        hits: the map.
-        expected: (3,) x, y, yaw of `T_map_base`, where the climb starts.
-        ends: (n, 2) of beams in the base frame, meters.
-        parameters: Parameters of the matcher.
+    The ends of beams (n, 2) are in the base frame, meters.
     """
     found, score = _climb(hits, expected, ends, parameters)
     pose = found if score > 0 else expected

@@ -199,9 +199,7 @@ class OriginalParticles(Particles[HitMaps]):
     def process_scan(self, ends: FloatArray, increment: Pose2) -> None:
         """Match and weigh, resample where due, and register the scan.
 
-        Args:
-            ends: (n, 2) of beams in the base frame, meters.
-            increment: `T_processed_now` by odometry since the scan processed before.
+        The ends of beams (n, 2) are in the base frame, meters; `T_processed_now` is by odometry.
         """
         c = self._config
         if self.tree.generations:
@@ -240,12 +238,9 @@ def _usable(scan: LaserScan, maxrange: float, max_urange: float) -> ProcessedSca
 
 
 class ProcessedScan(NamedTuple):
-    """Processed scan, kept for the map.
+    """Processed scan, kept for the map: laser (2,) and ends of beams (n, 2) in the base frame, meters.
 
-    Attributes:
-        laser: (2,) in the base frame, meters.
-        ends: (n, 2) of beams in the base frame, meters.
-        hits: (n,) whether an end is a hit; else a long beam leaves the usable range there.
+    An end is a hit (n,), or a long beam leaves the usable range there.
     """
 
     laser: FloatArray
@@ -256,13 +251,9 @@ class ProcessedScan(NamedTuple):
 def path_map(
     path: FloatArray, scans: Sequence[ProcessedScan], delta: float, occ_thresh: float
 ) -> OccupancyGrid:
-    """Draw scans at their poses; cells are occupied, free or unknown as in slam_gmapping.
+    """Draw scans at their poses (n, 3) of `T_map_base`; cells are known as in slam_gmapping.
 
-    Args:
-        path: (n, 3) x, y, yaw of `T_map_base`, of each scan.
-        scans: n of them.
-        delta: edge of a cell, meters.
-        occ_thresh: share of hits among the beams through a cell above which it is occupied.
+    A cell is occupied above the share `occ_thresh` of hits among the beams through it.
     """
     grid = GrowingGrid(delta, {"hits": (np.int32, 0), "visits": (np.int32, 0)})
     for pose, scan in zip(path.tolist(), scans, strict=True):
