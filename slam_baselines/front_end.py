@@ -370,7 +370,12 @@ class KeyframeTrajectory:
         """
         if not self._keyframes:
             return Trajectory.from_poses([], [])
-        stamps, last, scans = self._by_stamp()
+        rows = np.array(self._numbers).reshape(-1, 4)
+        order = np.argsort(rows[:, 0], kind="stable")
+        ordered = rows[order, 0]
+        order = order[np.append(ordered[1:] != ordered[:-1], True)]  # the last of each stamp
+        stamps, scans = rows[order, 0], rows[order, 1:]
+        last = np.array(self._keyframes, dtype=np.int64)[order]
         if T_map_start is None:
             T_map_start = keyframes[0] @ measured[0].inverse() if measured and keyframes else Pose2()
         poses = compose_poses(T_map_start.as_array(), scans)
@@ -382,14 +387,6 @@ class KeyframeTrajectory:
                 by_motion = np.array([p.as_array() for p in measured])
                 poses[at] = _spread(poses[at], scans[at], last[at], final, by_motion)
         return Trajectory.from_poses(stamps, (Pose2(*pose.tolist()) for pose in poses))
-
-    def _by_stamp(self) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Return ordered stamps (n,), keyframes (n,) and poses (n, 3), the last of each stamp."""
-        rows = np.array(self._numbers).reshape(-1, 4)
-        order = np.argsort(rows[:, 0], kind="stable")
-        ordered = rows[order, 0]
-        order = order[np.append(ordered[1:] != ordered[:-1], True)]
-        return rows[order, 0], np.array(self._keyframes, dtype=np.int64)[order], rows[order, 1:]
 
 
 def _spread(

@@ -16,7 +16,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from lirs_wct.arrays import BoolArray, ByteArray, FloatArray, Int32Array, IntArray, njit
 from lirs_wct.errors import Checked, limited
-from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry import OccupancyGrid
 from slam_baselines.leveling import ScanPoints
 
 BITS = 32
@@ -308,15 +308,8 @@ class OccupancyMap:
         """Return the known cells; hits below the minimum slope `wall_slope` are unknown."""
         steps, min_slopes = self.layers.log_odds, self.layers.min_slope
         known = (steps != UNKNOWN) & ~((steps > 0) & (min_slopes < wall_slope))
-        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
-        if len(rows) == 0:
-            return OccupancyGrid(np.full((1, 1), np.nan, np.float32), self.resolution)
-        box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-        values = np.where(known[box], steps[box] * np.float32(STEP), np.float32(np.nan)).astype(np.float32)
-        corner = Pose2(
-            (self.grid.col0 + cols[0]) * self.resolution, (self.grid.row0 + rows[0]) * self.resolution
-        )
-        return OccupancyGrid(values, self.resolution, corner)
+        values = np.where(known, steps * np.float32(STEP), np.float32(np.nan)).astype(np.float32)
+        return OccupancyGrid.of_lattice(values, self.resolution, self.grid.row0, self.grid.col0)
 
 
 NO_WALL = 256

@@ -68,7 +68,11 @@ class TimedOdometry:
         if readings is not None and len(readings):
             self._system.add_readings(readings)
             self._reached = float(readings.stamps[-1])
-        while self._waiting and self._complete(self._waiting[0]):
+        while self._waiting:
+            waiting = self._waiting[0]
+            end = waiting.stamp + (float(waiting.time.max()) if len(waiting) else 0.0)
+            if self.reads_inertial and end > self._reached + SLACK:
+                break
             self._register(self._waiting.popleft())
         pose = self._at(self._stamps[-1:])[0]
         self._watch.stop(started)
@@ -86,10 +90,6 @@ class TimedOdometry:
         skipped = {reason: count for reason, count in reasons.items() if count}
         used = received - self._empty - waiting
         return self._watch.add_to(MapperStats(received=received, used=used, skipped=skipped))
-
-    def _complete(self, cloud: PointCloud) -> bool:
-        end = cloud.stamp + (float(cloud.time.max()) if len(cloud) else 0.0)
-        return not self.reads_inertial or end <= self._reached + SLACK
 
     def _register(self, cloud: PointCloud) -> None:
         if not len(cloud):

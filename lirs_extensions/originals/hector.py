@@ -92,9 +92,17 @@ class HectorOriginalMapper(PlanarMapper):
 
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Match the scan from the pose by odometry, draw it if due; return `T_map_base`."""
-        laser, ends = self._points(scan)
-        self._pose = self._match(ends, self._start(odometry))
-        if self._update_due():
+        c, (laser, ends) = self.config, self._points(scan)
+        start, before, self._odometry = self._pose, self._odometry, odometry
+        if before is not None and odometry is not None:
+            start = start @ (before.inverse() @ odometry)
+        self._pose = self._match(ends, start)
+        drawn = self._drawn_at
+        if (
+            drawn is None
+            or self._pose.distance(drawn) > c.map_update_distance_thresh
+            or abs(wrap_angle(self._pose.yaw - drawn.yaw)) > c.map_update_angle_thresh
+        ):
             for level in self._levels:
                 level.draw(self._pose, laser, ends)
             self._drawn_at = self._pose
@@ -133,13 +141,6 @@ class HectorOriginalMapper(PlanarMapper):
         ends: FloatArray = (points @ mount.rotation.T + mount.position)[:, :2]
         return np.asarray(mount.position[:2], dtype=np.float64), ends
 
-    def _start(self, odometry: Pose2 | None) -> Pose2:
-        """Return the last pose, moved by the odometry since then."""
-        before, self._odometry = self._odometry, odometry
-        if before is None or odometry is None:
-            return self._pose
-        return self._pose @ (before.inverse() @ odometry)
-
     def _match(self, ends: FloatArray, start: Pose2) -> Pose2:
         """Return the pose after Gauss-Newton from the coarsest level to the finest."""
         pose = start.as_array()
@@ -147,14 +148,6 @@ class HectorOriginalMapper(PlanarMapper):
             pose = self._levels[i].match(ends, pose, ITERATIONS[min(i, len(ITERATIONS) - 1)])
         x, y, yaw = pose.tolist()
         return Pose2(x, y, wrap_angle(yaw))
-
-    def _update_due(self) -> bool:
-        c, before = self.config, self._drawn_at
-        return (
-            before is None
-            or self._pose.distance(before) > c.map_update_distance_thresh
-            or abs(wrap_angle(self._pose.yaw - before.yaw)) > c.map_update_angle_thresh
-        )
 
 
 MAX_LOG_ODDS = 50.0
@@ -212,14 +205,9 @@ class OriginalMap:
 
     def occupancy_grid(self) -> OccupancyGrid:
         """Return the known cells."""
-        known, resolution = self._drawn > 0, self._resolution
-        if not known.any():
-            return OccupancyGrid(np.full((1, 1), np.nan, np.float32), resolution)
-        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
-        box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-        values = np.where(known[box], self._log_odds[box], np.float32(np.nan)).astype(np.float32)
-        west, south = cols[0] - self._middle - 0.5, rows[0] - self._middle - 0.5
-        return OccupancyGrid(values, resolution, Pose2(west * resolution, south * resolution))
+        values = np.where(self._drawn > 0, self._log_odds, np.float32(np.nan)).astype(np.float32)
+        first = -self._middle - 0.5
+        return OccupancyGrid.of_lattice(values, self._resolution, first, first)
 
 
 @njit

@@ -229,6 +229,17 @@ class OccupancyGrid(ShownAsPicture):
         free, wall = OccupancyGrid.from_probability(((0.0, 1.0),), resolution).log_odds[0]
         return OccupancyGrid(np.where(occupied, wall, free), resolution, origin or Pose2())
 
+    @staticmethod
+    def of_lattice(log_odds: Float32Array, resolution: float, row0: float, col0: float) -> OccupancyGrid:
+        """Build from the known cells of log-odds whose cell (0, 0) is at a row and column of a lattice."""
+        known = ~np.isnan(log_odds)
+        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        if len(rows) == 0:
+            return OccupancyGrid(np.full((1, 1), np.nan, np.float32), resolution)
+        corner = Pose2(float((col0 + cols[0]) * resolution), float((row0 + rows[0]) * resolution))
+        box = log_odds[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+        return OccupancyGrid(box.copy(), resolution, corner)
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows (northward), columns (eastward)."""

@@ -48,8 +48,7 @@ class BoundGrids(NamedTuple):
         known = value[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
         levels = np.zeros((depth + 1, known.shape[0] + pad, known.shape[1] + pad), np.uint8)
         levels[0, pad:, pad:] = known
-        for h in range(depth):
-            _pool(levels[h], 2**h, levels[h + 1])
+        fill_bounds(levels)
         row0, col0 = corner[0] + int(rows[0]) - pad, corner[1] + int(cols[0]) - pad
         return BoundGrids(levels, row0, col0, resolution)
 
@@ -59,12 +58,14 @@ class BoundGrids(NamedTuple):
         return self.levels.nbytes
 
 
-def _pool(level: ByteArray, step: int, out: ByteArray) -> None:
-    """Join four squares of `step` cells to one of twice the edge."""
-    wide = level.copy()
-    np.maximum(wide[:, :-step], level[:, step:], out=wide[:, :-step])
-    out[:] = wide
-    np.maximum(out[:-step], wide[step:], out=out[:-step])
+def fill_bounds(levels: ByteArray) -> None:
+    """Fill levels (depth + 1, rows, cols) from the first on; four squares of one make one of the next."""
+    for h in range(len(levels) - 1):
+        level, above, step = levels[h], levels[h + 1], 1 << h
+        wide = level.copy()
+        np.maximum(wide[:, :-step], level[:, step:], out=wide[:, :-step])
+        above[:] = wide
+        np.maximum(above[:-step], wide[step:], out=above[:-step])
 
 
 class SearchWindow(NamedTuple):

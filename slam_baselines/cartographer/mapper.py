@@ -126,7 +126,11 @@ class NodeMap:
             self._clear()
         for node, (pose, trimmed) in zip(nodes[len(self._drawn) :], state[len(self._drawn) :], strict=True):
             if not trimmed:
-                self._draw_node(node, pose)
+                ground = self._ground_filter
+                ground.height, ground.drift = node.height, node.drift
+                ground.distance_traveled, ground.tilt = node.leveled_distance, node.tilt
+                placed, min_slopes = ground.insert(node.scan, pose)
+                self._map.update(placed, min_slopes, ground.match_wall_slope, bounding_box(placed))
             self._drawn.append((pose, trimmed))
         grid = self._map.occupancy_grid(self._ground_filter.wall_slope if walls else NO_WALL)
         if self.nbytes > MAX_KEPT_BYTES:
@@ -142,10 +146,3 @@ class NodeMap:
         self._map = OccupancyMap(self._config.map_resolution, self._config)
         self._ground_filter = GroundFilter(self._config)
         self._drawn.clear()
-
-    def _draw_node(self, node: Node, pose: Pose2) -> None:
-        ground_filter = self._ground_filter
-        ground_filter.height, ground_filter.drift = node.height, node.drift
-        ground_filter.distance_traveled, ground_filter.tilt = node.leveled_distance, node.tilt
-        placed, min_slopes = ground_filter.insert(node.scan, pose)
-        self._map.update(placed, min_slopes, ground_filter.match_wall_slope, bounding_box(placed))

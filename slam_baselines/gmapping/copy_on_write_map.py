@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lirs_wct.arrays import ByteArray, FloatArray, Int32Array, IntArray, njit
-from lirs_wct.geometry import OccupancyGrid, Pose2
+from lirs_wct.geometry import OccupancyGrid
 from slam_baselines.gmapping.patches import (
     ABSENT,
     BITS,
@@ -286,12 +286,8 @@ class PatchMaps(PatchTables[Patches]):
         values = np.where(known, p.log_odds * np.float32(STEP), np.float32(np.nan)).astype(np.float32)
         values = np.where((lattice == ABSENT)[:, None], np.float32(np.nan), values[lattice])
         grid = values.reshape(rows, cols, PATCH, PATCH).swapaxes(1, 2).reshape(rows * PATCH, cols * PATCH)
-        r, c = (np.flatnonzero(~np.isnan(grid).all(axis=axis)) for axis in (1, 0))
-        if len(r) == 0:
-            return OccupancyGrid(np.full((1, 1), np.nan, np.float32), self.resolution)
-        row0, col0 = self.corner * PATCH + (r[0], c[0])
-        corner = Pose2(float(col0 * self.resolution), float(row0 * self.resolution))
-        return OccupancyGrid(grid[r[0] : r[-1] + 1, c[0] : c[-1] + 1].copy(), self.resolution, corner)
+        row0, col0 = (self.corner * PATCH).tolist()
+        return OccupancyGrid.of_lattice(grid, self.resolution, row0, col0)
 
 
 class PatchMapView(NamedTuple):

@@ -303,14 +303,10 @@ class GmappingMapper(PlanarMapper):
             particles.adopt(proposal)
         else:
             particles.follow(motion)
-        monitors.observe_fit(hit, known)
-        self._learn_bias(motion)
-
-    def _learn_bias(self, motion: MotionIncrement) -> None:
-        """Update the gyro's bias once the start is refined; before, too few walls are known."""
-        fits = self._monitors.tracking.fits and self._monitors.localizability.believed
+        fits = monitors.observe_fit(hit, known) and localizability.believed
+        # Before the start is refined, too few walls are known for the gyro's bias.
         if self._start.refinements and fits and motion.seconds > 0:
-            turned = self._filter.turned - motion.reckoned.pose.yaw
+            turned = particles.turned - motion.reckoned.pose.yaw
             self._bias = self._bias.learned(wrap_angle(turned), motion.seconds)
             motion.bias = self._bias.value
 
@@ -331,13 +327,10 @@ class GmappingMapper(PlanarMapper):
         self._filter.insert_scan(*drawn, ground.match_wall_slope)
         keyframe = GmappingKeyframe(scan, pose, ground.height, min_slopes, reckoned, seconds)
         if self._start.add(keyframe, ground.distance_traveled) and not ground.flat:
-            self._refine_start()
-
-    def _refine_start(self) -> None:
-        """Register the start again with the gyro's bias; one particle replaces all."""
-        maps = PatchMaps(1, self.config.delta)
-        refined = self._registration.refine(self._start.keyframes, maps)
-        self._bias = self._registration.bias
-        self._increment.bias = self._bias.value
-        self._filter.restart([keyframe.pose for keyframe in refined], maps)
-        self._start.replace(refined)
+            # The start is registered again with the gyro's bias; one particle replaces all.
+            maps = PatchMaps(1, self.config.delta)
+            refined = self._registration.refine(self._start.keyframes, maps)
+            self._bias = self._registration.bias
+            self._increment.bias = self._bias.value
+            self._filter.restart([keyframe.pose for keyframe in refined], maps)
+            self._start.replace(refined)

@@ -151,18 +151,14 @@ def resize(old: Patches | None, patches: int, records: int) -> Patches:
     )
     if old is not None:
         # Rows that were never taken are not copied: they would become memory.
-        patches, records = _end(old.owners > 0), int(old.record.max(initial=ABSENT)) + 1
+        patches = int(np.flatnonzero(old.owners).max(initial=-1)) + 1
+        records = int(old.record.max(initial=ABSENT)) + 1
         for name in ("log_odds", "record", "owners"):
             getattr(new, name)[:patches] = getattr(old, name)[:patches]
         for name in ("hits", "mean", "min_slope", "top"):
             getattr(new, name)[:records] = getattr(old, name)[:records]
     new.list_free()
     return new
-
-
-def _end(taken: BoolArray) -> int:
-    """Return the index after the last one taken; the lowest are taken first."""
-    return len(taken) - int(taken[::-1].argmax()) if taken.any() else 0
 
 
 def reserve_patches(patches: Patches, needed: int, records: int) -> Patches:

@@ -86,7 +86,8 @@ class Motion:
             return Prediction(R, np.zeros(3), BodyTwist(np.zeros(3), np.zeros(3)), Pose2(), 0.0)
         step = before.inverse() @ odometry
         if math.hypot(step.x, step.y) < STANDING and abs(step.yaw) < STILL * seconds:
-            self._learn_bias(readings)
+            self._resting_sum = self._resting_sum + readings.angular_velocity.sum(axis=0)
+            self._resting += len(readings)
         R = self._R @ self._turn(step, seconds, readings)
         if imu is not None:
             R = level(R, imu, -math.expm1(-seconds / self._tilt_time))
@@ -94,18 +95,16 @@ class Motion:
         velocity = shift / seconds
         if imu is not None:
             velocity = velocity + gained_velocity(readings, R, seconds)
-        twist = BodyTwist(R.T @ velocity, self._rates(step, seconds, readings))
+        rates = np.array((0.0, 0.0, step.yaw / seconds))
+        if len(readings):
+            rates = readings.angular_velocity[-LATEST:].mean(axis=0) - self.bias
+        twist = BodyTwist(R.T @ velocity, rates)
         return Prediction(R, self._t + shift, twist, step, seconds)
 
     @property
     def bias(self) -> FloatArray:
         """(3,) of the gyro, rad/s; 0 until the robot has stood."""
         return self._resting_sum / self._resting if self._resting >= REST else np.zeros(3)
-
-    def _learn_bias(self, readings: ImuReadings) -> None:
-        """Add the readings of a standing robot."""
-        self._resting_sum = self._resting_sum + readings.angular_velocity.sum(axis=0)
-        self._resting += len(readings)
 
     def _turn(self, step: Pose2, seconds: float, readings: ImuReadings) -> FloatArray:
         """Return the rotation of a step (3, 3) by the gyro, else by the odometry."""
@@ -123,13 +122,6 @@ class Motion:
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = c * step.x - s * step.y, s * step.x + c * step.y
         return np.array((dx, dy, climb(dx, dy, self._R[:, 2] + R[:, 2])))
-
-    def _rates(self, step: Pose2, seconds: float, readings: ImuReadings) -> FloatArray:
-        """Return the rates (3,) at the end of a step, rad/s."""
-        if not len(readings):
-            return np.array((0.0, 0.0, step.yaw / seconds))
-        rates: FloatArray = readings.angular_velocity[-LATEST:].mean(axis=0) - self.bias
-        return rates
 
 
 def gained_velocity(readings: ImuReadings, R: FloatArray, seconds: float) -> FloatArray:

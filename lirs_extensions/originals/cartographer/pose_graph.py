@@ -15,7 +15,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded, solve
+from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded, solve
 
 from lirs_extensions.originals.cartographer.config import CartographerOriginalConfig
 from lirs_extensions.originals.cartographer.local_slam import GridSubmap, TrajectoryNode
@@ -28,6 +28,7 @@ from lirs_extensions.originals.cartographer.scan_matching import (
     shifted_pose,
 )
 from lirs_wct.geometry import ByteArray, Float32Array, FloatArray, Pose2, njit
+from slam_baselines.cartographer.branch_and_bound import fill_bounds
 from slam_baselines.cartographer.loop_closure import LoopEvent
 from slam_baselines.cartographer.pose_graph import PoseConstraint, PoseConstraints, errors, linearize
 
@@ -96,12 +97,7 @@ def bound_grids(grid: ProbabilityGrid, depth: int) -> ByteArray:
     rows, cols = grid.cells.shape
     bounds = np.zeros((depth, rows + margin, cols + margin), np.uint8)
     bounds[0, margin:, margin:] = np.floor(probability + 0.5)
-    for level in range(1, depth):
-        half, below, at = 1 << (level - 1), bounds[level - 1], bounds[level]
-        along = below.copy()
-        np.maximum(along[:, :-half], below[:, half:], out=along[:, :-half])
-        at[:] = along
-        np.maximum(at[:-half], along[half:], out=at[:-half])
+    fill_bounds(bounds)
     return bounds
 
 
@@ -260,7 +256,7 @@ class PoseGraphProblem:
         solved = cho_solve_banded((cholesky_banded(band), False), right, overwrite_b=True)
         if not split:
             return -solved[:, -1]
-        S = _block_diagonal(H.submaps) + np.diag(damping[:split]) - H.cross.T @ solved[:, :-1]
+        S = block_diag(*H.submaps) + np.diag(damping[:split]) - H.cross.T @ solved[:, :-1]
         step = -solve(S, equations.gradient[:split] - H.cross.T @ solved[:, -1], assume_a="pos")
         return np.concatenate((step, -solved[:, -1] - solved[:, :-1] @ step))
 
@@ -293,13 +289,6 @@ def _band(diagonal: FloatArray, chain: FloatArray) -> FloatArray:
                 band[5 + i - j, :, j] = diagonal[:, i, j]
             band[2 + i - j, 1:, j] = chain[:, i, j]
     return band.reshape(6, 3 * n)
-
-
-def _block_diagonal(blocks: FloatArray) -> FloatArray:
-    s = len(blocks)
-    matrix = np.zeros((s, 3, s, 3))
-    matrix[np.arange(s), :, np.arange(s)] = blocks
-    return matrix.reshape(3 * s, 3 * s)
 
 
 def adjust(

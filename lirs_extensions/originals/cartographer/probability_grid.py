@@ -180,15 +180,10 @@ SUBCELLS = 1000
 """Parts of a cell's edge to which the ends of beams are rounded."""
 
 
-def _cost_table() -> Float32Array:
-    step = (MAX_COST - MIN_COST) / np.float32(VALUES - 1)
-    table = np.arange(VALUES + 1, dtype=np.float32) * step + (MIN_COST - step)
-    table[0] = MAX_COST
-    return table
-
-
-COST = _cost_table()
+_STEP = (MAX_COST - MIN_COST) / np.float32(VALUES - 1)
+COST: Float32Array = np.arange(VALUES + 1, dtype=np.float32) * _STEP + (MIN_COST - _STEP)
 """(32768,) 1 - p by cell value."""
+COST[0] = MAX_COST
 
 
 @cache

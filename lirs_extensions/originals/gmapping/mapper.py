@@ -87,9 +87,7 @@ class GmappingOriginalConfig(Checked, of="gmapping_original"):
     @property
     def matching(self) -> MatchingParameters:
         """Parameters of the matcher."""
-        return MatchingParameters(
-            self.sigma, self.kernelSize, self.lstep, self.astep, self.iterations, self.lsigma
-        )
+        return MatchingParameters(*(getattr(self, name) for name in MatchingParameters._fields))
 
 
 class GmappingOriginalMapper(PlanarMapper):
@@ -116,10 +114,17 @@ class GmappingOriginalMapper(PlanarMapper):
     def process(self, scan: LaserScan, odometry: Pose2 | None, imu: Imu | None) -> Pose2:
         """Move the particles by the odometry, process the scan if due; return `T_map_base`."""
         assert odometry is not None, "it is required"
-        now = _logged_pose(odometry)
-        self._move(now)
-        if self._due:
-            self._process(scan, now)
+        now, c = _logged_pose(odometry), self.config
+        before, self._odometry = self._odometry or now, now
+        self._particles.move(before.inverse() @ now)
+        self._distance += before.distance(now)
+        self._turn += abs(wrap_angle(now.yaw - before.yaw))
+        if not self._kept or self._distance >= c.linearUpdate or self._turn >= c.angularUpdate:
+            increment = self._processed_at.inverse() @ now if self._kept else Pose2()
+            self._kept.append(kept := _usable(scan, c.maxrange, c.maxUrange))
+            self._particles.process_scan(kept.ends[kept.hits], increment)
+            self._best, self._processed_at = self._particles.pose, now
+            self._distance = self._turn = 0.0
         increment = self._processed_at.inverse() @ now
         self._scans.add(scan.stamp, len(self._kept) - 1, increment)
         return self._best @ increment
@@ -146,24 +151,6 @@ class GmappingOriginalMapper(PlanarMapper):
                 "patches": particles.maps.in_use,
             },
         )
-
-    @property
-    def _due(self) -> bool:
-        c = self.config
-        return not self._kept or self._distance >= c.linearUpdate or self._turn >= c.angularUpdate
-
-    def _move(self, now: Pose2) -> None:
-        before, self._odometry = self._odometry or now, now
-        self._particles.move(before.inverse() @ now)
-        self._distance += before.distance(now)
-        self._turn += abs(wrap_angle(now.yaw - before.yaw))
-
-    def _process(self, scan: LaserScan, now: Pose2) -> None:
-        increment = self._processed_at.inverse() @ now if self._kept else Pose2()
-        self._kept.append(kept := _usable(scan, self.config.maxrange, self.config.maxUrange))
-        self._particles.process_scan(kept.ends[kept.hits], increment)
-        self._best, self._processed_at = self._particles.pose, now
-        self._distance = self._turn = 0.0
 
 
 class OriginalParticles(Particles[HitMaps]):
@@ -203,18 +190,14 @@ class OriginalParticles(Particles[HitMaps]):
         """
         c = self._config
         if self.tree.generations:
-            self._match(ends)
+            for k, expected in enumerate(self._poses):
+                self._poses[k], log_likelihood = match_scan(self.maps[k], expected, ends, c.matching)
+                self._log_weights[k] += log_likelihood
+                self._totals[k] += log_likelihood
             gain = 1 / (c.ogain * len(self._poses))
             self.resample(normalize(gain * self._log_weights), c.resampleThreshold, self._rng)
         self.maps.register_scan(self._poses, ends)
         self.add_generation(increment)
-
-    def _match(self, ends: FloatArray) -> None:
-        parameters = self._config.matching
-        for k, expected in enumerate(self._poses):
-            self._poses[k], log_likelihood = match_scan(self.maps[k], expected, ends, parameters)
-            self._log_weights[k] += log_likelihood
-            self._totals[k] += log_likelihood
 
 
 def _logged_pose(pose: Pose2) -> Pose2:
@@ -263,19 +246,10 @@ def path_map(
         # Cell (0, 0) has its center in the origin, as in the maps that are matched against.
         cells = np.floor(points / delta + 0.5).astype(np.int64) - (grid.col0, grid.row0)
         _draw(grid.layers["hits"], grid.layers["visits"], cells, scan.hits)
-    return _occupancy(grid, occ_thresh)
-
-
-def _occupancy(grid: GrowingGrid, occ_thresh: float) -> OccupancyGrid:
-    hits, visits, delta = grid.layers["hits"], grid.layers["visits"], grid.resolution
-    if not visits.any():
-        return OccupancyGrid(np.full((1, 1), np.nan, np.float32), delta)
-    rows, cols = (np.flatnonzero(visits.any(axis=axis)) for axis in (1, 0))
-    box = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
-    occupied = hits[box] > occ_thresh * visits[box]
-    p = np.where(visits[box] > 0, occupied, np.nan)
-    corner = Pose2((grid.col0 + cols[0] - 0.5) * delta, (grid.row0 + rows[0] - 0.5) * delta)
-    return OccupancyGrid.from_probability(p, delta, corner)
+    hits, visits = grid.layers["hits"], grid.layers["visits"]
+    p = np.where(visits > 0, hits > occ_thresh * visits, np.nan)
+    log_odds = OccupancyGrid.from_probability(p, delta).log_odds
+    return OccupancyGrid.of_lattice(log_odds, delta, grid.row0 - 0.5, grid.col0 - 0.5)
 
 
 @njit
