@@ -173,11 +173,9 @@ def remove_bias(step: Pose2, bias: float, seconds: float) -> Pose2:
 
 
 class PoseDistributions(NamedTuple):
-    """Distributions of the particles' poses by odometry.
+    """Distributions of the particles' poses (particles, 3) by odometry.
 
-    Attributes:
-        poses: (particles, 3) x, y, yaw.
-        covariances: (particles, 3, 3) of these in the map frame.
+    Their covariances (particles, 3, 3) are in the map frame.
     """
 
     poses: FloatArray
@@ -185,12 +183,9 @@ class PoseDistributions(NamedTuple):
 
 
 def propagate(poses: FloatArray, step: Pose2, covariance: FloatArray) -> PoseDistributions:
-    """Return the particles' distributions after a step `T_before_now`.
+    """Return the distributions of particles (n, 3) after a step `T_before_now` common to all.
 
-    Args:
-        poses: (n, 3) x, y, yaw before.
-        step: common to all.
-        covariance: (3, 3) of the step, in the frame before it.
+    The step's covariance (3, 3) is in the frame before it.
     """
     c, s, o = np.cos(poses[:, 2]), np.sin(poses[:, 2]), np.zeros(len(poses))
     R = np.stack((c, -s, o, s, c, o, o, o, o + 1), axis=-1).reshape(-1, 3, 3)
