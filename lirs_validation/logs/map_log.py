@@ -71,14 +71,7 @@ from lirs_wct.progress import Progress, no_progress
 from lirs_wct.sources.bundled import RECIPES
 from lirs_wct.sources.source import SourceKind, find_source, is_bag
 from slam_baselines.front_end import KnownPoseMapper
-from slam_baselines.mapper import (
-    ALL_CLOUD_MAPPERS,
-    MAPPERS,
-    file_name,
-    make_mapper,
-    read_parameters,
-    warm_up,
-)
+from slam_baselines.mapper import ALL_CLOUD_MAPPERS, MAPPERS, file_name, make_mapper, read_parameters, warm_up
 
 if TYPE_CHECKING:
     from lirs_wct.drawing.canvas import Drawing

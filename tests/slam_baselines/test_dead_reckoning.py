@@ -121,13 +121,6 @@ def test_circles_do_not_unlearn_the_straight() -> None:
     assert max(map(abs, calibration.gain)) < 0.05
 
 
-def test_a_level_floor_teaches_nothing_about_slopes() -> None:
-    calibration = Calibration(CalibrationConfig())
-    for _ in range(50):
-        calibration.learn(Pose2(0.1, 0.0, 0.2), Pose2(0.12, 0.01, 0.21))
-    assert calibration.slide == 0.0
-
-
 def test_a_turn_on_a_slope_is_reckoned_downhill_once_it_is_known_to_slide() -> None:
     """Nose down (positive pitch) it falls ahead; left side up (positive roll) it falls to the right."""
     imu = Imu(roll=0.1, pitch=0.2)
@@ -160,14 +153,6 @@ def test_a_circle_on_an_incline_returns_to_its_height() -> None:
     rises = [pose.z - math.tan(slope) * pose.x for pose in poses]
     np.testing.assert_allclose(rises, 0.0, atol=1e-4)
     assert max(pose.z for pose in poses) == pytest.approx(radius * math.tan(slope), abs=1e-3)
-
-
-def test_without_inertial_readings_the_ground_is_level() -> None:
-    odometry = [Pose2(0.1 * k, 0.02 * k, 0.05 * k) for k in range(20)]
-    poses = spatial_odometry(odometry, [None] * 20)
-    found = np.array([pose.to_pose2().as_array() for pose in poses])
-    np.testing.assert_allclose(found, [p.as_array() for p in odometry], atol=1e-12)
-    assert {pose.z for pose in poses} == {0.0}
 
 
 def test_a_step_stays_in_the_plane_of_the_wheels() -> None:

@@ -1,6 +1,5 @@
 """Cartographer as published: the C++ program's own trajectories, and the whole mapper in a room."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +12,12 @@ from lirs_extensions.originals.cartographer.mapper import (
     CartographerOriginalConfig,
     CartographerOriginalMapper,
 )
-from lirs_wct import Imu, Pose2
+from lirs_wct import Pose2
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.geometry import LaserScan, wrap_angles
 from slam_baselines.mapper import make_mapper
 from tests.lirs_extensions.originals.recorded import unpacked
-from tests.slam_baselines.synthetic import drive_room, loop, room_scan
+from tests.slam_baselines.synthetic import drive_room, room_scan
 
 RUNS = ("simple-1", "simple-2", "medium-1", "medium-2", "advanced-2", "willow-1")
 
@@ -59,22 +58,6 @@ def test_the_whole_trajectory_is_near_the_original_s(shared_data: Path, tmp_path
     assert apart.max() < 0.1
 
 
-def test_a_drive_through_a_room() -> None:
-    mapper = CartographerOriginalMapper()
-    errors = drive_room(mapper)
-    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.15
-    assert mapper.map().occupied.sum() > 300
-    assert (mapper.stats.received, len(mapper.trajectory()), mapper.lost) == (240, 240, False)
-
-
-@pytest.mark.slow
-def test_it_maps_without_odometry() -> None:
-    """The velocity of the last poses predicts; the search makes up for the start at full speed."""
-    config = CartographerOriginalConfig(use_online_correlative_scan_matching=True)
-    errors = drive_room(CartographerOriginalMapper(config), odometry=False, n=480)
-    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.2
-
-
 @pytest.mark.slow
 def test_loops_are_found_and_tied() -> None:
     """A second lap in a room finds the submap of the first one, and every look gives the same poses."""
@@ -99,14 +82,6 @@ def test_the_online_search_finds_a_large_turn() -> None:
     assert abs(ends[1] - 0.26) < 0.01 < 0.1 < abs(ends[0] - 0.26)
 
 
-def test_attitude_changes_nothing() -> None:
-    rng, path = np.random.default_rng(0), loop(40)
-    scans = [room_scan(pose, 0.1 * k, rng) for k, pose in enumerate(path)]
-    level, leaning = CartographerOriginalMapper(), CartographerOriginalMapper()
-    for scan, pose in zip(scans, path, strict=True):
-        assert level.update(scan, pose, None) == leaning.update(scan, pose, Imu(roll=0.2, pitch=-0.1))
-
-
 def test_a_scan_without_returns_follows_the_odometry() -> None:
     rng = np.random.default_rng(0)
     mapper = CartographerOriginalMapper()
@@ -115,13 +90,3 @@ def test_a_scan_without_returns_follows_the_odometry() -> None:
     empty = replace(room_scan(Pose2(), 0.3, rng), ranges=np.full(361, np.inf, np.float32))
     assert mapper.update(empty, Pose2(0.2, 0.0), None).x == pytest.approx(0.2, abs=0.02)
     assert mapper.stats.skipped == {"no return": 1}
-
-
-def test_the_published_defaults_are_set() -> None:
-    c = CartographerOriginalConfig()
-    assert (c.num_range_data, c.resolution, c.max_range, c.missing_data_ray_length) == (90, 0.05, 30.0, 5.0)
-    assert (c.max_time_seconds, c.max_distance_meters) == (5.0, 0.2)
-    assert c.max_angle_radians == math.radians(1.0)
-    assert (c.ceres_translation_weight, c.ceres_rotation_weight) == (10.0, 40.0)
-    assert (c.optimize_every_n_nodes, c.huber_scale) == (90, 10.0)
-    assert (c.sampling_ratio, c.min_score) == (0.3, 0.55)

@@ -17,14 +17,14 @@ from lirs_extensions.originals.gmapping.mapper import (
     ProcessedScan,
     path_map,
 )
-from lirs_wct import Imu, Pose2
+from lirs_wct import Pose2
 from lirs_wct.formats.carmen_log import read_carmen
 from lirs_wct.formats.drive_files import write_scans
 from lirs_wct.geometry import LaserScan, wrap_angles
 from slam_baselines.gmapping.config import GmappingConfig
 from slam_baselines.mapper import make_mapper
 from tests.lirs_extensions.originals.recorded import unpacked
-from tests.slam_baselines.synthetic import drive_room, loop, room_scan
+from tests.slam_baselines.synthetic import loop, room_scan
 
 PARAMETERS = GmappingOriginalConfig().matching
 
@@ -51,31 +51,6 @@ def test_the_random_numbers_are_the_c_library_s() -> None:
         libc.srand48(ctypes.c_long(seed))
         ours = Drand48(seed)
         assert [ours.random() for _ in range(50)] == [libc.drand48() for _ in range(50)]
-
-
-def test_normal_numbers_have_mean_0_and_deviation_1() -> None:
-    drawn = Drand48(5).standard_normal((20_000,))
-    assert abs(drawn.mean()) < 0.03
-    assert drawn.std() == pytest.approx(1.0, abs=0.02)
-
-
-def test_a_drive_through_a_room() -> None:
-    mapper = GmappingOriginalMapper()
-    errors = drive_room(mapper)
-    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.15
-    assert mapper.map().occupied.sum() > 300
-    assert mapper.map().free.sum() > 10_000
-    stats = mapper.stats
-    assert (stats.received, len(mapper.trajectory())) == (240, 240)
-    assert stats.used == 240 - stats.skipped["not moved"] < 30
-
-
-def test_attitude_changes_nothing() -> None:
-    rng, path = np.random.default_rng(0), loop(25)
-    scans = [room_scan(pose, 0.1 * k, rng) for k, pose in enumerate(path)]
-    level, leaning = (GmappingOriginalMapper(GmappingOriginalConfig(particles=5)) for _ in range(2))
-    for scan, pose in zip(scans, path, strict=True):
-        assert level.update(scan, pose, None) == leaning.update(scan, pose, Imu(roll=0.2, pitch=-0.1))
 
 
 def test_a_run_and_its_recorded_log_give_the_same(tmp_path: Path) -> None:

@@ -12,12 +12,12 @@ from lirs_extensions.originals.hector import (
     _interpolate,
 )
 from lirs_validation.metrics.trajectory import trajectory_errors
-from lirs_wct import Imu, Pose2, Trajectory
+from lirs_wct import Pose2, Trajectory
 from lirs_wct.errors import ConfigError
 from lirs_wct.formats.carmen_log import read_carmen
 from slam_baselines.mapper import make_mapper
 from tests.lirs_extensions.originals.recorded import unpacked
-from tests.slam_baselines.synthetic import drive_room, loop, room_scan
+from tests.slam_baselines.synthetic import room_scan
 
 
 @pytest.mark.shared
@@ -56,27 +56,6 @@ def test_the_first_scans_are_matched_as_the_original_matches_them(
         found = mapper.update(log.scans[k], log.odometry[k], None)
         assert found.distance(original.pose2(k)) < 2e-5
         assert abs(found.yaw - original.pose2(k).yaw) < 2e-5
-
-
-@pytest.mark.parametrize("odometry", [True, False])
-def test_a_drive_through_a_room(odometry: bool) -> None:
-    mapper = HectorOriginalMapper()
-    errors = drive_room(mapper, odometry=odometry)
-    assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.06
-    assert np.abs(errors[:, 2]).max() < 0.02
-    assert mapper.map().occupied.sum() > 500
-    assert (mapper.stats.received, len(mapper.trajectory())) == (240, 240)
-
-
-def test_attitude_changes_nothing() -> None:
-    rng, path = np.random.default_rng(0), loop(20)
-    scans = [room_scan(pose, 0.1 * k, rng) for k, pose in enumerate(path)]
-    tilted = Imu(
-        roll=0.2, pitch=-0.1, stamp=0.0, angular_velocity=(0, 0, 0), linear_acceleration=(0, 0, 9.81)
-    )
-    level, leaning = HectorOriginalMapper(), HectorOriginalMapper()
-    for scan in scans:
-        assert level.update(scan, None, None) == leaning.update(scan, None, tilted)
 
 
 def test_interpolation_is_exact_at_the_cells_centers() -> None:
