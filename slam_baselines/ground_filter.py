@@ -70,7 +70,7 @@ class UpperBound(NamedTuple):
 
 
 class DrawnSlopes(NamedTuple):
-    """Minimum slopes (rows, cols) of a map's cells, SLOPE_STEP, and the map's frame as of UpperBound."""
+    """Minimum slopes (rows, cols) of a map's cells, SLOPE_STEP, with a frame of UpperBound."""
 
     layer: ByteArray
     frame: FloatArray
@@ -163,7 +163,7 @@ class GroundFilter:
         self._weights: tuple[int, FloatArray] = -1, np.empty(0)
 
     def move(self, delta: Pose2, scan: LeveledScan, *, registered: bool = True) -> None:
-        """Update height, tilt and drift by a step `T_before_now` on ground as steep as the tilt.
+        """Update height, tilt and drift by a step on ground as steep as the tilt.
 
         Unless scans fitted at both ends (`registered`), wheels may have slipped on the slope.
         """
@@ -206,7 +206,7 @@ class GroundFilter:
         return placed, self.observe(placed, pose) if scan.leveled else np.zeros(len(placed.hits), np.uint8)
 
     def observe(self, scan: ScanPoints, base: Pose2) -> ByteArray:
-        """Lower the upper bound by a scan in the map frame; return its hits' (n,) minimum slopes."""
+        """Lower the upper bound by a placed scan; return its hits' (n,) minimum slopes."""
         bound = bounding_box(scan)
         if self.grid.ensure(bound[0] - 2.0, bound[1] - 2.0, bound[2] + 2.0, bound[3] + 2.0):
             self._take_over()
@@ -282,7 +282,7 @@ class GroundFilter:
         self, slopes: ByteArray, origin: FloatArray, hits: FloatArray, T: _Place, base: Pose2,
         limits: Limits = IN_FULL, drawn: DrawnSlopes = NOT_DRAWN,
     ) -> ByteArray:  # fmt: skip
-        """Raise the (n,) minimum slopes of hits in the frame T to those observed so far."""
+        """Raise (n,) minimum slopes of hits in the frame T to those observed."""
         raise_min_slopes(
             self._upper_bound, origin, hits, T, self._ground(base), self._margins, limits, drawn, slopes
         )
@@ -405,7 +405,7 @@ def raise_min_slopes(
 
 @njit(forceinline=True)
 def _steepest(upper_bound: Any, x: float, y: float, z: float, best: float, most: float) -> float:
-    """Return the largest rise over run from cells around (x, y) to z, at least `best`, exact up to `most`."""
+    """Return the largest rise over run from nearby cells, between `best` and `most`."""
     cells, blocks, frame, neighbors = upper_bound
     rows, cols = cells.shape
     cell, distance, close, close_reach, reach = neighbors

@@ -70,7 +70,7 @@ class HectorConfig(
 
 @dataclass(frozen=True, slots=True)
 class HectorKeyframe(Keyframe):
-    """Keyframe with the steps by odometry since the one before, scan by scan; None without odometry."""
+    """Keyframe with the steps since the one before, scan by scan; None without odometry."""
 
     motion: tuple[OdometryStep | None, ...]
 

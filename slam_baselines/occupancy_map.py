@@ -49,7 +49,7 @@ class Trace(NamedTuple):
 
 
 class RayTracer:
-    """Tracer of scans, one after the other, over a lattice of cells of an edge `resolution`, meters."""
+    """Tracer of scans over a lattice of cells of an edge `resolution`, meters."""
 
     def __init__(self, resolution: float) -> None:
         self.resolution = resolution
@@ -59,7 +59,7 @@ class RayTracer:
         self._steps: Int32Array = np.empty(0, np.int32)
 
     def trace(self, scan: ScanPoints, box: FloatArray) -> Trace:
-        """Return the cells that a scan with its bounding box (4,) meets, both in the lattice's frame."""
+        """Return the cells that a scan in the lattice's frame meets; `box` (4,) bounds it."""
         west, south, east, north = (math.floor(v / self.resolution) for v in box.tolist())
         touched = self._blank(north - south + 3, east - west + 3)
         hits, beams = len(scan.hits), len(scan.hits) + len(scan.free)
@@ -263,7 +263,7 @@ class OccupancyMap:
         return self.grid.resolution
 
     def update(self, scan: ScanPoints, min_slopes: ByteArray, wall_slope: int, box: FloatArray) -> bool:
-        """Enter a scan in the map frame; return whether the arrays were replaced because the map grew.
+        """Enter a scan in the map frame; return whether the map grew into new arrays.
 
         Cells with (n,) minimum slopes of at least `wall_slope` are walls; the scan lies in the box (4,).
         """
@@ -348,7 +348,7 @@ class Layers(NamedTuple):
 def enter_trace(
     layers: Any, corner: Any, trace: Any, scan: Any, min_slopes: Any, wall_slope: int, steps: Any
 ) -> None:
-    """Raise the cells where beams end, then lower those that beams pass, except below a wall's top."""
+    """Raise cells where beams end, then lower those passed, except below a wall's top."""
     hits, hit_cells, cells = scan.hits, trace.hit_cells, trace.cells
     log_odds, value, min_slope, top = layers
     down, right = np.uintp(corner[0]), np.uintp(corner[1])

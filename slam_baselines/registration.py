@@ -51,7 +51,7 @@ def correlative_search(
     linear: float,
     angular: float,
 ) -> FloatArray:
-    """Return the pose (3,) of the best score in a window around `start` (3,), by brute force.
+    """Return the best pose (3,) in a window around `start` (3,), by brute force.
 
     Olson 2009, "Real-time correlative scan matching": rotate the scan once for each yaw, then shift it by
     whole cells. Used where Gauss-Newton does not converge to the right pose, as after a sharp turn. Points
@@ -443,7 +443,7 @@ class Registration:
         prior: PoseEstimate,
         coasting: Pose2,
     ) -> Match:
-        """Match from the best pose of the wider window, and from that after repeating the last step."""
+        """Match from the best pose of the wider window, and after repeating the last step."""
         self.searches += 1
         c = self.config
         linear, angular = c.linear_search_window, c.angular_search_window

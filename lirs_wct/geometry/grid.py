@@ -231,7 +231,7 @@ class OccupancyGrid(ShownAsPicture):
 
     @staticmethod
     def of_lattice(log_odds: Float32Array, resolution: float, row0: float, col0: float) -> OccupancyGrid:
-        """Build from the known cells of log-odds whose cell (0, 0) is at a row and column of a lattice."""
+        """Build from the known cells of log-odds; cell (0, 0) has a lattice's row, column."""
         known = ~np.isnan(log_odds)
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         if len(rows) == 0:

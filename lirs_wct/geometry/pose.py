@@ -325,7 +325,7 @@ def camera_axes(yaw: float, pitch: float) -> FloatArray:
 
 
 def overview(low: ArrayLike, high: ArrayLike, fovy: float, aspect: float = 4 / 3) -> Viewpoint:
-    """Return a viewpoint outside a box from its lowest to its highest corner that shows all of it.
+    """Return a viewpoint outside a box, from its lowest to its highest corner.
 
     The picture's angle from its lower to its upper edge is `fovy`, radians, its width over its height
     `aspect`.

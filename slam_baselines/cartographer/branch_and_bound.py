@@ -59,7 +59,7 @@ class BoundGrids(NamedTuple):
 
 
 def fill_bounds(levels: ByteArray) -> None:
-    """Fill levels (depth + 1, rows, cols) from the first on; four squares of one make one of the next."""
+    """Fill levels (depth + 1, rows, cols), each by four squares of the one before."""
     for h in range(len(levels) - 1):
         level, above, step = levels[h], levels[h + 1], 1 << h
         wide = level.copy()

@@ -176,7 +176,7 @@ class LocalSlam:
         return refined, True
 
     def _refine(self, nodes: list[Node]) -> list[Node]:
-        """Return the nodes with new poses, drawn again with the present knowledge of ground and walls.
+        """Return the nodes with new poses, drawn again with present knowledge of the walls.
 
         On uneven ground no wall is known at first: the robot starts on odometry alone, and the first scans
         would keep its errors. So the scans are matched from the last to the first, in a map that grows from

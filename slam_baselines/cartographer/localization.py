@@ -34,7 +34,7 @@ COARSE = 0.1
 
 @dataclass(frozen=True)
 class KnownMap:
-    """Known map on three levels for matching, and its bounds for the search over all of it.
+    """Known map on three levels for matching, and bounds for the search in it.
 
     The center (2,) is the middle of the map, and the reach half its longer side, meters.
     """
@@ -47,7 +47,7 @@ class KnownMap:
 
     @staticmethod
     def load(source: OccupancyGrid | str | Path) -> KnownMap:
-        """Take a grid, or read a map YAML; SourceError: unusable file, ConfigError: no wall in it."""
+        """Take a grid, or read a map YAML; either must have a wall."""
         grid = source if isinstance(source, OccupancyGrid) else read_map(Path(source))
         if not grid.occupied.any():
             name = "the known map" if isinstance(source, OccupancyGrid) else str(source)

@@ -87,7 +87,7 @@ class OptimizationProblem:
         return BlockPattern.of(self.to_nodes, self.to_submaps, submaps)
 
     def cost(self, submaps: FloatArray, nodes: FloatArray, width: float) -> float:
-        """Return half the sum of robust squared errors at poses of submaps (s, 3) and nodes (n, 3).
+        """Return half the sum of robust squared errors of submaps (s, 3), nodes (n, 3).
 
         Cauchy's scale is `width` times the configured one.
         """
@@ -137,7 +137,7 @@ class OptimizationProblem:
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """State of an optimization: poses of submaps (s, 3) and nodes (n, 3), and their cost.
+    """State of an optimization: submaps (s, 3), nodes (n, 3), and their cost.
 
     The loss starts so wide that every new loop has its full weight, however far the map has drifted, and is
     narrowed from step to step (graduated non-convexity): outliers lose their weight in the end. Its width is

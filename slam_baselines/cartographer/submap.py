@@ -55,7 +55,7 @@ class Tracers:
 
 
 class Submap:
-    """A small map in the local frame, drawn from the scans of the nodes of its indices.
+    """A small map in the local frame, drawn from the scans of its nodes.
 
     Attributes:
         pose: `T_local_submap`, the pose of its first scan.
@@ -262,7 +262,7 @@ ZLIB_LEVEL = 1
 
 @dataclass(frozen=True, slots=True)
 class PackedLevel:
-    """One level, cropped to its known cells with a margin of one cell, compressed by zlib.
+    """One level, cropped to its known cells and a margin, compressed by zlib.
 
     It holds one bit a known cell, the (n,) uint32 numbers of the cells that are more likely occupied than
     not, their layer `value` where every hit is a wall, and their minimum slopes. The frame is lattice row and

@@ -63,7 +63,7 @@ class Scratch(NamedTuple):
 
 
 class ParticleWindow(NamedTuple):
-    """The window in one particle's map: its part of the table (rows, cols), and all patches.
+    """Window in one particle's map: a part of its table (rows, cols), all patches.
 
     The corner is row and column of its first patch in the lattice of patches. The base is x and y in cells,
     cosine and sine of its yaw in cells a meter.

@@ -32,7 +32,7 @@ __all__ = ["GmappingConfig", "GmappingMapper"]
 
 
 class ParticleFilter(Particles[PatchMaps]):
-    """All particles; `turned` by the best one from the last processed scan but one to the last, radians."""
+    """All particles, and the turn of the best one to the last processed scan, radians."""
 
     def __init__(self, config: GmappingConfig) -> None:
         super().__init__(PatchMaps(config.particles, config.delta))

@@ -26,7 +26,7 @@ class TrajectoryTree:
         return len(self._poses)
 
     def add_generation(self, poses: FloatArray, parents: IntArray, step: Pose2) -> None:
-        """Add the (n, 3) poses of the particles at a processed scan, `step` by odometry after the last.
+        """Add the particles' poses (n, 3) at a processed scan, a `step` after the last.
 
         Their (n,) parents are indices in the generation before.
         """
@@ -109,7 +109,7 @@ def systematic_resample(weights: FloatArray, rng: UniformSource) -> IntArray:
 
 
 class Particles(Generic[Maps]):
-    """Poses, maps, weights and paths of all particles; the tree has a generation each processed scan."""
+    """Poses, maps, weights and paths of all particles, a generation each processed scan."""
 
     def __init__(self, maps: Maps) -> None:
         n = len(maps.tables)

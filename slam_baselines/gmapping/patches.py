@@ -87,7 +87,7 @@ class Window(NamedTuple):
 
 
 class PatchTables(Generic[Kind]):
-    """Maps of a set of particles over one growing lattice of cells of an edge `resolution`, meters.
+    """Maps of particles over one growing lattice of cells of an edge `resolution`, meters.
 
     Attributes:
         tables: (particles, rows, cols) int32, the patch at each place of each map.

@@ -223,7 +223,7 @@ WIDER = 3
 
 
 class ScanBeams(NamedTuple):
-    """Ends of beams (n, 2 or more) in the leveled base frame, meters, and their weights (n,)."""
+    """Ends of beams (n, 2 or more), leveled base frame, meters, and weights (n,)."""
 
     points: FloatArray
     weights: FloatArray

@@ -37,14 +37,14 @@ NOISE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class BodyTwist:
-    """Velocity (3,) m/s and rates (3,) rad/s of the base along and about its own axes."""
+    """Velocity (3,) m/s and rates (3,) rad/s of the base in its axes."""
 
     linear: FloatArray
     angular: FloatArray
 
 
 class SweepPoints(NamedTuple):
-    """Points of a sweep to register, and the origin (3,) of its beams, base frame, meters.
+    """Points of a sweep, and the origin (3,) of its beams, base frame, meters.
 
     Edges (m, 3) are vertical ends of surfaces, and others.
     """
@@ -123,7 +123,7 @@ def thin(points: Any, cell: float) -> Any:
 
 @njit
 def find_edges(points: Any, ring: Any, origin: Any) -> Any:
-    """Return the ends (m, 3) of surfaces in the rings of a sweep (n, 3), ring by ring, meters.
+    """Return the ends (m, 3) of surfaces in the rings of a sweep, meters.
 
     There the next beam of the ring has no return, or one far behind. The last beam on a surface misses its
     end by half the distance of two beams on the mean, which is added. The beams have one origin (3,).
@@ -189,7 +189,7 @@ class MatchRule(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SpatialPrior:
-    """Expected pose of the base in the level map frame, R (3, 3) and t (3,), meters.
+    """Expected pose of the base, R (3, 3) and t (3,) in the level map frame, meters.
 
     Its standard deviations (6,) are those of the position along the frame's axes, meters, and of the turn
     about them, radians.
@@ -225,7 +225,7 @@ class Constraint:
 
 @dataclass(frozen=True, slots=True)
 class PlaneMatch:
-    """Most probable pose of a sweep, R (3, 3) and t (3,), meters, by a number of points with a plane."""
+    """Most probable pose of a sweep by its points with a plane."""
 
     R: FloatArray
     t: FloatArray

@@ -197,7 +197,7 @@ def pose_tie(
 
 
 class GraphHessian(NamedTuple):
-    """J'J of the pose graph without the first submap: diagonal blocks, and two kinds of others.
+    """J'J of the pose graph without the first submap: diagonal and other blocks.
 
     The chain (n - 1, 3, 3) holds the blocks of each node and the next, `cross` (3 n, 3 s) those of nodes and
     submaps.
@@ -211,7 +211,7 @@ class GraphHessian(NamedTuple):
 
 @dataclass(frozen=True)
 class PoseGraphProblem:
-    """Least-squares problem over the poses of all submaps but the first (3,), and of all nodes.
+    """Least-squares problem over all submaps but the first (3,), and all nodes.
 
     Nodes are tied to submaps (a), and to the node before (a). A loop counts linearly from the weighted error
     `huber_scale` on.

@@ -214,7 +214,7 @@ class ProbabilityGrid:
         self.cells: CellArray = np.zeros((INITIAL_CELLS, INITIAL_CELLS), np.uint16)
 
     def insert(self, data: RangeData, hit: CellArray, miss: CellArray) -> None:
-        """Update each cell that beams hit or pass once, by tables of `update_table`; a hit wins.
+        """Update each cell that beams hit or pass once, by tables; a hit wins.
 
         The data are in the frame of the grid.
         """

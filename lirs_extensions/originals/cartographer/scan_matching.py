@@ -235,7 +235,7 @@ def _cell_cost(cells: Any, cost: Any, row: int, col: int) -> float:
 def rotated_cells(
     grid: ProbabilityGrid, points: Float32Array, pose: Pose2, linear: float, angular: float
 ) -> tuple[IntArray, FloatArray, int]:
-    """Return the cells of points (n, 2), turned by each angle of a search window around a pose.
+    """Return the cells of points (n, 2), turned by each angle of a window.
 
     These are (angles, n, 2) rows and columns; (angles,) turns, at each of which the farthest point moves by
     less than a cell; and the largest shift in cells. The window is in meters and radians.

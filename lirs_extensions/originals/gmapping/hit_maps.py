@@ -151,7 +151,7 @@ class MatchingParameters(NamedTuple):
 
 
 class HillClimbMatch(NamedTuple):
-    """Pose (3,) of a matched scan, and its log-likelihood; the expected one if it fits nowhere."""
+    """Pose (3,) of a matched scan, or the expected one, and its log-likelihood."""
 
     pose: FloatArray
     log_likelihood: float

@@ -221,7 +221,7 @@ def _usable(scan: LaserScan, maxrange: float, max_urange: float) -> ProcessedSca
 
 
 class ProcessedScan(NamedTuple):
-    """Processed scan, kept for the map: laser (2,) and ends of beams (n, 2) in the base frame, meters.
+    """Processed scan: laser (2,) and ends of beams (n, 2), base frame, meters.
 
     An end is a hit (n,), or a long beam leaves the usable range there.
     """
