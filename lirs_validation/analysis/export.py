@@ -7,7 +7,6 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -124,16 +123,15 @@ def recorded_drive(run: RunFolder, *, slam: bool = True) -> BagDrive:
 
     Ranges have the millimeter steps of `scans.clf.gz`; the estimates are the mapper's final ones.
     """
-    truth, log, imu = read_sensors(run.folder)
+    config = recorded_config(run.entry)
+    truth, log, imu = read_sensors(run.folder, config)
     estimate = drive_files.read_tum(run.folder / "estimate.tum")
     T_map_world = truth.pose2(0).inverse()
-    robot = make_robot((config := recorded_config(run.entry)).robot)
-    range_min = make_lidar_preset(config.lidar or robot.lidar).range_min
     in_map, estimate = truth.moved(T_map_world), estimate.moved(T_map_world)
     estimates = [Pose2(*row) for row in estimate.planar_at(log.stamps).tolist()]
     ticks = [
         BagTick(
-            scan=replace(scan, T_base_laser=robot.T_base_laser, range_min=range_min),
+            scan=scan,
             odometry=log.odometry[k] or Pose2(),
             imu=imu[k],
             truth=Pose3.from_arrays(in_map.positions[k], in_map.quaternions[k]),

@@ -17,7 +17,7 @@ from lirs_validation.record.metric_catalog import Entry
 from lirs_validation.record.run_record import RECORD, read_record, schema_error, source_files
 from lirs_validation.sweep.sweep import MANIFEST, read_status
 from lirs_validation.sweep.tasks import STATUS, read_verdict
-from lirs_wct import ConfigError, Imu, LaserScan, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
+from lirs_wct import ConfigError, Imu, OccupancyGrid, Pose2, Pose3, SourceError, Trajectory
 from lirs_wct.errors import reason_of
 from lirs_wct.formats import carmen_log, drive_files
 from lirs_wct.formats.laser_log import LaserLog
@@ -182,28 +182,28 @@ def recorded_truth(folder: Path) -> Trajectory:
     return truth
 
 
-def read_sensors(folder: Path) -> tuple[Trajectory, LaserLog, tuple[Imu, ...]]:
-    """Return true poses, scans and inertial readings of a run, one of each a scan."""
+def read_sensors(folder: Path, config: RunConfig) -> tuple[Trajectory, LaserLog, tuple[Imu, ...]]:
+    """Return true poses, scans and inertial readings of a run, one of each a scan.
+
+    The log's messages hold only the planar part of the laser's mount; the robot gives all of it.
+    """
     truth, log = recorded_truth(folder), carmen_log.read_carmen(folder / "scans.clf.gz")
     stamps, imu = log.stamps, drive_files.read_imu(folder / "imu.csv.gz")
     if not len(stamps) == len(truth) == len(imu) or np.abs(stamps - truth.stamps).max() > SAME_STAMP:
         raise SourceError(
             f"{folder}: not one drive: {len(stamps)} scans, {len(truth)} true poses, {len(imu)} IMU readings"
         )
-    return truth, log, imu
+    robot = make_robot(config.robot)
+    mount, range_min = robot.T_base_laser, make_lidar_preset(config.lidar or robot.lidar).range_min
+    scans = tuple(replace(scan, T_base_laser=mount, range_min=range_min) for scan in log.scans)
+    return truth, replace(log, scans=scans), imu
 
 
 def true_pose_map(folder: Path, config: RunConfig, resolution: float) -> OccupancyGrid:
-    """Return the map of the recorded scans at the true poses, world frame.
-
-    The log's messages hold only the planar part of the laser's mount; the robot gives all of it.
-    """
-    truth, log, imu = read_sensors(folder)
-    T_world_map, T_base_laser = truth.pose2(0), make_robot(config.robot).T_base_laser
-    range_min = make_lidar_preset(config.lidar or make_robot(config.robot).lidar).range_min
-    mapper = KnownPoseMapper(resolution=resolution)
+    """Return the map of the recorded scans at the true poses, world frame."""
+    truth, log, imu = read_sensors(folder, config)
+    T_world_map, mapper = truth.pose2(0), KnownPoseMapper(resolution=resolution)
     for k, scan in enumerate(log.scans):
         pose = Pose3.from_arrays(truth.positions[k], truth.quaternions[k])
-        mounted: LaserScan = replace(scan, T_base_laser=T_base_laser, range_min=range_min)
-        mapper.update(mounted, T_world_map.inverse() @ pose.to_pose2(), imu[k])
+        mapper.update(scan, T_world_map.inverse() @ pose.to_pose2(), imu[k])
     return mapper.map().moved(T_world_map)
