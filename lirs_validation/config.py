@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from lirs_wct import BuildOptions, ConfigError, unknown_name
 from lirs_wct.contact import ContactGeometry
@@ -54,6 +54,8 @@ MANUAL, CLIENT = "manual", "client"
 
 WORLD_FLAGS = ("size", "height", "resolution", "kind", "invert", "window", "wall_height", "start")
 """Options of a world that have flags of their own on commands that drive through it."""
+World = Annotated[BuildOptions, WORLD_FLAGS]
+"""Options of a world for commands that drive through it; `build` has a flag for each."""
 AXES = "Axes of a sweep: every combination is run"
 ENGINE = "Execution of a sweep"
 LOG = "The log"

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from click.exceptions import Exit
 
-from lirs_validation.cli.command import World, common, map_logs, sources_argument
+from lirs_validation.cli.command import common, map_logs, sources_argument
 from lirs_validation.cli.exit_codes import ExitCode
 from lirs_validation.cli.progress import command_line, note, out, say
-from lirs_validation.config import EngineOptions, RunConfig
+from lirs_validation.config import EngineOptions, RunConfig, World
 from lirs_wct import ConfigError
 from lirs_wct.option import Options, option
 

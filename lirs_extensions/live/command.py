@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from lirs_extensions.live.options import LiveOptions
-from lirs_validation.cli.command import OneSource, World, common, map_logs
+from lirs_validation.cli.command import OneSource, common, map_logs
 from lirs_validation.cli.progress import err, out, progress_bar, say
-from lirs_validation.config import CLIENT, RUN_AXES, RunConfig
+from lirs_validation.config import CLIENT, RUN_AXES, RunConfig, World
 from lirs_wct.errors import ConfigError
 from lirs_wct.option import option
 

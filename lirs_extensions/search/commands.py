@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from lirs_extensions.search.options import FalsifyOptions, TuneOptions
-from lirs_validation.cli.command import OneSource, World, common
+from lirs_validation.cli.command import OneSource, common
 from lirs_validation.cli.commands.worlds import LogInOut
 from lirs_validation.cli.progress import command_line, note, progress_bar, say
-from lirs_validation.config import MapConfig, RunConfig
+from lirs_validation.config import MapConfig, RunConfig, World
 from lirs_wct import BuildOptions, ConfigError
 from lirs_wct.option import Options, option, within
 

@@ -8,7 +8,7 @@ from dataclasses import MISSING, dataclass, replace
 from io import StringIO
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from rich.console import Console, RenderableType
@@ -16,12 +16,12 @@ from rich.panel import Panel
 from rich.table import Table
 
 from lirs_validation.cli.progress import note, out, progress_bar
-from lirs_validation.config import WORLD_FLAGS
-from lirs_wct import BuildOptions, ConfigError, unknown_name
-from lirs_wct.errors import did_you_mean
+from lirs_wct.errors import ConfigError, did_you_mean, unknown_name
 from lirs_wct.formats import Storage
 from lirs_wct.option import Option, Options, argument, declared, option
-from lirs_wct.sources.source import is_log
+
+if TYPE_CHECKING:
+    from lirs_wct.sources.source import BuildOptions
 
 COMMANDS: Mapping[str, str] = {
     "verdict": "lirs_extensions.decide.command:verdict",
@@ -90,13 +90,6 @@ OLD: Mapping[str, str] = {
 """Messages about options of version 1.0.0 that a command has no longer."""
 
 
-@dataclass(frozen=True)
-class Few:
-    """Mark of a class of options of which only some (`names`) have flags of their own."""
-
-    names: tuple[str, ...]
-
-
 def common(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Name the options that the help of a command shows, in order of use."""
 
@@ -143,7 +136,7 @@ PROGRAM = click.version_option(package_name="lirs-wct", message="lirs-wct %(vers
 class Command(click.Command):
     """Command of a function; its docstring is the help, with examples at the end.
 
-    A parameter `C` of the function stands for an instance of a class of options, `Annotated[C, Few(...)]` for
+    A parameter `C` of the function stands for an instance of a class of options, `Annotated[C, names]` for
     one with few flags, and `Annotated[dict, C]` for the given values alone.
 
     Attributes:
@@ -167,7 +160,7 @@ class Command(click.Command):
             as_dict = not issubclass(kind, Options)
             self.kinds[parameter] = (mark if as_dict else kind), as_dict
             for known in declared(self.kinds[parameter][0]).values():
-                has_flag = known.name in mark.names if isinstance(mark, Few) else not known.rare
+                has_flag = known.name in mark if isinstance(mark, tuple) else not known.rare
                 (self.own if has_flag else self.rare)[known.name] = known
         parameters = [_parameter(known) for known in self.own.values()]
         parameters += [_rare_option(self.rare)] if self.rare else []
@@ -350,8 +343,6 @@ def _panel(title: str, rows: list[Row]) -> Panel:
 
 
 SOURCE_HELP = "simple, medium, advanced, a picture, a map YAML, a laser log, a mesh or a built folder."
-World = Annotated[BuildOptions, Few(WORLD_FLAGS)]
-"""Options of a world for commands that drive through it; `build` has a flag for each."""
 
 
 def complete_source(incomplete: str) -> list[str]:
@@ -393,6 +384,8 @@ def map_logs(
     The maps are written into the command's output folder, or beside its output file; None = here. The
     resolution of logs is that of their maps.
     """
+    from lirs_wct.sources.source import is_log  # readers of pictures load slowly
+
     logs = [source for source in sources if is_log(Path(source))]
     folder = Path() if output is None else output.parent if output.suffix else output
     maps = {}

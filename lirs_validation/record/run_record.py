@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from lirs_envs.robots.robot import make_robot
 from lirs_validation.config import RUN_AXES, RunConfig, run_name
 from lirs_validation.record.metric_catalog import Entry, picture_lines
 from lirs_validation.record.verdict import Verdict, judge
@@ -254,6 +253,8 @@ def distinguishing_fields(groups: Iterable[RunGroup]) -> tuple[str, ...]:
 
 @cache
 def _own_lidar(robot: str) -> str:
+    from lirs_envs.robots.robot import make_robot  # loads the simulator, which logs do not need
+
     try:
         return make_robot(robot).lidar
     except ConfigError:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from click.exceptions import Exit
 
 import lirs_wct
-from lirs_validation.cli.command import Few, OneSource, common, map_logs
+from lirs_validation.cli.command import OneSource, common, map_logs
 from lirs_validation.cli.exit_codes import ExitCode
 from lirs_validation.cli.progress import err, out, progress_bar, say
 from lirs_validation.config import LogOptions, MapConfig
@@ -95,7 +95,7 @@ def build(options: BuildCommand, world_options: BuildOptions) -> None:
 def info(
     options: InfoCommand,
     given: Annotated[dict[str, Any], LogOptions],
-    build: Annotated[BuildOptions, Few((*_SCALE, "start", "scale", "z_scale", "up"))],
+    build: Annotated[BuildOptions, (*_SCALE, "start", "scale", "z_scale", "up")],
 ) -> None:
     """Print facts of a world (size, slopes, walls) or of a log (rates, frames, faults).
 

@@ -9,7 +9,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from lirs_validation.cli.command import Command, Few, OneSource
+from lirs_validation.cli.command import Command, OneSource
 from lirs_validation.config import RunConfig
 from lirs_validation.experiment.scenario import build_scenario
 from lirs_validation.report.run_tables import command_of
@@ -53,7 +53,7 @@ def test_a_new_field_is_an_option_of_the_command_line() -> None:
 def test_a_command_may_have_few_flags_of_a_class() -> None:
     heard: list[Flooded] = []
 
-    def probe(options: Annotated[Flooded, Few(("size", "salt"))]) -> None:
+    def probe(options: Annotated[Flooded, ("size", "salt")]) -> None:
         """Listen."""
         heard.append(options)
 

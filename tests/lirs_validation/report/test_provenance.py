@@ -7,8 +7,8 @@ from typing import Annotated, Any
 import pytest
 from click.testing import CliRunner
 
-from lirs_validation.cli.command import Command, OneSource, World
-from lirs_validation.config import RunConfig
+from lirs_validation.cli.command import Command, OneSource
+from lirs_validation.config import RunConfig, World
 from lirs_validation.report.run_tables import command_of
 from lirs_validation.sweep.tasks import cross
 from lirs_wct.geometry.pose import Pose2
