@@ -118,11 +118,7 @@ class ContactRecorder:
         return len(self._rows)
 
     def step(self, commanded: float = 0.0) -> None:
-        """Make one step with the present controls.
-
-        Args:
-            commanded: Wanted speed ahead, m/s.
-        """
+        """Make one step with the present controls; the wanted speed ahead is noted, m/s."""
         body, data = self.body, self.body.data
         rotation = body.pose().rotation
         row: dict[str, FloatArray | float] = {
@@ -201,13 +197,13 @@ def places(world: World, robot: Robot, rng: np.random.Generator) -> list[Pose2]:
         Pose2(float(edge[k, 0]), float(edge[k, 1]), float(rng.uniform(-math.pi, math.pi)))
         for k in rng.integers(len(edge), size=TRIES if len(edge) else 0).tolist()
     ]
-    found = [
+    kinds = [
         [start for start in starts if can_stand(world, robot, start)][:PLACES]
         for starts in (world.starts(free, PLACES), beside)
     ]
-    if not any(found):
+    if not any(kinds):
         raise no_room(world.name, world, robot, CLEARANCE)
-    return [start for pair in zip_longest(*found) for start in pair if start is not None]
+    return [start for pair in zip_longest(*kinds) for start in pair if start is not None]
 
 
 def drive_at_random(
@@ -229,11 +225,14 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
     controllers = make_controllers(robot, body.actuators, [body], [world.surface], [None])
     controllers.begin(0)
     recorder, command = ContactRecorder(body), Twist()
+    full_speed = min(robot.max_speed, FLIGHT_SPEED) if robot.flies else robot.max_speed
     every, tipped, rest = round(COMMAND_SECONDS / body.timestep), False, steps
     while len(recorder) < steps and rest > 0:
         for piece in body.substeps:
             if len(recorder) % every < piece:
-                command = _command(robot, rng)
+                # Full speed ahead or, one time in three, back; straight or in a curve.
+                ahead, turn = float(rng.choice((-1.0, 1.0, 1.0))), float(rng.uniform(-1, 1) * rng.integers(2))
+                command = Twist(ahead * full_speed, turn * robot.max_turn_rate)
             twists, rates = np.array(((command.v, command.omega, command.climb),)), np.array((body.rates(),))
             controllers.update(ROW, twists, rates, piece * body.timestep, body.ctrl[None])
             for _ in range(piece):
@@ -243,24 +242,13 @@ def _leg(body: RobotModel, world: World, robot: Robot, steps: int, rng: np.rando
             check_divergence(body.data)
         except SimulationError as error:
             return recorder.leg(tipped=tipped, diverged=str(error))
-        x, y, _ = body.pose().position.tolist()
-        if not world.surface.contains(x, y) or _fallen(body, world):
+        x, y, z = body.pose().position.tolist()
+        fell_into_hole = z < float(world.surface.z.min()) - 1.0
+        if fell_into_hole or not world.surface.contains(x, y):
             break
         if not tipped and body.tipped:
             tipped, rest = True, min(rest, round(LYING_SECONDS / body.timestep))
     return recorder.leg(tipped=tipped)
-
-
-def _command(robot: Robot, rng: np.random.Generator) -> Twist:
-    """Return full speed ahead or, one time in three, back; straight or in a curve."""
-    ahead, turn = float(rng.choice((-1.0, 1.0, 1.0))), float(rng.uniform(-1, 1) * rng.integers(2))
-    speed = min(robot.max_speed, FLIGHT_SPEED) if robot.flies else robot.max_speed
-    return Twist(ahead * speed, turn * robot.max_turn_rate)
-
-
-def _fallen(body: RobotModel, world: World) -> bool:
-    """Whether the robot fell into a hole of the floor."""
-    return body.pose().z < float(world.surface.z.min()) - 1.0
 
 
 MAX_SLOPE_CELLS = 20_000
@@ -297,21 +285,15 @@ def climb(body: RobotModel, world: World, robot: Robot) -> Climb | None:
             body.settle(standing_pose(world, robot, start))
         except SimulationError:
             continue
-        return Climb(math.degrees(slope), _slid(body, robot), _climb_share(body, robot, start.yaw))
+        before, angles = body.pose(), body.wheel_angles()
+        body.ctrl[:] = 0.0
+        body.step(round(HOLD_SECONDS / body.timestep))
+        # A wheel's servo has no integral part: it turns at torque / kv, which says nothing of the contact.
+        rolled = robot.wheel_radius * float(np.mean(np.subtract(body.wheel_angles(), angles)))
+        moved = body.pose().position - before.position
+        slid = float(np.linalg.norm(moved - rolled * before.rotation[:, 0]))
+        return Climb(math.degrees(slope), slid, _climb_share(body, robot, start.yaw))
     return None
-
-
-def _slid(body: RobotModel, robot: Robot) -> float:
-    """Return meters that a robot slides while it should stand, without the rolling of its wheels.
-
-    A wheel's servo has no integral part: it turns at torque / kv, which says nothing of the contact.
-    """
-    before, angles = body.pose(), body.wheel_angles()
-    body.ctrl[:] = 0.0
-    body.step(round(HOLD_SECONDS / body.timestep))
-    rolled = robot.wheel_radius * float(np.mean(np.subtract(body.wheel_angles(), angles)))
-    moved = body.pose().position - before.position
-    return float(np.linalg.norm(moved - rolled * before.rotation[:, 0]))
 
 
 def _climb_share(body: RobotModel, robot: Robot, uphill: float) -> float:

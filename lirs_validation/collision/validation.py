@@ -34,15 +34,7 @@ from scipy.spatial import ConvexHull
 from lirs_envs.robot_model import TIPPED, RobotModel
 from lirs_envs.robots.robot import Robot
 from lirs_envs.simulation_config import SimulationConfig, check_fit
-from lirs_validation.collision.drives import (
-    MAX_DEPTH,
-    PERIOD,
-    Climb,
-    DeepContact,
-    Leg,
-    climb,
-    drive_at_random,
-)
+from lirs_validation.collision.drives import MAX_DEPTH, PERIOD, Climb, Leg, climb, drive_at_random
 from lirs_validation.metrics.world_geometry import mesh_error
 from lirs_wct import BoolArray, FloatArray, TriangleMesh, WallGrid, World
 from lirs_wct.contact import ContactGeometry
@@ -251,21 +243,19 @@ class Bounded(NamedTuple):
 
 
 def penetrations(legs: Sequence[Leg]) -> tuple[float, Bounded]:
-    """Return the 99.9 % quantile and the worst peak of the penetration, meters."""
-    depth = np.concatenate([leg.depth for leg in legs])
-    peaks = [_impact(leg, contact) for leg in legs for contact in leg.deep]
-    return float(np.quantile(depth, 0.999)), worst(peaks or [Bounded(float(depth.max()), MAX_DEPTH)])
+    """Return the 99.9 % quantile and the worst peak of the penetration, meters.
 
-
-def _impact(leg: Leg, contact: DeepContact) -> Bounded:
-    """Return a deep contact and the depth that the speed of the impact allows it.
-
-    The speed is the highest at which the robot, as one rigid body, moved there into the ground just before.
+    The limit of a peak grows with the highest speed at which the robot, as one rigid body, moved there into
+    the ground just before.
     """
-    since = slice(max(0, contact.step - round(ONSET / leg.timestep)), contact.step + 1)
-    arm = contact.point - leg.position[since]
-    speed = -(leg.velocity[since] + np.cross(leg.spin[since], arm)) @ contact.normal
-    return Bounded(contact.depth, max(MAX_DEPTH, IMPACT * float(speed.max())))
+    depth, peaks = np.concatenate([leg.depth for leg in legs]), []
+    for leg in legs:
+        for contact in leg.deep:
+            since = slice(max(0, contact.step - round(ONSET / leg.timestep)), contact.step + 1)
+            arm = contact.point - leg.position[since]
+            speed = -(leg.velocity[since] + np.cross(leg.spin[since], arm)) @ contact.normal
+            peaks.append(Bounded(contact.depth, max(MAX_DEPTH, IMPACT * float(speed.max()))))
+    return float(np.quantile(depth, 0.999)), worst(peaks or [Bounded(float(depth.max()), MAX_DEPTH)])
 
 
 def energy_gain(legs: Sequence[Leg], weight: float) -> Bounded:
@@ -273,21 +263,20 @@ def energy_gain(legs: Sequence[Leg], weight: float) -> Bounded:
 
     The robot's weight is in newtons.
     """
-    return worst(_gain(leg, weight) for leg in legs)
-
-
-def _gain(leg: Leg, weight: float) -> Bounded:
-    span = max(1, round(WINDOW / leg.timestep))
-    # A window that ends at each step: the filters are centered.
-    size, origin = span + 1, span // 2
-    balance = leg.energy - (np.cumsum(leg.work) - leg.work)
-    gain = balance - minimum_filter1d(balance, size, origin=origin, mode="nearest")
-    # The impact whose energy comes back lies before the lowest point.
-    since = span + round(ONSET / leg.timestep)
-    kinetic = maximum_filter1d(leg.kinetic, since + 1, origin=since // 2, mode="nearest")
-    limit = weight * MAX_DEPTH + RETURNED * kinetic
-    k = int(np.argmax(gain / limit))
-    return Bounded(float(gain[k]), float(limit[k]))
+    gains = []
+    for leg in legs:
+        span = max(1, round(WINDOW / leg.timestep))
+        # A window that ends at each step: the filters are centered.
+        size, origin = span + 1, span // 2
+        balance = leg.energy - (np.cumsum(leg.work) - leg.work)
+        gain = balance - minimum_filter1d(balance, size, origin=origin, mode="nearest")
+        # The impact whose energy comes back lies before the lowest point.
+        since = span + round(ONSET / leg.timestep)
+        kinetic = maximum_filter1d(leg.kinetic, since + 1, origin=since // 2, mode="nearest")
+        limit = weight * MAX_DEPTH + RETURNED * kinetic
+        k = int(np.argmax(gain / limit))
+        gains.append(Bounded(float(gain[k]), float(limit[k])))
+    return worst(gains)
 
 
 def inside_steps(leg: Leg, inside: InsideTest) -> BoolArray:
