@@ -25,17 +25,17 @@ import yaml
 
 from benchmarks.planted_mappers import DEFECTS
 from benchmarks.steps import arguments, print_rows
+from lirs_extensions.bench.tasks import TaskSet, set_entry
 from lirs_extensions.search.case_search import Case, process_pool
-from lirs_extensions.search.falsify.drives import (
+from lirs_extensions.search.falsify.results import sentence
+from lirs_extensions.search.falsify.search import (
     CaseDrives,
+    falsify,
     measure,
-    policy_suite,
     policy_task,
     search_limits,
-    sentence,
     write_case,
 )
-from lirs_extensions.search.falsify.search import falsify
 from lirs_extensions.search.options import FalsifyOptions
 from lirs_wct.files import write_json
 from lirs_wct.option import read_numbers
@@ -121,7 +121,7 @@ def write_cases(rows: list[dict[str, str]], chosen: list[FalsifyOptions], out: P
     if names:
         (out / "cases.yaml").write_text(yaml.safe_dump({"cases": names}), encoding="utf-8")
     if tasks:
-        write_json(out / "cases.json", policy_suite(tasks))
+        write_json(out / "cases.json", set_entry(TaskSet(name="cases", version=1, tasks=tuple(tasks))))
 
 
 def read_rows() -> list[dict[str, str]]:

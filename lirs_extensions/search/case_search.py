@@ -10,15 +10,16 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from lirs_validation.sweep.workers import Failure, WorkerPool
+from lirs_validation.sweep.engines import Failure, WorkerPool
 from lirs_wct import ConfigError, FloatArray, OutputError, WctError
 from lirs_wct.progress import Progress
 
@@ -31,14 +32,11 @@ class SearchParameter:
     """One parameter of a search.
 
     Attributes:
-        name: unique.
-        group: parameters that are reset together first.
-        default: value to which shrinking returns.
-        low: smallest value.
-        high: largest value.
-        unit: unit of the value, for tables.
-        whole: whether the value is a whole number.
-        log: whether equal steps of the search multiply the value.
+        group: Group of parameters that are reset together first.
+        default: Value to which shrinking returns.
+        unit: Unit of the value, for tables.
+        whole: Whether the value is a whole number.
+        log: Whether equal steps of the search multiply the value.
     """
 
     name: str
@@ -95,11 +93,7 @@ class SearchParameter:
 
 @dataclass(frozen=True)
 class Case:
-    """Values of all parameters.
-
-    Attributes:
-        values: value by name.
-    """
+    """Values of all parameters by name."""
 
     values: Mapping[str, float] = field(default_factory=dict)
 
@@ -113,28 +107,19 @@ Space = TypeVar("Space", bound="SearchSpace")
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """Parameters to search.
-
-    Attributes:
-        parameters: all parameters, with the limits in use.
-    """
+    """Parameters to search, with the limits in use."""
 
     parameters: tuple[SearchParameter, ...]
 
-    def with_parameter(self: Space, parameter: SearchParameter, **others: Any) -> Space:
+    def with_parameter(self: Space, parameter: SearchParameter) -> Space:
         """Return the space with one parameter replaced by that of the same name."""
-        found = tuple(parameter if p.name == parameter.name else p for p in self.parameters)
-        return replace(self, parameters=found, **others)
+        replaced = (parameter if p.name == parameter.name else p for p in self.parameters)
+        return replace(self, parameters=tuple(replaced))
 
-    def held(self: Space, names: Iterable[str]) -> Space:
+    def held(self: Space, names: Collection[str]) -> Space:
         """Return the space with some parameters held at their defaults."""
-        fixed = set(names)
-        return replace(
-            self,
-            parameters=tuple(
-                p.within(p.default, p.default) if p.name in fixed else p for p in self.parameters
-            ),
-        )
+        fixed = (p.within(p.default, p.default) if p.name in names else p for p in self.parameters)
+        return replace(self, parameters=tuple(fixed))
 
     @property
     def free(self) -> tuple[SearchParameter, ...]:
@@ -153,10 +138,8 @@ class SearchSpace:
 
     def case(self, position: FloatArray) -> Case:
         """Return the case at a position (n,) in the unit cube of the free parameters."""
-        found = self.easiest
-        for parameter, share in zip(self.free, position.tolist(), strict=True):
-            found = found.with_value(parameter.name, parameter.value(share))
-        return found
+        pairs = zip(self.free, position.tolist(), strict=True)
+        return Case({**self.easiest.values, **{p.name: p.value(share) for p, share in pairs}})
 
     def difference(self, case: Case) -> tuple[SearchParameter, ...]:
         """Return the parameters in which a case differs from the defaults."""
@@ -269,9 +252,9 @@ def shrink(case: Case, limits: SearchSpace, fails: Fails) -> tuple[Case, ...]:
     In the last case, no single parameter can be reset without its passing.
 
     Args:
-        case: failing case.
-        limits: parameters and their defaults.
-        fails: whether a case fails; called once for each case.
+        case: Failing case.
+        limits: Parameters and their defaults.
+        fails: Function that tells whether a case fails; called once for each case.
     """
     known: dict[tuple[float, ...], bool] = {_key(case): True}
 
@@ -287,7 +270,12 @@ def shrink(case: Case, limits: SearchSpace, fails: Fails) -> tuple[Case, ...]:
         _try(trail, _reset(trail[-1], [p for p in limits.parameters if p.group == group]), test)
     _reset_singles(trail, limits, test)
     for parameter in limits.difference(trail[-1]):
-        _halve(trail, parameter, test)
+        # Move the value towards its default while the case fails.
+        passing, name = float(parameter.default), parameter.name
+        for _ in range(HALVINGS):
+            middle = parameter.clip((passing + trail[-1].values[name]) / 2)
+            if not _try(trail, trail[-1].with_value(name, middle), test):
+                passing = middle
     _reset_singles(trail, limits, test)
     return tuple(trail)
 
@@ -299,15 +287,6 @@ def _reset_singles(trail: list[Case], limits: SearchSpace, fails: Fails) -> None
         shorter = False
         for parameter in limits.difference(trail[-1]):
             shorter |= _try(trail, _reset(trail[-1], [parameter]), fails)
-
-
-def _halve(trail: list[Case], parameter: SearchParameter, fails: Fails) -> None:
-    """Move a value towards its default while the case fails."""
-    passing = float(parameter.default)
-    for _ in range(HALVINGS):
-        middle = parameter.clip((passing + trail[-1].values[parameter.name]) / 2)
-        if not _try(trail, trail[-1].with_value(parameter.name, middle), fails):
-            passing = middle
 
 
 def _try(trail: list[Case], tried: Case, fails: Fails) -> bool:
@@ -346,52 +325,46 @@ def trial_key(entry: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()[:16]
 
 
-@dataclass(frozen=True)
-class TrialJob(Generic[Score]):
-    """Job of a worker: measure a trial."""
-
-    measure: Callable[..., Score]
-    arguments: Arguments
-
-    def __call__(self, progress: Progress) -> Score:
-        """Return the score."""
-        return self.measure(*self.arguments)
+def measure_trial(measure: Callable[..., Score], arguments: Arguments, progress: Progress) -> Score:
+    """Return the score of a trial, as the job of a worker."""
+    return measure(*arguments)
 
 
 class TrialArchive(Generic[Score]):
     """Measures trials, counts them and keeps their scores.
 
     Attributes:
-        count: number of different trials that were requested, those of an earlier search included.
+        count: Number of different trials that were requested, those of an earlier search included.
 
     Args:
-        path: file of the scores.
-        kind: class of the scores, a dataclass.
-        pool: measures in other processes; None = in this one.
+        path: File of the scores.
+        kind: Class of the scores, a dataclass.
+        pool: Processes that measure; None = this one.
     """
 
     def __init__(self, path: Path, kind: type[Score], pool: WorkerPool | None = None) -> None:
         self.count = 0
         self._path, self._pool = path, pool
-        self._kept: dict[str, Score] = _read_archive(path, kind)
+        self._kept = _read_archive(path, kind)
         self._used: set[str] = set()
 
     def scores(
         self, measure: Callable[..., Score], trials: Sequence[tuple[str, Arguments]], method: str
     ) -> list[Score]:
-        """Return the scores of trials, in their order.
-
-        Args:
-            measure: returns the score of a trial's arguments.
-            trials: key and arguments of each.
-            method: name of the method in messages.
+        """Return the scores of trials, given as key and arguments, in their order.
 
         Raises:
             WctError: a worker process died, or the file cannot be written.
         """
         pending = {key: arguments for key, arguments in trials if key not in self._kept}
         for key, score in zip(pending, self._measure(measure, list(pending.values()), method), strict=True):
-            self._keep(key, score)
+            self._kept[key] = score
+            entry: dict[str, Any] = {"key": key} | asdict(score)  # type: ignore[call-overload]
+            try:
+                with self._path.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(entry) + "\n")
+            except OSError as error:
+                raise OutputError(f"{self._path}: cannot be written: {error.strerror or error}") from error
         keys = [key for key, _ in trials]
         self.count += len(set(keys) - self._used)
         self._used |= set(keys)
@@ -405,7 +378,7 @@ class TrialArchive(Generic[Score]):
             for arguments in trials:
                 yield measure(*arguments)
             return
-        jobs = [TrialJob(measure, arguments) for arguments in trials]
+        jobs = [partial(measure_trial, measure, arguments) for arguments in trials]
         ended: dict[int, Score] = {}
         following = 0
         for number, score in self._pool.run(jobs):
@@ -415,15 +388,6 @@ class TrialArchive(Generic[Score]):
             while following in ended:
                 yield ended.pop(following)
                 following += 1
-
-    def _keep(self, key: str, score: Any) -> None:
-        """Append a score to the file."""
-        self._kept[key] = score
-        try:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"key": key} | asdict(score)) + "\n")
-        except OSError as error:
-            raise OutputError(f"{self._path}: cannot be written: {error.strerror or error}") from error
 
 
 def _read_archive(path: Path, kind: type[Score]) -> dict[str, Score]:
@@ -438,15 +402,15 @@ def _read_archive(path: Path, kind: type[Score]) -> dict[str, Score]:
             os.truncate(path, sum(map(len, whole)))
     except OSError as error:
         raise OutputError(f"{path}: cannot be opened: {error.strerror or error}") from error
-    found: dict[str, Score] = {}
+    scores: dict[str, Score] = {}
     for number, line in enumerate(whole, start=1):
         try:
             entry: dict[str, Any] = json.loads(line)
             key = entry.pop("key")
-            found[key] = kind(**entry)
+            scores[key] = kind(**entry)
         except (ValueError, KeyError, TypeError, AttributeError):
             raise OutputError(f"{path}: line {number} is damaged; remove it to drive again") from None
-    return found
+    return scores
 
 
 def process_pool(jobs: int) -> AbstractContextManager[WorkerPool | None]:

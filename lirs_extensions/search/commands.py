@@ -52,8 +52,8 @@ def falsify(folder: FalsifyFolder, options: FalsifyOptions) -> None:
     """
     from lirs_extensions.search.case_search import process_pool, require_cma
     from lirs_extensions.search.falsify import search
-    from lirs_extensions.search.falsify.drives import CaseDrives, check_methods, search_limits
     from lirs_extensions.search.falsify.results import conclusion, write_results
+    from lirs_extensions.search.falsify.search import CaseDrives, check_methods, search_limits
 
     limits, output = search_limits(options), folder.output
     check_methods(options)

@@ -26,8 +26,8 @@ from lirs_extensions.search.case_search import (
 )
 from lirs_extensions.search.options import TuneOptions
 from lirs_validation.config import MapConfig, RunConfig
+from lirs_validation.experiment.drive import ScenarioCache
 from lirs_validation.experiment.run import run_unwritten
-from lirs_validation.experiment.scenario import ScenarioCache
 from lirs_validation.logs.map_log import log_mapper, replay
 from lirs_validation.logs.read_log import check_log, inertial_readings, read_log, read_truth, truth_in_time
 from lirs_validation.metrics.mapped_log import scan_consistency, trajectory_accuracy
@@ -40,8 +40,8 @@ from lirs_validation.record.verdict import (
     run_figures,
 )
 from lirs_validation.report.table import ReportTable
+from lirs_validation.sweep.engines import WorkerPool
 from lirs_validation.sweep.tasks import read_yaml_fields
-from lirs_validation.sweep.workers import WorkerPool
 from lirs_wct import ConfigError, MapperError, SimulationError, Trajectory, unknown_name
 from lirs_wct.files import staged_files, write_json
 from lirs_wct.formats.laser_log import LaserLog
@@ -62,28 +62,23 @@ _SCENARIOS = ScenarioCache()
 
 
 def search_space(mapper: str, parameters: str, limits: Path | None) -> SearchSpace:
-    """Return a mapper's parameters without those that the user sets.
-
-    Raises:
-        ConfigError: the mapper has none, or the file of limits holds a wrong name or value.
-        SourceError: the file cannot be read.
-    """
+    """Return a mapper's parameters without those that the user sets."""
     if mapper not in TUNABLE:
         raise unknown_name("mapper with parameters to tune", mapper, TUNABLE)
-    usual, given = default_parameters(mapper), read_parameters(parameters)
-    whole = {name for name, value in usual.items() if isinstance(value, int)}
-    made = [
-        SearchParameter(t.name, mapper, usual[t.name], t.low, t.high, whole=t.name in whole, log=t.log)
-        for t in TUNABLE[mapper]
-        if t.name not in given
-    ]
-    space, bounds = SearchSpace(tuple(made)), {p.name: (p.low, p.high) for p in made}
-    for name, pair in ({} if limits is None else read_yaml_fields(limits)).items():
-        if name not in bounds:
-            raise ConfigError(f"{limits}: {unknown_name('parameter', str(name), bounds)}")
-        known = next(p for p in made if p.name == name)
-        assert limits is not None
-        space = space.with_parameter(known.read_within(limits, pair, bounds[name]))
+    defaults, fixed = default_parameters(mapper), read_parameters(parameters)
+    free: dict[str, SearchParameter] = {}
+    for t in TUNABLE[mapper]:
+        if t.name not in fixed:
+            default = defaults[t.name]
+            whole = isinstance(default, int)
+            free[t.name] = SearchParameter(t.name, mapper, default, t.low, t.high, whole=whole, log=t.log)
+    space = SearchSpace(tuple(free.values()))
+    if limits is not None:
+        for name, pair in read_yaml_fields(limits).items():
+            if name not in free:
+                raise ConfigError(f"{limits}: {unknown_name('parameter', str(name), free)}")
+            legal = free[name].low, free[name].high
+            space = space.with_parameter(free[name].read_within(limits, pair, legal))
     space.require_free()
     return space
 
@@ -185,12 +180,12 @@ class UnseenComparison:
     """Tuned values and defaults on the unseen seeds on which both count.
 
     Attributes:
-        pairs: number of seeds.
-        error: median path error of the defaults and of the tuned values, meters.
-        works: number of seeds that work, of the defaults and of the tuned values.
+        pairs: Number of seeds.
+        error: Median path error of the defaults and of the tuned values, meters.
+        works: Number of seeds that work, of the defaults and of the tuned values.
         ratio: Geometric mean of tuned over default scores.
         low: Lower end of its 95 % interval (bootstrap of the paired differences).
-        high: the other end.
+        high: Upper end.
     """
 
     pairs: int
@@ -250,7 +245,7 @@ def conclusion(drives: TuneDrives, tuned: Case, found: UnseenComparison) -> str:
 
 def parameters_table(drives: TuneDrives, tuned: Case) -> ReportTable:
     """Return the changed ROS parameters, their defaults and tuned values."""
-    names = {t.name: t.ros_name for t in TUNABLE[drives.target.mapper]}
+    names = ros_names(drives.target.mapper)
     rows = tuple(
         (names[p.name], f"{p.default:g}", f"{tuned.values[p.name]:g}") for p in drives.space.difference(tuned)
     )
@@ -260,7 +255,7 @@ def parameters_table(drives: TuneDrives, tuned: Case) -> ReportTable:
 def ros_text(drives: TuneDrives, tuned: Case) -> tuple[str, str]:
     """Return name and content of a YAML or Lua file for the node."""
     mapper = drives.target.mapper
-    names = {t.name: t.ros_name for t in TUNABLE[mapper]}
+    names = ros_names(mapper)
     values = {
         names[p.name]: int(v) if p.whole else float(v)
         for p in drives.space.difference(tuned)
@@ -311,10 +306,10 @@ class TuneScore:
     """Score of one drive.
 
     Attributes:
-        loss: logarithm of the path error over its limit, more for an unusable map; None = not counted.
-        error: path error, meters; without truth the revisit residual.
-        works: whether the verdict is `works`; of a log without truth, whether the passes agree.
-        reason: why the drive does not count, or the mapper failed; empty if neither.
+        loss: Logarithm of the path error over its limit, more for an unusable map; None = not counted.
+        error: Path error, meters; without truth the revisit residual.
+        works: Whether the verdict is `works`; of a log without truth, whether the passes agree.
+        reason: Cause why the drive does not count, or the mapper failed; empty if neither.
     """
 
     loss: float | None
@@ -360,8 +355,8 @@ def measure_run(config: RunConfig) -> TuneScore:
 @lru_cache(maxsize=1)
 def _read(config: MapConfig) -> tuple[LaserLog, Any, Any]:
     """Return a log with the relations and the reference, stamps repaired."""
-    log, truth = read_log(config), read_truth(config)
-    return log, *truth_in_time(truth, log.lines)
+    log = read_log(config)
+    return log, *truth_in_time(read_truth(config), log.lines)
 
 
 def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
@@ -388,7 +383,9 @@ def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
             return TuneScore(None, reason="no place was seen twice")
         loss = math.log(MAX_RATIO if status == "lost" else max(residual / AGREEING, MIN_RATIO))
         return TuneScore(loss, residual, status == "ok" and residual <= AGREEING)
-    odometry = _odometry(log)
+    pairs = zip(log.scans, log.odometry, strict=True)
+    known = [(scan.stamp, pose) for scan, pose in pairs if pose is not None]
+    odometry = Trajectory.from_poses([stamp for stamp, _ in known], [pose for _, pose in known])
     alone = trajectory_accuracy(odometry, odometry, relations, reference).metrics() if len(odometry) else {}
     entry = {
         "status": status,
@@ -396,12 +393,6 @@ def measure_part(config: MapConfig, part: int, parts: int) -> TuneScore:
         "odometry": alone,
     }
     return score_of(log_figures(entry | {"log": {}, "trajectory": {}, "map": {}}))
-
-
-def _odometry(log: LaserLog) -> Trajectory:
-    """Return the odometry at the scans of a log; empty without any."""
-    given = [(s.stamp, pose) for s, pose in zip(log.scans, log.odometry, strict=True) if pose is not None]
-    return Trajectory.from_poses([stamp for stamp, _ in given], [pose for _, pose in given])
 
 
 class Tunable(NamedTuple):
@@ -420,11 +411,6 @@ class Tunable(NamedTuple):
     high: float
     log: bool = True
     ros: str = ""
-
-    @property
-    def ros_name(self) -> str:
-        """Name for the ROS node."""
-        return self.ros or self.name
 
 
 _MOTION = tuple(Tunable(name, 0.01, 0.5) for name in ("srr", "srt", "str", "stt"))
@@ -492,6 +478,11 @@ TUNABLE: Mapping[str, tuple[Tunable, ...]] = {
     ),
 }
 """Parameters by mapper."""
+
+
+def ros_names(mapper: str) -> dict[str, str]:
+    """Return the names of a mapper's parameters for the ROS node."""
+    return {tunable.name: tunable.ros or tunable.name for tunable in TUNABLE[mapper]}
 
 
 def default_parameters(mapper: str) -> dict[str, float]:

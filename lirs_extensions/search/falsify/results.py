@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -16,17 +17,19 @@ from matplotlib.lines import Line2D
 
 from lirs_extensions.bench.episode import run_episode
 from lirs_extensions.bench.policies import PolicyChoice
-from lirs_extensions.search.case_search import SearchParameter
-from lirs_extensions.search.falsify.drives import (
+from lirs_extensions.bench.tasks import TaskSet, set_entry
+from lirs_extensions.search.case_search import Case, SearchParameter
+from lirs_extensions.search.falsify.search import (
+    MIN_RATIO,
+    NEW_SEEDS,
     WORST,
     CaseDrives,
-    policy_suite,
+    FoundCase,
+    SearchLimits,
     policy_task,
-    sentence,
     write_case,
 )
-from lirs_extensions.search.falsify.search import MIN_RATIO, NEW_SEEDS, FoundCase
-from lirs_extensions.search.options import FAILURE_FACTOR
+from lirs_extensions.search.options import FAILURE_FACTOR, FalsifyOptions
 from lirs_validation.experiment.run import run
 from lirs_validation.record.run_record import RunRecord
 from lirs_validation.report.page import PageFigure, PageSection, data_url, page_html, png
@@ -52,6 +55,60 @@ from lirs_wct.drawing.canvas import (
 from lirs_wct.files import staged_files, write_json
 from slam_baselines.mapper import short_name
 
+Values = Mapping[str, float]
+
+
+def _slope(v: Values) -> str:
+    across = abs(math.sin(math.radians(v["slope_direction"])))
+    kind = "cross slope" if across > 0.87 else "slope" if across < 0.5 else "diagonal slope"
+    return f"{v['slope']:.2g} deg {kind}"
+
+
+PHRASES: Mapping[str, Callable[[Values], str]] = {
+    "slope": _slope,
+    "relief": lambda v: f"hills of {v['relief']:.2g} m",
+    "roughness": lambda v: f"rough ground ({100 * v['roughness']:.2g} cm)",
+    "corridor": lambda v: (
+        f"two parallel walls {v['corridor']:.2g} m long and {v['corridor_width']:.2g} m apart"
+    ),
+    "obstacles": lambda v: f"{v['obstacles']:.0f} obstacles",
+    "obstacle_height": lambda v: f"obstacles {v['obstacle_height']:.2g} m high",
+    "round_obstacles": lambda v: f"{100 * v['round_obstacles']:.0f} % round obstacles",
+    "symmetry": lambda v: f"obstacles in a regular grid ({100 * v['symmetry']:.0f} %)",
+    "boundary": lambda v: f"an outer wall of which {100 * v['boundary']:.0f} % stands",
+    "actors": lambda v: f"{v['actors']:.0f} walkers",
+    "speed": lambda v: f"{v['speed']:.2g} times the usual speed",
+    "turn_rate": lambda v: f"{v['turn_rate']:.2g} times the usual turn rate",
+    "reversing": lambda v: f"driving backwards for {100 * v['reversing']:.0f} % of the time",
+    "stand": lambda v: f"{v['stand']:.2g} s of standing at the start",
+    "sigma": lambda v: f"range noise of {1000 * v['sigma']:.2g} mm",
+    "dropout": lambda v: f"{100 * v['dropout']:.0f} % lost beams",
+    "lag": lambda v: f"scans {1000 * v['lag']:.0f} ms late",
+    "field_of_view": lambda v: f"a field of view of {v['field_of_view']:.0f} deg",
+    "dust": lambda v: f"dust in {100 * v['dust']:.2g} % of the beams",
+    "slip": lambda v: f"wheel slip of {100 * v['slip']:.0f} % of the slope",
+}
+"""Words for a changed parameter; directions and widths belong to another one."""
+
+
+def cause(case: Case, limits: SearchLimits) -> str:
+    """Return the changed parameters as words; empty if none is changed."""
+    names = [p.name for p in limits.difference(case)]
+    words = [PHRASES[name](case.values) for name in names if name in PHRASES]
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def sentence(options: FalsifyOptions, case: Case, limits: SearchLimits) -> str:
+    """Return one sentence on the failure of a method."""
+    who = f"{short_name(options.method)} on {options.robot}"
+    found = cause(case, limits)
+    fails = f"{who} fails with {found}" if found else f"{who} fails on the easiest ground already"
+    reference = options.compared_with
+    return f"{fails}; {short_name(reference)} does not." if reference else f"{fails}."
+
+
 STAGES = {"search": BLUE, "confirmation": VERMILLION, "shrinking": GREEN}
 """Color of a drive by its part of the search."""
 
@@ -61,9 +118,9 @@ class CasePaths:
     """Paths of a failed drive, world frame.
 
     Attributes:
-        truth: true poses.
-        estimate: the mapper's poses, moved by the true start pose; None of a policy.
-        limit: path error of a failure, meters.
+        truth: True poses.
+        estimate: Poses of the mapper, moved by the true start pose; None of a policy.
+        limit: Path error of a failure, meters.
     """
 
     truth: Trajectory
@@ -217,15 +274,17 @@ def _write_files(
     """Write the files into a folder whose content moves to `out`."""
     written = [_write_case(folder, out, drives, k, found) for k, found in enumerate(cases, start=1)]
     _write_suite(folder, drives, written)
-    table = cases_table(written)
-    sentences = conclusion(drives, cases)
-    write_json(folder / "falsify.json", _summary(drives, written, sentences))
+    table, sentences = cases_table(written), conclusion(drives, cases)
+    limits = [asdict(p) for p in drives.limits.parameters] + [{"returns": drives.limits.returns}]
+    entries = [{"name": c.name, "sentence": c.sentence} | asdict(c.found) for c in written]
+    summary = {"options": drives.options.decisive, "limits": limits, "sentences": list(sentences)}
+    write_json(folder / "falsify.json", summary | {"drives": drives.count, "cases": entries})
     (folder / "cases.md").write_text(table.as_markdown(), encoding="utf-8")
     chart = png(search_figure(drives, [c.found.position for c in written]))
     (folder / "search.png").write_bytes(chart)
     sections = (
         *([PageSection("cases", "Cases", tables=(table,))] if table.rows else []),
-        *(_case_section(case, drives.limits.parameters) for case in written),
+        *(case_section(case, drives.limits.parameters) for case in written),
         PageSection(
             "search",
             "Search",
@@ -255,8 +314,8 @@ def cases_table(cases: Sequence[WrittenCase]) -> ReportTable:
     return ReportTable("cases", "Cases", CAPTION, headings, rows, 1, remarks=True)
 
 
-def parameters_table(case: WrittenCase, parameters: Sequence[SearchParameter]) -> ReportTable:
-    """Return the changed parameters of a case, as found and after shrinking."""
+def case_section(case: WrittenCase, parameters: Sequence[SearchParameter]) -> PageSection:
+    """Return the picture of a case, and its changed parameters as found and after shrinking."""
     simple, found = case.found.case.values, case.found.found.values
     rows = tuple(
         (p.name, f"{p.default:g} {p.unit}", f"{found[p.name]:g} {p.unit}", f"{simple[p.name]:g} {p.unit}")
@@ -264,14 +323,9 @@ def parameters_table(case: WrittenCase, parameters: Sequence[SearchParameter]) -
         if simple[p.name] != p.default
     )
     headings = ("parameter", "default", "as found", "simplest")
-    return ReportTable(f"{case.name}-parameters", f"Parameters of {case.name}", "", headings, rows)
-
-
-def _case_section(case: WrittenCase, parameters: Sequence[SearchParameter]) -> PageSection:
-    label = f"World, paths and moment of failure of {case.name}"
-    figure = PageFigure(data_url(case.picture), label)
-    table = parameters_table(case, parameters)
-    tables = (table,) if table.rows else ()
+    table = ReportTable(f"{case.name}-parameters", f"Parameters of {case.name}", "", headings, rows)
+    figure = PageFigure(data_url(case.picture), f"World, paths and moment of failure of {case.name}")
+    tables = (table,) if rows else ()
     return PageSection(case.name, case.name, case.sentence, figures=(figure,), tables=tables)
 
 
@@ -292,7 +346,10 @@ def _write_case(staged: Path, out: Path, drives: CaseDrives, number: int, found:
         except MapperError as error:  # the failure itself: there is no run to draw
             text = f"{text.removesuffix('.')}: {error}".replace(str(staged), str(out))
     else:
-        paths = _policy_paths(drives, found)
+        task = policy_task(options, found.case, found.seed)
+        log = run_episode(task, PolicyChoice(options.method))
+        stamps = np.linspace(0.0, float(log.last["time"]), len(log.poses))
+        paths = CasePaths(Trajectory.from_poses(stamps, [Pose2(*pose.tolist()) for pose in log.poses]))
     picture = png(case_figure(World.load(folder), paths, name))
     (folder / "case.png").write_bytes(picture)
     failures = sum(map(drives.fails, found.scores))
@@ -307,16 +364,6 @@ def _moved(record: RunRecord, old: Path, new: Path) -> RunRecord:
     return replace(record, config=config, world=record.world | {"files": files})
 
 
-def _policy_paths(drives: CaseDrives, found: FoundCase) -> CasePaths:
-    """Return the path of a policy's episode."""
-    options = drives.options
-    task = policy_task(options, found.case, found.seed)
-    log = run_episode(task, PolicyChoice(options.method))
-    poses = np.array(log.poses)
-    stamps = np.linspace(0.0, float(log.last["time"]), len(poses))
-    return CasePaths(Trajectory.from_poses(stamps, [Pose2(*pose) for pose in poses.tolist()]))
-
-
 def _write_suite(out: Path, drives: CaseDrives, cases: Sequence[WrittenCase]) -> None:
     """Write the suite of all cases, for `validate --suite` or `bench --set`."""
     if not cases:
@@ -326,15 +373,4 @@ def _write_suite(out: Path, drives: CaseDrives, cases: Sequence[WrittenCase]) ->
         (out / MAPPER_SUITE).write_text(names, encoding="utf-8")
         return
     tasks = tuple(policy_task(drives.options, c.found.case, c.found.seed, c.name) for c in cases)
-    write_json(out / POLICY_SUITE, policy_suite(tasks))
-
-
-def _summary(drives: CaseDrives, cases: Sequence[WrittenCase], sentences: Sequence[str]) -> dict[str, Any]:
-    """Return the content of `falsify.json`."""
-    return {
-        "options": drives.options.decisive,
-        "limits": [asdict(p) for p in drives.limits.parameters] + [{"returns": drives.limits.returns}],
-        "sentences": list(sentences),
-        "drives": drives.count,
-        "cases": [{"name": c.name, "sentence": c.sentence} | asdict(c.found) for c in cases],
-    }
+    write_json(out / POLICY_SUITE, set_entry(TaskSet(name="cases", version=1, tasks=tasks)))

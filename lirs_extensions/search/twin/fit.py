@@ -40,6 +40,8 @@ SEGMENTS = 5
 """Fewest segments of a fit."""
 FLOOR = 1e-4
 """Smallest width of a bin's noise, meters."""
+FITTED = ("sigma", "sigma_relative", "dropout", "mixed_pixels")
+"""Fields of the noise that are fitted."""
 
 
 @dataclass(frozen=True)
@@ -174,8 +176,14 @@ def fit_noise(real: LogComparison, start: FloatArray, seed: int) -> FittedNoise:
         fitted, map_width = _correct(sample, control, sample.blocks, noise)
         if k < ROUNDS - 1:
             noise = fitted
-    drawn = [fitted, *_bootstrap(sample, control, noise, seed)]
-    low, high = (_quantile(drawn[1:], share) for share in (0.025, 0.975))
+    # The interval is that of random blocks, drawn with replacement.
+    rng, blocks = np.random.default_rng(seed), np.intersect1d(sample.blocks, control.blocks)
+    drawn = [_correct(sample, control, rng.choice(blocks, len(blocks)), noise)[0] for _ in range(SAMPLES)]
+    rows = [[getattr(draw, name) for name in FITTED] for draw in drawn]
+    low, high = (
+        replace(drawn[0], **dict(zip(FITTED, ends, strict=True)))
+        for ends in np.quantile(rows, (0.025, 0.975), axis=0).tolist()
+    )
     last = _compare_simulations(real, start, fitted, seed + ROUNDS)
     final = Sample.of(*last)
     distance = residual_distance(sample, final)
@@ -201,14 +209,15 @@ def _correct(
 ) -> tuple[LidarNoise, FloatArray]:
     """Return the noise corrected by a simulation with `noise`, and (bins,) the map's width, meters."""
     wide, simulated_wide = real.widths(blocks), control.widths(blocks)
-    middle = _bin_ranges(real)
+    count, _ = np.histogram(real.ranges, BINS)
+    middle = np.histogram(real.ranges, BINS, weights=real.ranges)[0] / np.maximum(count, 1)
     added = noise.sigma + noise.sigma_relative * middle
     map_square = simulated_wide**2 - added**2
     known = np.isfinite(wide) & np.isfinite(simulated_wide)
     rest = np.sqrt(np.maximum(wide**2 - map_square, FLOOR**2))[known]
     if not known.any():
         return noise, np.sqrt(np.maximum(map_square, 0.0))
-    weight = np.sqrt(np.histogram(real.ranges, BINS)[0][known])
+    weight = np.sqrt(count[known])
     design = np.column_stack((np.ones(known.sum()), middle[known])) * weight[:, None]
     sigma, relative = nnls(design, rest * weight)[0].tolist()
     lost, mixed = (real.shares(blocks) - control.shares(blocks)).tolist()
@@ -222,39 +231,18 @@ def _correct(
     return fitted, np.sqrt(np.maximum(map_square, 0.0))
 
 
-def _bin_ranges(sample: Sample) -> FloatArray:
-    """Return (bins,) mean ranges of the bins' beams, meters. An empty bin has 0."""
-    total, _ = np.histogram(sample.ranges, BINS, weights=sample.ranges)
-    count, _ = np.histogram(sample.ranges, BINS)
-    means: FloatArray = total / np.maximum(count, 1)
-    return means
-
-
-def _bootstrap(real: Sample, control: Sample, noise: LidarNoise, seed: int) -> list[LidarNoise]:
-    """Return the noise fitted to random blocks, drawn with replacement."""
-    rng = np.random.default_rng(seed)
-    blocks = np.intersect1d(real.blocks, control.blocks)
-    draws = (rng.choice(blocks, len(blocks)) for _ in range(SAMPLES))
-    return [_correct(real, control, drawn, noise)[0] for drawn in draws]
-
-
-def _quantile(drawn: list[LidarNoise], share: float) -> LidarNoise:
-    fields = ("sigma", "sigma_relative", "dropout", "mixed_pixels")
-    found = {name: float(np.quantile([getattr(n, name) for n in drawn], share)) for name in fields}
-    return replace(drawn[0], **found)
-
-
 def curve(sample: Sample) -> list[dict[str, float]]:
     """Return count, bias, width and tails of the residuals of each bin of ranges."""
     rows = []
     for low, high in pairwise(BINS):
-        found = sample.residual[(sample.ranges >= low) & (sample.ranges < high)]
-        if len(found) >= MIN_RESIDUALS:
-            low_, bias, high_ = np.quantile(found, (0.1587, 0.5, 0.8413)).tolist()
-            width = (high_ - low_) / 2
-            tails = float(np.mean(np.abs(found - bias) > 3 * width))
-            middle = float(sample.ranges[(sample.ranges >= low) & (sample.ranges < high)].mean())
-            rows.append({"range": middle, "beams": len(found), "bias": bias, "width": width, "tails": tails})
+        inside = (sample.ranges >= low) & (sample.ranges < high)
+        residual = sample.residual[inside]
+        if len(residual) >= MIN_RESIDUALS:
+            lower, bias, upper = np.quantile(residual, (0.1587, 0.5, 0.8413)).tolist()
+            width = (upper - lower) / 2
+            tails = float(np.mean(np.abs(residual - bias) > 3 * width))
+            row = {"range": float(sample.ranges[inside].mean()), "beams": len(residual), "bias": bias}
+            rows.append(row | {"width": width, "tails": tails})
     return rows
 
 

@@ -33,7 +33,10 @@ from lirs_validation.config import MapConfig
 from lirs_validation.logs.map_log import MappedLog, run_mapping
 from lirs_validation.logs.read_log import read_truth, truth_in_time
 from lirs_validation.metrics.mapped_log import RelativePoseConstraint, trajectory_accuracy
+from lirs_validation.record.metric_catalog import NOTHING
+from lirs_validation.report.table import ReportTable
 from lirs_wct import FloatArray, LaserScan, Pose2, SourceError, Trajectory, unknown_name
+from lirs_wct.drawing.canvas import BLUE, GRAY, Drawing, new_figure, plain_axes, title
 from lirs_wct.formats import drive_files
 from lirs_wct.progress import Progress
 from slam_baselines.mapper import MAPPERS
@@ -62,11 +65,10 @@ class ReplayedMapper:
     """Errors of a mapper on a log and on its simulation.
 
     Attributes:
-        mapper: name.
-        real: error on the log, meters; None if nothing can be compared.
-        drawn: errors on the simulated logs, by the same metric.
+        real: Error on the log, meters; None if nothing can be compared.
+        drawn: Errors on the simulated logs, by the same metric.
         status: Statuses of the mappings of the log and of the simulated logs.
-        reason: why the mapper was left out; empty otherwise.
+        reason: Cause why the mapper was left out; empty otherwise.
     """
 
     mapper: str
@@ -97,9 +99,8 @@ class Replay:
     """Errors of mappers on a log and on its simulation.
 
     Attributes:
-        metric: name of the error.
-        mappers: a result for each mapper.
-        odometry: deviations of distance, relative, and turn, radians, over 5 m by the log's odometry, and
+        metric: Name of the error.
+        odometry: Deviations of distance, relative, and turn, radians, over 5 m by the log's odometry, and
             their medians by the simulated ones; None without odometry, or where the path is too short.
     """
 
@@ -152,7 +153,7 @@ class TwinPath:
 
     Attributes:
         scans: Scans of the log with the usual number of beams.
-        truth: poses of the base in the map.
+        truth: Poses of the base in the map.
         exact: (n, beams) ranges to the map's walls, meters; inf = no wall.
         objects: (n, beams) ranges as the log has them where it saw what the map lacks, such as people or an
             open door, meters; NaN elsewhere.
@@ -202,19 +203,14 @@ def place_log(mapped: MappedLog, usual: Sequence[int], real: LogComparison) -> T
     mounts = (scan.T_base_laser.to_pose2().inverse() for scan in scans)
     truth = [Pose2(*pose) @ mount for pose, mount in zip(poses.tolist(), mounts, strict=True)]
     stamps = [scan.stamp for scan in scans]
+    rows = [pose.as_array() for pose in odometry if pose is not None]
     return TwinPath(
         tuple(scans),
         Trajectory.from_poses(stamps, truth),
         exact,
         np.where(lacking, log.ranges, np.nan),
-        _pose_rows(odometry),
+        np.array(rows) if len(rows) == len(scans) else None,
     )
-
-
-def _pose_rows(poses: Sequence[Pose2 | None]) -> FloatArray | None:
-    """Return (n, 3) x, y, yaw; None if a pose is missing."""
-    rows = [pose.as_array() for pose in poses if pose is not None]
-    return np.array(rows) if len(rows) == len(poses) else None
 
 
 def simulate_odometry(truth: Trajectory, noise: SensorNoise, seed: int) -> list[Pose2]:
@@ -319,3 +315,43 @@ def _error(
     kind, name = ("reference", "ate_rmse") if relations is None else ("relations", "translation_mean")
     error: float | None = found[kind][name]
     return error
+
+
+def replay_figure(replay: Replay) -> Drawing:
+    """Draw the mappers' errors on the simulated log over those on the log."""
+    figure = new_figure(5.5, 4.5)
+    ax = figure.subplots()
+    rows = [(m.mapper, m.real, m.simulated) for m in replay.mappers if m.real and m.simulated]
+    low = 0.7 * min(min(real, simulated) for _, real, simulated in rows)
+    high = 1.4 * max(max(real, simulated) for _, real, simulated in rows)
+    line = np.array((low, high))
+    ax.fill_between(line, line / FACTOR, line * FACTOR, color=GRAY, alpha=0.25, linewidth=0)
+    ax.plot(line, line, color=GRAY, linewidth=1)
+    for name, real, simulated in rows:
+        ax.plot(real, simulated, "o", color=BLUE)
+        ax.annotate(name, (real, simulated), xytext=(5, 4), textcoords="offset points", fontsize=8)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    plain_axes(ax, "error on the log, m", "error on the simulated logs, m")
+    title(ax, f"{replay.metric}; within a factor of {FACTOR:g}: gray")
+    return figure
+
+
+def replay_table(replay: Replay | None) -> ReportTable:
+    """Return the mappers' errors on the log and on its simulation."""
+    headings = ("mapper", "log, m", "simulated, m", "ratio", "remark")
+    if replay is None:
+        return ReportTable("replay", "Mappers", "The replay was not requested.", headings, ())
+    rows = []
+    for m in replay.mappers:
+        lost = sum(status != "ok" for status in m.status[1:])
+        remarks = [f"{m.status[0]} on the log"] if m.status and m.status[0] != "ok" else []
+        remarks += [f"not ok on {lost} of {len(m.drawn)} simulated logs"] if lost else []
+        values = (NOTHING if v is None else f"{v:.3f}" for v in (m.real, m.simulated))
+        ratio = NOTHING if m.ratio is None else f"{m.ratio:.2f}"
+        rows.append((m.mapper, *values, ratio, m.reason or ", ".join(remarks)))
+    caption = (
+        f"{replay.metric}; of the simulated logs the median. They have the path and the fitted noise of "
+        "the log, and objects that the map lacks as the log saw them."
+    )
+    return ReportTable("replay", "Mappers", caption, headings, tuple(rows), remarks=True)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings, strategies as st
 
 from lirs_extensions.search.case_search import Case, shrink
-from lirs_extensions.search.falsify.drives import PARAMETERS, SearchLimits
+from lirs_extensions.search.falsify.search import PARAMETERS, SearchLimits
 
 LIMITS = SearchLimits()
 NAMES = [p.name for p in PARAMETERS]

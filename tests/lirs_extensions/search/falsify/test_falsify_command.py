@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from lirs_extensions.search.falsify.drives import DriveScore
+from lirs_extensions.search.falsify.search import DriveScore
 from lirs_wct.drawing.canvas import bare_figure
 from lirs_wct.errors import MapperError
 from tests.command_line import run_command
@@ -75,7 +75,7 @@ def test_a_mapper_that_raises_is_a_case_without_a_run(
         raise MapperError("no scan matcher")
 
     if not driven:
-        monkeypatch.setattr("lirs_extensions.search.falsify.drives._measure_mapper", fail)
+        monkeypatch.setattr("lirs_extensions.search.falsify.search._measure_mapper", fail)
         monkeypatch.setattr("lirs_extensions.search.falsify.results.run", fail)
         monkeypatch.setattr(
             "lirs_extensions.search.falsify.results.case_figure", lambda *_: bare_figure(1, 1)

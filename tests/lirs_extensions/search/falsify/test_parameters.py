@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lirs_envs.generators.arena import SIDE, WALL_HEIGHT, ArenaConfig, arena
-from lirs_extensions.search.falsify.drives import (
+from lirs_extensions.search.falsify.results import sentence
+from lirs_extensions.search.falsify.search import (
     OF_ARENA,
     PARAMETERS,
     SearchLimits,
     arena_options,
     read_search_limits,
-    sentence,
     write_case,
 )
 from lirs_extensions.search.options import FalsifyOptions

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lirs_extensions.search.falsify.drives import SearchLimits, measure
+from lirs_extensions.search.falsify.search import SearchLimits, measure
 from lirs_extensions.search.options import FalsifyOptions
 from tests.benchmark_modules import BENCHMARKS
 

@@ -9,8 +9,16 @@ import pytest
 
 from lirs_extensions.search.case_search import Case, CmaProposer, make_proposer, require_cma
 from lirs_extensions.search.falsify import drives as drives_module
-from lirs_extensions.search.falsify.drives import ARCHIVE, CaseDrives, DriveScore, SearchLimits
-from lirs_extensions.search.falsify.search import NEEDED, NEW_SEEDS, falsify, loss
+from lirs_extensions.search.falsify.search import (
+    ARCHIVE,
+    NEEDED,
+    NEW_SEEDS,
+    CaseDrives,
+    DriveScore,
+    SearchLimits,
+    falsify,
+    loss,
+)
 from lirs_extensions.search.options import FalsifyOptions
 from lirs_wct.errors import ConfigError, OutputError
 

@@ -16,7 +16,6 @@ from lirs_envs.sensing.motion import OdometryConfig
 from lirs_envs.sensing.odometry import DistanceNoise
 from lirs_envs.sensing.sensors import read_noise
 from lirs_extensions.search.twin.fit import Sample, fit_noise, fit_odometry, resolution_of
-from lirs_extensions.search.twin.result import _beam_shares
 from lirs_extensions.search.twin.surface import (
     GATE,
     LogComparison,
@@ -25,7 +24,7 @@ from lirs_extensions.search.twin.surface import (
     compare,
     fit_surfaces,
 )
-from lirs_extensions.search.twin.twin import standstill
+from lirs_extensions.search.twin.twin import _beam_shares, standstill
 from lirs_validation.cli import app as cli
 from lirs_validation.cli.command import PROGRAM
 from lirs_wct.arrays import FloatArray
